@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from khep_twin.board.k213 import PIXELS
 from khep_twin.playpen import Playpen
-from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
+from khep_twin.sensing.line_faces import fixed_faces, moving_faces, read_poses
 from khep_twin.simulation.ready import function_of
 from khep_twin.vision.camera import Lamp, LineCamera, eye_of
 from khep_twin.world import World
@@ -44,7 +44,7 @@ def row(name: str) -> str:
     turret = next(iter(world.robots[0].firmware.turrets.values()))
     eye = world.model.camera("khepera0/k213/eye").id
     fixed, moving = fixed_faces(world.model), moving_faces(world.model, world.robots[0].indices.base)
-    camera = LineCamera(fixed, moving, places(world.data), function_of("vision"))
+    camera = LineCamera(fixed, moving, read_poses(world.data), function_of("vision"))
     powers = world.simulation.powers
     lamps: list[Lamp] = [(*at, power) for at, power in zip(world.lamps.positions, powers, strict=True)]
 

@@ -18,7 +18,7 @@ import tomlkit
 from benchmarks.table import Result, Table
 from khep_twin import __version__
 from khep_twin.errors import KhepTwinError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.atomic import write_atomic
 
 FOLDER = Path(__file__).parent / "results"
 PACKAGES = ("mujoco", "numba", "numpy")
@@ -91,7 +91,7 @@ def save(record: Record, folder: Path) -> Path:
     )
     document.update(data)
     path = folder / record.name
-    write_whole(path, tomlkit.dumps(document).encode())
+    write_atomic(path, tomlkit.dumps(document).encode())
     return path
 
 

@@ -94,7 +94,7 @@ def drive(world: World, seed: int, end_ns: int) -> None:
                 case 1:
                     robot.disconnect()
                 case 2:
-                    if notice := robot.compare_line(LineSettings(int(rng.choice([9600, 19200])), 2)):
+                    if notice := robot.set_host_line(LineSettings(int(rng.choice([9600, 19200])), 2)):
                         world.log_event(robot.index, notice)
                 case 3:
                     robot.flush()

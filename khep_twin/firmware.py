@@ -192,9 +192,9 @@ class Firmware:
         """Return a hint for setting the robot's line to a host's baud rate."""
         if self._mode.baud == baud:
             return f"'restart' brings the robot back to {baud} baud"
-        if (mode := self._rom.mode_at(baud)) is not None:
+        if (mode := self._rom.find_mode(baud)) is not None:
             return f"for {baud} baud: serve --mode {mode}, or khep://...?mode={mode}"
-        if (mode := ROMS["khepera2"].mode_at(baud)) is not None:
+        if (mode := ROMS["khepera2"].find_mode(baud)) is not None:
             options = f"serve --model khepera2 --mode {mode}, or khep://...?model=khepera2&mode={mode}"
             return f"for {baud} baud, of a Khepera II: {options}"
         return f"no running mode has {baud} baud: expected {self.baud} at the host"
@@ -232,7 +232,7 @@ class Firmware:
                 return self._use(request)
 
     def _use(self, tool: Tool) -> bytes:
-        outcome = bios.use(tool, bios.ToolContext(self._rom, self.running, tuple(self.turrets), DESCRIPTIONS))
+        outcome = bios.run_tool(tool, bios.ToolContext(self._rom, self.running, tuple(self.turrets), DESCRIPTIONS))
         if outcome.restart:
             return self.reset()
         self.baud = outcome.baud or self.baud
@@ -242,7 +242,7 @@ class Firmware:
         """Start a function of the ROM; return its output."""
         if function == SELF_TEST:
             return bios.self_test(
-                sensors_alive=any(self.register_view[register] for register in kernel.AMBIENT)
+                are_sensors_alive=any(self.register_view[register] for register in kernel.AMBIENT)
             )
         self._run(function or self.running)
         return b""

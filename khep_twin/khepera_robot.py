@@ -21,7 +21,7 @@ from khep_twin.board.kernel import (
     Wheel,
 )
 from khep_twin.board.rom import ROMS
-from khep_twin.board.turrets import find
+from khep_twin.board.turrets import find_turrets
 from khep_twin.firmware import Firmware
 from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -70,7 +70,7 @@ class KheperaRobot(Robot):
         settings: RobotSettings,
     ) -> None:
         entry = context.playpen.robots[index]
-        turrets = {kind: kind.make() for kind in find(entry.turrets)}
+        turrets = {kind: kind.make() for kind in find_turrets(entry.turrets)}
         firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"])
         super().__init__(context, index, indices, firmware, make_rng, settings)
         self._state = state
@@ -96,7 +96,7 @@ class KheperaRobot(Robot):
         return RobotSnapshot(
             **self.board_state(since_ns)._asdict(),
             **recorded,
-            stopped=self._has_stopped,
+            is_stopped=self._has_stopped,
             leds=tuple(self._shown_leds),
         )
 
@@ -108,7 +108,7 @@ class KheperaRobot(Robot):
                 raise ValueError(f"{len(data)} bytes of {name}; expected {field.nbytes}")
             field[:] = np.frombuffer(data, field.dtype)
         self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
-        self._has_stopped = state.stopped
+        self._has_stopped = state.is_stopped
         self._show(state.leds)
         self.apply_faults()
 

@@ -24,7 +24,7 @@ import mujoco
 from khep_twin import units
 from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, Wall
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle, overlap
-from khep_twin.playpen.merge import merged
+from khep_twin.playpen.merge import merge_blocks
 from khep_twin.playpen.polygon import walls_around
 from khep_twin.playpen.stripes import Panel, panels, panels_within
 from khep_twin.playpen.surfaces import Surface
@@ -85,7 +85,7 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     if playpen.arena.table:
         grounds.append(_lower_ground(spec))
     for kind, items in playpen.objects.items():
-        for index, item in merged(playpen.blocks) if kind == "block" else enumerate(items):
+        for index, item in merge_blocks(playpen.blocks) if kind == "block" else enumerate(items):
             name = _add_object(spec, playpen, f"{kind}{index}", item)
             (grounds if isinstance(item, Block) and item.ramp else obstacles).append(name)
     for index, wall in enumerate(playpen.walls):

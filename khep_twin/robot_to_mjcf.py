@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 
 from khep_twin import units
-from khep_twin.board.turrets import find, raised_by
+from khep_twin.board.turrets import find_turrets, mount_heights
 from khep_twin.errors import CalibrationError
 from khep_twin.playpen import RobotEntry
 from khep_twin.sensing import calibration
@@ -68,8 +68,8 @@ def add_robot(
         heading = units.radians(heading_deg)
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
     hands: list[str] = []
-    kinds = find(robot.turrets)
-    for kind, raised in zip(kinds, raised_by(kinds), strict=True):
+    kinds = find_turrets(robot.turrets)
+    for kind, raised in zip(kinds, mount_heights(kinds), strict=True):
         if kind.scene is not None:
             turret = mujoco.MjSpec.from_file(str(kind.scene))
             hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]

@@ -22,8 +22,8 @@ import mujoco
 
 from khep_twin.sensing import lobes
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.sensing.mujoco_scene import visible
-from khep_twin.sensing.optics import SLIGHT
+from khep_twin.sensing.mujoco_scene import visible_geoms
+from khep_twin.sensing.optics import NEGLIGIBLE
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import Proximity
 from khep_twin.sensing.seen_surfaces import N_COLUMNS, N_SURFACES
@@ -36,7 +36,7 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
     """Return the numbers of a robot's proximity in a scene."""
     numbers = calibration.proximity
     # The robot's own body is not seen; its turrets are.
-    geoms = [geom for geom in visible(model) if model.geom_bodyid[geom] != robot.base]
+    geoms = [geom for geom in visible_geoms(model) if model.geom_bodyid[geom] != robot.base]
     brightest = float(model.geom_user[geoms, 0].max(initial=0.0))
     exponents = numbers.lobe_exponent
     gains = [gain * 1e-6 for gain in numbers.gain_counts_mm2]
@@ -49,11 +49,11 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
         threshold=list(numbers.threshold_counts),
         offset=[offset * 1e-3 for offset in numbers.offset_mm],
         reach=[
-            _RANGE * math.sqrt(gain * brightest / max(threshold, SLIGHT))
+            _RANGE * math.sqrt(gain * brightest / max(threshold, NEGLIGIBLE))
             for gain, threshold in zip(gains, numbers.threshold_counts, strict=True)
         ],
-        whole=[int(exponent) for exponent in exponents],
-        part=[exponent - int(exponent) for exponent in exponents],
+        exponent=[int(exponent) for exponent in exponents],
+        fraction=[exponent - int(exponent) for exponent in exponents],
         norm=[lobes.norm(exponent) for exponent in exponents],
         width=[lobes.width(exponent) / lobes.norm(exponent) for exponent in exponents],
         table=[lobes.table(exponent) for exponent in exponents],
@@ -62,5 +62,5 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
         quantum=numbers.quantum_counts,
         noise=list(numbers.noise_counts),
         idle=numbers.idle_counts,
-        found=[0.0] * (N_SURFACES * N_COLUMNS),
+        surfaces=[0.0] * (N_SURFACES * N_COLUMNS),
     )

@@ -24,13 +24,13 @@ from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import (
     Scene,
+    has_warned,
     in_bounds,
     joint_position,
     joint_speed,
     motor_torque,
     set_motor,
     step,
-    warned,
 )
 
 
@@ -54,13 +54,8 @@ class Stop(IntEnum):
     AWAITED = 4  # in `khep_twin.episodes.stepping`: when all robots await the caller's speeds
 
 
-class Phase(IntEnum):
-    """Part of a step that is done."""
-
-    DONE = 0  # the whole step
-    STEPPED = 1  # its physics
-    TICKED = 2  # its sensor conversions and its control tick
-
+Phase = IntEnum("Phase", ["DONE", "STEPPED", "TICKED"], start=0)
+"""Part of a step that is done: the whole step; its physics; also its sensor conversions and control tick."""
 
 STEPS, PHASE, FIRST, DRAWN = 0, 1, 2, 3
 """Indices in `Simulated.counters`: steps done, `Phase` of the step, step of the first row of
@@ -201,7 +196,7 @@ def advance(simulated: Simulated, inputs: StepInputs, end_step: int, stops: int)
                     return Reason.TICKED
         counters[PHASE] = Phase.DONE
         if steps % timing.steps_per_supply == 0:
-            if warned(scene):
+            if has_warned(scene):
                 return Reason.WARNED
             stopped = False
             for i in range(len(robots)):
@@ -226,7 +221,7 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
         stopped = update_supply(scene, robots[i], 0) or stopped
     if not in_bounds(scene, timing.limit):
         return Reason.OUT_OF_BOUNDS
-    if warned(scene):
+    if has_warned(scene):
         return Reason.WARNED
     return Reason.STOPPED if stopped else Reason.DONE
 

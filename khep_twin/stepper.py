@@ -98,7 +98,7 @@ class Stepper:
         Raises:
             DivergedError: The physics left its bounds.
         """
-        stop_reason = self._run(lambda: self._simulation.checked(reason))
+        stop_reason = self._run(lambda: self._simulation.check_reason(reason))
         while stop_reason != step.Reason.DONE:
             stop_reason = self._run(self._simulation.advance, end_step)
 
@@ -203,7 +203,7 @@ class Stepper:
         """Log which lamp is on, for lamps that are on one at a time."""
         self._update_time()
         if (lamps := self._simulation.lamps) is not None:
-            self._world.on_event(None, f"{lamps.names[lamps.lit or 0]} is on")
+            self._world.on_event(None, f"{lamps.names[lamps.lit_index or 0]} is on")
 
     def _update_time(self) -> None:
         self._world.time_ns = self._simulation.steps * self._step_ns

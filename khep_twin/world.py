@@ -109,10 +109,13 @@ class World(NotCopied):
     ) -> None:
         # Prevents MuJoCo from writing warnings into a file; `Stepper` checks for them.
         mujoco.set_mju_user_warning(lambda warning: None)
-        scene_model, self.guard, self.time_ns = playpen, RLock(), 0
+        scene_model, self.guard = playpen, RLock()
+        self.time_ns = 0
         if not isinstance(scene_model, SceneModel):
             scene_model = SceneModel.of(at_spots(Playpen.load(scene_model), seed))
-        self._base, self.spec, self.timing = scene_model.playpen, scene_model.spec, scene_model.timing
+        self._base = scene_model.playpen
+        self.spec = scene_model.spec
+        self.timing = scene_model.timing
         # LEDs and faulty wheels change the model.
         self._shares_model = shared = shared and not any(fault.device == WHEEL for fault in faults)
         if isinstance(playpen, SceneModel) and not shared:
@@ -125,7 +128,7 @@ class World(NotCopied):
         self.code = SteppingCode(self.simulation, compiled)
         turrets = any(entry.turrets for entry in self._base.robots)
         stops = int(step.Stop.TICKED) if turrets else 0
-        if len(self._forms.numbers) < len(self._base.robots):
+        if len(self._forms.core_robots) < len(self._base.robots):
             stops = step.Stop.STEPPED | step.Stop.TICKED
         self._stepper = Stepper(self, self.simulation, self.code, stops=stops, shows_leds=not shared)
         self._rewind(seed, noise, vary, None, None)
@@ -168,15 +171,15 @@ class World(NotCopied):
         forms.restore_model()
         simulation.reset(seed, noise=noise, vary=vary)
         self.model = forms.model
-        playpen = at_spots(self._base, seed) if starts is None else forms.started(starts)
+        playpen = at_spots(self._base, seed) if starts is None else forms.with_starts(starts)
         forms.reset(playpen)
         self.playpen = playpen if lamps is None else playpen.model_copy(update={"lamps": tuple(lamps)})
         self.lamps = Lamps(self.playpen, cache(partial(stream, seed, "lamps")))
-        records = dict(zip(forms.numbers, simulation.records, strict=True))
+        records = dict(zip(forms.core_robots, simulation.records, strict=True))
         self.robots: tuple[Robot, ...] = tuple(
             self._robot(index, seed, records.get(index)) for index in range(len(forms.indices))
         )
-        simulation.others = lambda: [robot.disc for robot in self.robots if robot.index not in records]
+        simulation.other_discs = lambda: [robot.disc for robot in self.robots if robot.index not in records]
         simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def _robot(self, index: int, seed: int, record: NDArray[np.void] | None) -> Robot:
@@ -185,7 +188,7 @@ class World(NotCopied):
         rng = partial(stream, seed, "robot", index)
         if record is not None:
             return KheperaRobot(self, index, indices, record, rng, settings)
-        return Khepera4Robot(self, index, indices, self._forms.drawn(index), rng, settings)
+        return Khepera4Robot(self, index, indices, self._forms.calibration_of(index), rng, settings)
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:
@@ -319,7 +322,7 @@ class World(NotCopied):
             self.playpen.lamps,
             self.playpen.lighting,
             self.lamps.state(),
-            position(self.lamps.rng()),
+            position(self.lamps.make_rng()),
             tuple(self._early_events),
             "" if self._stepper.failure is None else str(self._stepper.failure),
         )
@@ -336,19 +339,19 @@ class World(NotCopied):
             # After the robots: the start of a wheel's fault changes the model and the motion.
             set_physics_state(self.model, self.data, state.physics)
             self.playpen = self.playpen.model_copy(update={"lamps": state.lamps, "lighting": state.lighting})
-            self.lamps = Lamps(self.playpen, self.lamps.rng, self.time_ns)
+            self.lamps = Lamps(self.playpen, self.lamps.make_rng, self.time_ns)
             self.lamps.set_state(state.lamps_state)
-            resume(self.lamps.rng(), state.lamps_stream)
+            resume(self.lamps.make_rng(), state.lamps_stream)
         except ValueError as error:
             self._stepper.failure = DivergedError(f"the world could not be restored: {error}")
             raise SnapshotError(f"the snapshot does not fit the world: {error}") from None
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
-        self._early_events = list(state.untold)
+        self._early_events = list(state.pending_events)
 
     def reseed(self, seed: int) -> None:
         """Switch to the random streams of another seed."""
         self.simulation.reseed(seed)
-        self.lamps.rng = cache(partial(stream, seed, "lamps"))
+        self.lamps.make_rng = cache(partial(stream, seed, "lamps"))
         for index, robot in enumerate(self.robots):
             robot.reseed(partial(stream, seed, "robot", index))
 
@@ -365,15 +368,15 @@ class World(NotCopied):
         """
         changes = {"lamps": tuple(lamps), "lighting": lighting or self.playpen.lighting}
         self.playpen, previous = self.playpen.model_copy(update=changes), self.lamps
-        self.lamps = Lamps(self.playpen, previous.rng, self.time_ns, previous.phase)
+        self.lamps = Lamps(self.playpen, previous.make_rng, self.time_ns, previous.flicker_phase)
         if keep_switched:
-            self.lamps.take_over(previous)
+            self.lamps.continue_from(previous)
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def refresh(self) -> None:
         """Update the scene after fixed geoms were moved in the model, which no other world may share."""
         self._forms.refresh()
-        self.simulation.take_scene()
+        self.simulation.refresh_scene()
         for robot in self.robots:
             robot.fit_turrets()
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)

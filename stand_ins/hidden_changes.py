@@ -14,7 +14,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PlaypenError
 from khep_twin.interventions import move_robot, switching
 from khep_twin.playpen import Block, Cylinder, Playpen
-from khep_twin.playpen.starts import Start, at_start, extent, no_room
+from khep_twin.playpen.starts import Start, at_start, extent, find_obstruction
 from khep_twin.units import metres
 from khep_twin.world import World
 
@@ -155,7 +155,7 @@ def reachable(playpen: Playpen) -> list[tuple[float, float]]:
             cell = column + step[0], row + step[1]
             x_mm, y_mm = start[0] + cell[0] * _GRID_MM, start[1] + cell[1] * _GRID_MM
             inside = left <= x_mm <= right and low <= y_mm <= high
-            if cell not in found and inside and not no_room(playpen, 0, x_mm, y_mm):
+            if cell not in found and inside and not find_obstruction(playpen, 0, x_mm, y_mm):
                 found.add(cell)
                 todo.append(cell)
     return [(start[0] + column * _GRID_MM, start[1] + row * _GRID_MM) for column, row in sorted(found)]
@@ -185,7 +185,7 @@ def _put(world: World, kind: str, index: int, at: dict[str, float]) -> bool:
         if hasattr(world.playpen.objects[kind][index], key)
     }
     x, y, _ = world.robots[0].pose
-    if no_room(_with(world.playpen, kind, index, {**at, **grown}), 0, x * 1e3, y * 1e3):
+    if find_obstruction(_with(world.playpen, kind, index, {**at, **grown}), 0, x * 1e3, y * 1e3):
         return False
     _place(world, kind, index, at)
     return True

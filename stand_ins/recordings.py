@@ -19,7 +19,7 @@ from khep_twin.board.fault_injection import parse_fault
 from khep_twin.clock import NEVER_NS, to_ns
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.starts import Start, at_spots, at_start, no_room
+from khep_twin.playpen.starts import Start, at_spots, at_start, find_obstruction
 from khep_twin.randomness import stream
 from stand_ins.hidden_changes import Change, LampMoved, reachable
 from stand_ins.hosts import HOSTS
@@ -118,13 +118,13 @@ def record(
     exchanges = list(converse(run, recorder, line_times, seed, HOSTS[host], asks, to_ns(seconds)))
     recorder.close()
     starts_ns = [fault.start_ns for fault in parsed]
-    ends_ns = [fault.end_ns if fault.ends else -1 for fault in parsed]
+    ends_ns = [fault.end_ns if fault.has_end else -1 for fault in parsed]
     seen_ns, over_ns = list[int](), [*ends_ns, *[-1] * len(changes)]
     for index in range(len(over_ns)):
         others = [*parsed[:index], *parsed[index + 1 :]]
         without = _without(run.made, index - len(parsed))
         seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, others, without)))
-        if index < len(parsed) and parsed[index].device and parsed[index].ends:
+        if index < len(parsed) and parsed[index].device and parsed[index].has_end:
             lasting = [*parsed[:index], replace(parsed[index], end_ns=NEVER_NS), *parsed[index + 1 :]]
             over_ns[index] = noticeable(exchanges, Run(actual, seed, vary, lasting, run.made))
     truth = Truth(
@@ -160,7 +160,7 @@ def _misplaced(playpen: Playpen, seed: int, error: Start | None) -> Playpen:
         rng = stream(seed, "stand-in", "start")
         radius, angle = 10 * math.sqrt(rng.random()), math.tau * rng.random()
         error = radius * math.cos(angle), radius * math.sin(angle), float(rng.uniform(-5, 5))
-        while no_room(playpen, 0, entry.x_mm + error[0], entry.y_mm + error[1]):
+        while find_obstruction(playpen, 0, entry.x_mm + error[0], entry.y_mm + error[1]):
             error = error[0] / 2, error[1] / 2, error[2]
     return at_start(playpen, 0, (entry.x_mm + error[0], entry.y_mm + error[1], entry.heading_deg + error[2]))
 

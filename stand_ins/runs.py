@@ -119,7 +119,7 @@ class Run:
         """Return when to look for a reply next [ns]."""
         tx, now_ns = self.robot.uart.tx, self.world.time_ns
         length = tx.count_to_end_of(b"\n")
-        end_ns = None if length is None else tx.arrival(length)
+        end_ns = None if length is None else tx.arrival_ns(length)
         found = [each for each in (end_ns, self.robot.next_answer_ns()) if each is not None]
         return max(min([*found, now_ns + _LOOK_NS]), now_ns + 1)
 

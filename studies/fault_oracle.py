@@ -19,7 +19,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import Action, WheelCommand, ProximityReply, apply_action
+from khep_twin.shadow.actions import Action, ProximityReply, WheelCommand, apply_action
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.displacements import Lifted
 from khep_twin.shadow.hypotheses import Hypothesis
@@ -117,7 +117,9 @@ class Oracle:
         self._setup = EpisodeSetup(playpen, planar=True)
         self._near = Candidates(self._setup)
         self._actions = [each for each in listener.actions if each.time_ns > begin_ns]
-        self._parts = parts_new(self._truth, [each for each in listener.actions if isinstance(each, ProximityReply)])
+        self._parts = parts_new(
+            self._truth, [each for each in listener.actions if isinstance(each, ProximityReply)]
+        )
         before = listener.actions[: -len(self._actions)]
         self._start = self._followed(before, changed_ns, begin_ns, settings.particles)
 
@@ -185,7 +187,9 @@ class Oracle:
         branch = _Branch(particles, evidence, [each for each in self._actions if each.time_ns > time_ns])
         arena = self._setup.playpen.arena
         places = arena.width_mm * arena.height_mm * 1e-6 * math.tau / (math.tau**1.5 * math.prod(KNOWN))
-        return Explanation(fault.name, -fault.log_odds_against - math.log(places), self._evidence(fault, branch))
+        return Explanation(
+            fault.name, -fault.log_odds_against - math.log(places), self._evidence(fault, branch)
+        )
 
     def _evidence(self, hypothesis: Hypothesis, branch: "_Branch") -> float:
         """Return the evidence at the end for a fault that has begun where twins branch off."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin.board.battery import discharged
+from khep_twin.board.battery import cell_voltage
 from khep_twin.board.kernel import Board
 from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
@@ -76,7 +76,7 @@ def current(folder: Path) -> Outcome:
 def battery(folder: Path) -> Outcome:
     """Compare the cells' voltage over their use."""
     table = columns(folder / "manual_data" / "k1_fig14_battery_discharge.csv")
-    errors = np.array([discharged(each) for each in table["time_min"]]) - table["battery_V"]
+    errors = np.array([cell_voltage(each) for each in table["time_min"]]) - table["battery_V"]
     # The figure's voltages have steps of 18 mV.
     return Outcome(rms([errors]), 0.018 / math.sqrt(12))
 

@@ -53,7 +53,7 @@ def main() -> None:
                     host=host,
                     asks_counters=given.asks_counters,
                 )
-            own = calibration.varied(start, stream(seed, "robot", 0, "spread"))
+            own = calibration.vary(start, stream(seed, "robot", 0, "spread"))
             shadow = Shadow(playpen, ShadowSettings(particles=given.particles))
             follower = Follower(shadow)
             for heard in read_recording(path).chunks:

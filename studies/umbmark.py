@@ -77,7 +77,7 @@ def factors(left: float, right: float) -> tuple[float, float]:
 def drawn(seed: int) -> tuple[float, float]:
     """Return E_d and E_b of the wheels that a seed draws."""
     made = calibration.read("khepera1")[0]
-    wheels = calibration.varied(made, stream(seed, "robot", 0, "spread")).wheels if seed else made.wheels
+    wheels = calibration.vary(made, stream(seed, "robot", 0, "spread")).wheels if seed else made.wheels
     scale = wheels.radius_mm / made.wheels.radius_mm
     return wheels.right_over_left, wheels.base_mm / made.wheels.base_mm / scale
 

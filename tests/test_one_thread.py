@@ -131,7 +131,7 @@ def test_a_world_is_stepped_by_one_thread_at_a_time_which_its_observers_may_use(
         def on_event(self, *event: object) -> None:
             pass
 
-    world.add_observer(Observer(), at_once=False)  # type: ignore[arg-type]
+    world.add_observer(Observer(), sample_now=False)  # type: ignore[arg-type]
     intruder.calls = [world.step, world.reset, world.scan, world.state]
     world.advance(0.02)
     assert [error.split(":")[0] for error in intruder.errors] == ["advance_to", "reset", "scan", "state"]
@@ -151,7 +151,7 @@ def test_a_port_is_used_by_one_thread_at_a_time() -> None:
         on_bytes = on_host_event
 
     with closing(Serial.of(open_twin("default"), timeout=1)) as port:
-        port.twin.world.add_observer(Observer(), at_once=False)  # type: ignore[arg-type]
+        port.twin.world.add_observer(Observer(), sample_now=False)  # type: ignore[arg-type]
         uses: dict[str, Callable[[], object]] = {
             "write": lambda: port.write(b"B\n"),
             "read": port.read,

@@ -110,7 +110,7 @@ def test_a_terminal_is_refused_in_one_line_that_names_the_network() -> None:
 
 
 def test_the_page_offers_a_network_port_for_its_robot() -> None:
-    done = run("from khep_twin.ports.endpoints import open_any\nprint(open_any(9600).path)")
+    done = run("from khep_twin.ports.endpoints import open_any_port\nprint(open_any_port(9600).path)")
     assert done.stdout.startswith("socket://127.0.0.1:"), done.stderr
 
 

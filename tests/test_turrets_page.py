@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from page_follower import CHECKOUT, ROOT, PageFollower
 
-from khep_twin.board.turrets import installed
+from khep_twin.board.turrets import installed_turrets
 
 PAGE = (ROOT / "docs" / "turrets.md").read_text()
 
@@ -24,5 +24,5 @@ def test_the_package_on_the_page_works_and_the_turret_with_a_body_is_added_to_it
 
 
 def test_the_page_names_each_turret_of_the_twin() -> None:
-    for kind in installed().values():
+    for kind in installed_turrets().values():
         assert f"| `{kind.name}` | {kind.number} |" in PAGE

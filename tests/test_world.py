@@ -249,11 +249,11 @@ def test_the_next_exchange_is_that_of_a_whole_command_or_of_the_next_byte_of_an_
     robot, rx = world.robots[0], world.robots[0].uart.rx
     assert robot.next_exchange_ns() is None
     robot.send(b"D,5")
-    assert robot.next_exchange_ns() == rx.arrival(1)
+    assert robot.next_exchange_ns() == rx.arrival_ns(1)
     robot.send(b",5\nN")
-    assert robot.next_exchange_ns() == rx.arrival(6) == robot.next_command_ns()
-    world.advance_to(rx.arrival(6) or 0)
-    assert robot.next_exchange_ns() == rx.arrival(1)
+    assert robot.next_exchange_ns() == rx.arrival_ns(6) == robot.next_command_ns()
+    world.advance_to(rx.arrival_ns(6) or 0)
+    assert robot.next_exchange_ns() == rx.arrival_ns(1)
     assert robot.next_command_ns() is None
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from khep_twin import playpen
 from khep_twin.drawing.render import render
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.atomic import write_atomic
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_spots
 from khep_twin.playpen_to_mjcf import to_mjcf
@@ -51,12 +51,12 @@ def main() -> None:
     table = ""
     for name in playpen.names():
         found = at_spots(Playpen.load(name), 0)
-        write_whole(options.folder / f"{name}.xml", to_mjcf(found).encode("utf-8"))
+        write_atomic(options.folder / f"{name}.xml", to_mjcf(found).encode("utf-8"))
         picture = options.folder / f"{name}.png"
         if not options.without_pictures:
-            write_whole(picture, small(render(found, picture)))
+            write_atomic(picture, small(render(found, picture)))
         table += f"| [{name}]({name}.xml) | ![Scene of {name}]({name}.png) |\n"
-    write_whole(options.folder / "README.md", (INTRODUCTION + table).encode("utf-8"))
+    write_atomic(options.folder / "README.md", (INTRODUCTION + table).encode("utf-8"))
     print(f"mjcf     {options.folder}")
 
 

@@ -25,12 +25,12 @@ def check(data: bytes) -> None:
     from khep_twin.board import kernel
     from khep_twin.board.kernel import DUTIES, LEFT, RIGHT, Wheel
     from khep_twin.board.rom import ROMS
-    from khep_twin.board.turrets import find
+    from khep_twin.board.turrets import find_turrets
     from khep_twin.firmware import Firmware
 
     choice, stream = (data[0] if data else 0), data[1:]
     rom = ROMS[list(ROMS)[choice % len(ROMS)]]
-    turrets = {kind: kind.make() for kind in find(["gripper"] if choice & 0x40 else [])}
+    turrets = {kind: kind.make() for kind in find_turrets(["gripper"] if choice & 0x40 else [])}
     firmware = Firmware(rom, 1, turrets)
     replies, sent, encoder = b"", b"", 0
     for piece in stream.replace(bytes([TICK]), bytes([CUT, TICK, CUT])).split(bytes([CUT])):

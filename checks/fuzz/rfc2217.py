@@ -79,9 +79,9 @@ def outcome(pieces: list[bytes]) -> tuple[bytes, bytes, tuple[int, int], str]:
 
     answers = bytearray()
     negotiator = Negotiator(9600, answers.extend)
-    taken = b"".join(map(negotiator.received, pieces))
+    taken = b"".join(map(negotiator.decode, pieces))
     settings = negotiator.settings()
-    assert without_negotiation(negotiator.escaped(taken), 0) == (taken, False)
+    assert without_negotiation(negotiator.encode(taken), 0) == (taken, False)
     return taken, bytes(answers), (settings.baud, settings.stop_bits), negotiator.fault
 
 

@@ -300,9 +300,9 @@ class RobotEnd(OpenFile):
     def readable(self) -> bool:
         return bool(self.data)
 
-    def descriptors(self, room: bool) -> Sequence[int]:
+    def descriptors(self, has_room: bool) -> Sequence[int]:
         """Return the descriptor that becomes readable when bytes come."""
-        return [self._descriptor] if room else []
+        return [self._descriptor] if has_room else []
 
     def set_baud(self, baud: int) -> None:
         """Do nothing: a host sets its own speed."""
@@ -311,7 +311,7 @@ class RobotEnd(OpenFile):
         """Return None: a robot cannot see the other end."""
         return None
 
-    def receive(self, limit: int, answered: bool = False) -> Received:
+    def receive(self, limit: int, is_answered: bool = False) -> Received:
         """Take what has come; the robot cannot see hosts come and go."""
         taken = bytes(self.data[:limit])
         del self.data[:limit]

@@ -76,7 +76,7 @@ class QuietPort:
     def __init__(self, baud: int) -> None:
         pass
 
-    def descriptors(self, room: bool) -> list[int]:
+    def descriptors(self, has_room: bool) -> list[int]:
         """Return none."""
         return []
 
@@ -86,7 +86,7 @@ class QuietPort:
     def settings(self) -> None:
         """Return none."""
 
-    def receive(self, limit: int, answered: bool = False) -> object:
+    def receive(self, limit: int, is_answered: bool = False) -> object:
         """Return nothing."""
         return NOTHING
 
@@ -272,8 +272,8 @@ def installed(simulation: Simulation, present: Callable[[], Designer], private: 
             (answers, "run_in_threadpool", run_in_threadpool),
             (file_actions, "found_ports", list),
             (session_actions, "found_ports", list),
-            (twin_session, "open_any", QuietPort),
-            (twin_session, "exact_timeouts", lambda: None),
+            (twin_session, "open_any_port", QuietPort),
+            (twin_session, "set_exact_timeouts", lambda: None),
             (service_registry, "private_folder", lambda: private),
             (kernel, "MOST_STALLED", MOST_STALLED),
             (signals, "_writing", simulation.system.modules["threading"].RLock()),

@@ -75,13 +75,13 @@ def _write(simulation: Simulation, documents: list[_Document], number: int) -> N
         line = b"%d of %d\n" % (document.begun, count)
         try:
             if document.path.suffix == ".pdf":
-                with atomic.whole_file(document.path) as file:
+                with atomic.atomic_file(document.path) as file:
                     for part in range(0, count, 1000):
                         file.write(line * min(count - part, 1000))
                         sleep(rng.uniform(0.0, 0.1))
                     file.write(b"end\n")
             else:
-                atomic.write_whole(document.path, line * count + b"end\n")
+                atomic.write_atomic(document.path, line * count + b"end\n")
         except KhepTwinError as error:
             if "cannot be written: " not in str(error) or "\n" in str(error):
                 raise

@@ -3,9 +3,16 @@
 from pathlib import Path
 
 from checks.simulate.simulation import Simulation
-from khep_twin.log.attached import calibration_of, playpen_of, compile_shapes
+from khep_twin.log.attached import calibration_of, compile_shapes, playpen_of
 from khep_twin.log.exchanges import Dialogue
-from khep_twin.log.reader import hash_file, read_arrays, read_first_messages, read_log, read_batches, read_series
+from khep_twin.log.reader import (
+    hash_file,
+    read_arrays,
+    read_batches,
+    read_first_messages,
+    read_log,
+    read_series,
+)
 from khep_twin.log.transcript import unescape
 
 

@@ -62,9 +62,9 @@ class Truth:
             if world.time_ns:
                 self.begun_ns = world.time_ns
                 self.kept_ns = world.time_ns - LOCK_STEP_LOSS_NS
-            world.add_observer(self, at_once=not world.time_ns)
+            world.add_observer(self, sample_now=not world.time_ns)
             world.observers.insert(0, world.observers.pop())
-            world.add_observer(_Promises(self), at_once=not world.time_ns)
+            world.add_observer(_Promises(self), sample_now=not world.time_ns)
 
     def resume(self, heard: Iterable[tuple[int, int, bool, bytes]]) -> None:
         """Keep the lines that are not complete yet, of bytes from before the moment."""

@@ -38,7 +38,7 @@ def _accept_refused_bytes(port: network.TcpPort, notices: list[str]) -> tuple[so
     if came is not None and port._host is not None:
         came[0].settimeout(0.01)
         with suppress(OSError):
-            port._host._ahead += came[0].recv(100)
+            port._host._input += came[0].recv(100)
     return came
 
 
@@ -49,8 +49,8 @@ def _connections_kept() -> AbstractContextManager[object]:
 
 def _release_in_part(host: NetworkHost, count: int) -> None:
     """Drop what is beyond the queue before the system was asked to take it."""
-    host._waiting += host._line[: min(count, network_host.QUEUE_LIMIT - len(host._waiting))]
-    del host._line[:count]
+    host._output += host._held_reply[: min(count, network_host.QUEUE_LIMIT - len(host._output))]
+    del host._held_reply[:count]
     host._flush()
 
 
@@ -90,9 +90,11 @@ MUTANTS: dict[str, Mutant] = {
         "tcp", "replies", replaced(network.TcpPort, _accept=_accept_refused_bytes)
     ),
     "a host that has finished is never let go": Mutant(
-        "tcp", "leftovers", replaced(NetworkHost, done=PropertyMock(return_value=False))
+        "tcp", "leftovers", replaced(NetworkHost, is_done=PropertyMock(return_value=False))
     ),
-    "a browser is let in": Mutant("tcp", "replies", replaced(network_host, _OF_BROWSERS=(b"no request",))),
+    "a browser is let in": Mutant(
+        "tcp", "replies", replaced(network_host, _BROWSER_PREFIXES=(b"no request",))
+    ),
     "connections are never closed": Mutant("tcp", "leftovers", _connections_kept),
     "a host that has vanished keeps the port": Mutant(
         "tcp", "answers", replaced(network_host, _retransmissions=lambda client: 0), 600

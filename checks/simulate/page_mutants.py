@@ -42,7 +42,7 @@ def _write(path: Path, part: Path, data: bytes) -> None:
         raise KhepTwinError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-_write_whole = documents.write_whole
+_write_whole = documents.write_atomic
 
 
 def _write_in_place(path: Path, data: bytes) -> None:

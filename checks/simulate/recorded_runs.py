@@ -19,7 +19,7 @@ from khep_twin.log.recorded import BranchPoint
 from khep_twin.ports.branching import open_log
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.resume import run_end_ns
-from khep_twin.ports.serve import Flush
+from khep_twin.ports.serve import PeriodicFlush
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 PLAYPENS = "default", "default", "two-lamps", "gripper", "stripes", "looping-maze"
@@ -124,7 +124,7 @@ class Run:
         twin = open_twin(rng.choice(PLAYPENS), options)
         twin.record(self.path, on_failure=self.on_failure)
         self.watch(twin)
-        flush, turn = Flush(twin.recorder), rng.uniform(0.01, 0.1)
+        flush, turn = PeriodicFlush(twin.recorder), rng.uniform(0.01, 0.1)
         start_ns, end_ns = self.clock.monotonic_ns(), round(self.duration * NS_PER_S)
         while twin.world.time_ns < end_ns:
             self.clock.sleep(turn)
@@ -154,7 +154,7 @@ class Run:
         )
         self.truth.failed = lambda: recorder.failure is not None
         self.truth.watch([ROBOT])
-        flush = Flush(recorder)
+        flush = PeriodicFlush(recorder)
         while (time_ns := self.clock.monotonic_ns() - start_ns) < self.duration * NS_PER_S:
             command = rng.choice(COMMANDS)
             for to_robot, data in ((True, command), (False, _reply(command, rng.randrange(1000)))):

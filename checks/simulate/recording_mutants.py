@@ -15,7 +15,7 @@ from khep_twin.log.log_file import LogFile, PartFile
 from khep_twin.log.mcap_recovery import IntactRecords
 from khep_twin.log.recorder import Recorder
 from khep_twin.log.transcript import Transcript
-from khep_twin.ports.serve import Flush
+from khep_twin.ports.serve import PeriodicFlush
 
 
 def _write_once(self: Any, data: bytes) -> int:
@@ -93,7 +93,7 @@ _broken: dict[str, tuple[str, Broken]] = {
         replaced(LogFile, finish=_finish_without_fsync),
     ),
     "lock-step runs are hardly ever flushed": ("recovery", replaced(recorder, _BATCH_LENGTH=10**9)),
-    "served runs are never flushed": ("recovery", replaced(Flush, __call__=nothing)),
+    "served runs are never flushed": ("recovery", replaced(PeriodicFlush, __call__=nothing)),
     "a recovery drops the last piece": ("recovery", replaced(IntactRecords, messages=_without_last)),
     "a flush loses a line": ("recovery", replaced(Transcript, write=_lose_a_line)),
     "errors of the file are swallowed": ("leftovers", replaced(LogFile, error_guard=_forget_failures)),

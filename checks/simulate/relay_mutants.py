@@ -14,11 +14,11 @@ from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports import relay
 from khep_twin.ports.idle_polls import IdlePolls
 
-_on_bytes, _passed = LineRecorder.on_bytes, IdlePolls.passed
+_on_bytes, _passed = LineRecorder.on_bytes, IdlePolls.filter_replies
 
 
 def _next_host_at_once(dialogue: Any, _: bytes) -> bool:
-    dialogue.ended, dialogue._due = False, 0
+    dialogue.is_draining, dialogue._n_due = False, 0
     return False
 
 
@@ -41,7 +41,7 @@ def _pass_polls(polls: IdlePolls, reply: bytes) -> bytes:
 
 MUTANTS: dict[str, Mutant] = {
     "replies to a host that has left reach the next": Mutant(
-        "relay", "replies", replaced(relay._Dialogue, settling=_next_host_at_once)
+        "relay", "replies", replaced(relay._Dialogue, check_draining=_next_host_at_once)
     ),
     "the log of a line misses replies": Mutant(
         "relay", "recovery", replaced(LineRecorder, on_bytes=_log_no_replies)
@@ -57,7 +57,7 @@ MUTANTS: dict[str, Mutant] = {
         ),
     ),
     "replies to the relay's own questions reach hosts": Mutant(
-        "relay", "replies", replaced(IdlePolls, passed=_pass_polls)
+        "relay", "replies", replaced(IdlePolls, filter_replies=_pass_polls)
     ),
     "the log of a line is never flushed": Mutant("relay", "recovery", replaced(LineRecorder, flush=nothing)),
 }

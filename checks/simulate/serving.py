@@ -18,7 +18,7 @@ from khep_twin.ports import pty
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.serve import WIRE
-from khep_twin.ports.service_registry import registered
+from khep_twin.ports.service_registry import registered_ports
 
 DISTURBING = "stall", "suspend", "kill", "server-stop", "slow transit", "slow closing"
 """Kinds of faults that may delay a reply beyond the timeout of the host library."""
@@ -77,7 +77,7 @@ class ServedTerminal(Site):
     def may_have_crossed(self) -> bool:
         """Return whether the server has said that two hosts crossed since the present process came."""
         began_ns = self._process().began_ns - _MOMENT_NS
-        return any(time_ns >= began_ns and pty._IN_A_MOMENT in text for time_ns, text in self._notices)
+        return any(time_ns >= began_ns and pty._MIXED_NOTICE in text for time_ns, text in self._notices)
 
     def rogues(self) -> None:
         """Send hosts that the terminal must withstand, mostly while no other is there."""
@@ -97,7 +97,7 @@ class ServedTerminal(Site):
 
     @contextmanager
     def _endpoint(self, baud: int) -> Generator[HostPort]:
-        with PtyPort(self.link, baud) as port, registered([port.path], "twin"):
+        with PtyPort(self.link, baud) as port, registered_ports([port.path], "twin"):
             yield port
 
     def _check_rest(self) -> None:

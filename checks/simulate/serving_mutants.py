@@ -18,17 +18,17 @@ def _poll_events_alone(hosts: TerminalHosts, _: bool) -> Change:
     """Count hosts by events alone, equal ones in a row once, as khep_twin did before it asked the kernel."""
     assert hosts._events is not None
     events = [event for event, _ in groupby(hosts._drain(hosts._events))]
-    hosts.hosts, change = terminal_hosts._followed(hosts.hosts, Change(), events)
+    hosts.hosts, change = terminal_hosts._apply_events(hosts.hosts, Change(), events)
     return change
 
 
 def _write_without_room(port: PtyPort, data: bytes) -> None:
     pty.os.write(port.descriptor, data)
-    port._given_s = pty.time.monotonic()
+    port._unread_write_s = pty.time.monotonic()
 
 
 def _leave_link(link: Link) -> None:
-    link._forget()
+    link._unregister()
     pty.os.close(link._lock)
 
 

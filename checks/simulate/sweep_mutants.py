@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from checks.simulate.mutants import Broken, Mutant, nothing, replaced
 from khep_twin.errors import KhepTwinError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.atomic import write_atomic
 from khep_twin.sweep import ray_workers, results
 from khep_twin.sweep.results import SweepFolder
 from khep_twin.sweep.shards import Shard, Work
@@ -31,7 +31,7 @@ def _joined_as_found(self: Any) -> None:
 
 def _keep_twice(self: Any, task: Shard, data: bytes) -> None:
     path = self._part_path(task)
-    write_whole(path.with_suffix(".late.parquet") if path.exists() else path, data)
+    write_atomic(path.with_suffix(".late.parquet") if path.exists() else path, data)
 
 
 def _coming_once(ray: Any, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
@@ -90,7 +90,10 @@ def _dropped() -> AbstractContextManager[object]:
 _broken: dict[str, tuple[str, Broken]] = {
     "sweep-late-result-added": ("results", replaced(SweepFolder, save=_keep_twice, _join=_joined_as_found)),
     "sweep-task-of-a-dead-worker-dropped": ("results", _dropped),
-    "sweep-torn-part-taken-as-whole": ("results", replaced(SweepFolder, _is_complete=_is_there, _read=_read_torn)),
+    "sweep-torn-part-taken-as-whole": (
+        "results",
+        replaced(SweepFolder, _is_complete=_is_there, _read=_read_torn),
+    ),
     "sweep-resumed-from-nothing": (
         "results",
         replaced(SweepFolder, missing=lambda self: [*self._work.tasks]),

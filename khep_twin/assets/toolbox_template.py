@@ -4,8 +4,8 @@
     khep-twin run FILE.py:name --port 2 --cycles 500
     python -i FILE.py, then: roborun2(name, port_id=2, cycles_per_run=500, runs=3)
 
-It is called once for each run. For a simulated robot, write sim_sms, sim_rps and so on, and kheprom(btmap1) at
-the end of each cycle. Unchanged, it wanders and turns away from obstacles.
+It is called once for each run. For a simulated robot, write sim_sms, sim_rps and so on, and kheprom(btmap1)
+at the end of each cycle. Unchanged, it wanders and turns away from obstacles.
 """
 
 # All names of the toolbox are imported, as in Matlab.

@@ -1,4 +1,4 @@
-"""The robot's supply: the charger, or four NiCd cells that run down as in the manual's figure 14."""
+"""Supply of the robot: the charger, or four NiCd cells with the discharge curve of the manual's figure 14."""
 
 from khep_twin.compilable import compilable
 from khep_twin.units import SUPPLY_VOLTAGE
@@ -15,14 +15,13 @@ DISCHARGE = (
     (42.1, 3.32),
     (45.0, 3.31),
 )
-"""Minutes of use and voltage of the cells [min, V]; straight lines between them (fitted to the manual's
-figure 14, rms 0.035 V, the noise of the figure). The load has no influence."""
+"""Minutes of use and voltage of the cells [min, V], with linear interpolation (fitted to the manual's figure
+14; the residual of 0.035 V rms is the noise of the figure). The load has no influence."""
 
 _NS_PER_MIN = 60_000_000_000
 
-
 CHARGER = -1.0
-"""Minutes of use that stand for the charger, whose voltage never changes."""
+"""Value of the minutes of use for a robot on the charger, whose voltage is constant."""
 
 
 @compilable
@@ -35,12 +34,12 @@ def voltage(used_min: float, time_ns: int) -> float:
     """
     if used_min < 0:
         return SUPPLY_VOLTAGE
-    return discharged(used_min + time_ns / _NS_PER_MIN)
+    return cell_voltage(used_min + time_ns / _NS_PER_MIN)
 
 
 @compilable
-def discharged(used_min: float) -> float:
-    """Return the voltage of the cells after so many minutes of use [V]."""
+def cell_voltage(used_min: float) -> float:
+    """Return the voltage of the cells after some minutes of use [V]."""
     for index in range(1, len(DISCHARGE)):
         (start_min, start), (end_min, end) = DISCHARGE[index - 1], DISCHARGE[index]
         if used_min < end_min:

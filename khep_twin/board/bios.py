@@ -1,6 +1,6 @@
 """The BIOS tools: lower-case words on the serial line, beside the protocol's commands (manual, 3.2).
 
-Of their answers only the banner is known; the other texts are this project's own, in plain lines.
+Of their replies only the banner is known; the texts of the other replies are assumed.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,9 +17,9 @@ class ToolContext:
 
     Attributes:
         rom: Version of the firmware.
-        running: ROM function that runs; empty for none.
-        turrets: Turrets that are plugged on top.
-        commands: Descriptions of the protocol's commands, as `help` and `list` print them.
+        running: Name of the running ROM function; empty for none.
+        turrets: Turrets on the robot.
+        commands: Descriptions of the protocol's commands, as printed by `help` and `list`.
     """
 
     rom: Rom
@@ -35,8 +35,8 @@ class ToolResult:
     Attributes:
         reply: Reply on the line.
         restart: True if the board is reset.
-        baud: Speed of the line after the reply [baud]; 0 leaves it.
-        function: ROM function to start; empty for none.
+        baud: Baud rate of the line after the reply; 0 if it stays the same.
+        function: Name of the ROM function to start; empty for none.
     """
 
     reply: bytes = b""
@@ -45,92 +45,74 @@ class ToolResult:
     function: str = ""
 
 
-def use(tool: Tool, board: ToolContext) -> ToolResult:
-    """Execute a tool: its word and its arguments."""
-    entry = _TOOLS.get(tool.word.decode("ascii"))
-    if entry is None:
-        return ToolResult(COMMAND_NOT_FOUND)
-    arguments = tuple(argument.decode("latin-1") for argument in tool.arguments)
-    return entry[1](arguments, board)
-
-
-def self_test(sensors_alive: bool) -> bytes:
-    """Return the report of running mode 7, the board's self-test."""
-    return _lines(
-        "Self test",
-        f"sensors     {'ok' if sensors_alive else 'no conversion'}",
-        "registers   ok",
-        "end of test",
-    )
-
-
-def _lines(*lines: str) -> bytes:
+def _format_lines(*lines: str) -> bytes:
     return b"".join(line.encode("ascii", "backslashreplace") + END for line in lines)
 
 
-def _help(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
+def _help(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     if not arguments:
         return ToolResult(
-            _lines(
+            _format_lines(
                 "help NAME tells more of a tool or command",
                 f"tools     {' '.join(_TOOLS)}",
-                f"commands  {' '.join(board.commands)}",
+                f"commands  {' '.join(context.commands)}",
             )
         )
     name = arguments[0]
-    text = board.commands.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
-    return ToolResult(_lines(f"{name}  {text}") if text else refusal("No such item"))
+    text = context.commands.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
+    return ToolResult(_format_lines(f"{name}  {text}") if text else refusal("No such item"))
 
 
-def _list(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
-    tools = [f"TO  {name:8}  {text}  {board.rom.bios}" for name, (text, _) in _TOOLS.items()]
-    functions = [f"FU  {name:8}  ROM function  {board.rom.bios}" for name in (DEMO, SELF_TEST)]
-    commands = [f"PR  {name:8}  {text}  {board.rom.protocol}" for name, text in board.commands.items()]
-    return ToolResult(_lines(*tools, *functions, *commands))
+def _list(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
+    tools = [f"TO  {name:8}  {text}  {context.rom.bios}" for name, (text, _) in _TOOLS.items()]
+    functions = [f"FU  {name:8}  ROM function  {context.rom.bios}" for name in (DEMO, SELF_TEST)]
+    commands = [f"PR  {name:8}  {text}  {context.rom.protocol}" for name, text in context.commands.items()]
+    return ToolResult(_format_lines(*tools, *functions, *commands))
 
 
-def _k_team(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
-    return ToolResult(_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
+def _k_team(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
+    return ToolResult(_format_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
 
 
-def _net(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
+def _net(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     turrets = [
-        f"{kind.number}  {kind.name}  {kind.description}  revision {kind.revision}" for kind in board.turrets
+        f"{kind.number}  {kind.name}  {kind.description}  revision {kind.revision}"
+        for kind in context.turrets
     ]
-    return ToolResult(_lines(*(turrets or ["no intelligent turret"])))
+    return ToolResult(_format_lines(*(turrets or ["no intelligent turret"])))
 
 
-def _memory(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
-    return ToolResult(_lines(f"RAM  {board.rom.memory} bytes", "used by loaded programs  0 bytes"))
+def _memory(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
+    return ToolResult(_format_lines(f"RAM  {context.rom.memory} bytes", "used by loaded programs  0 bytes"))
 
 
-def _process(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
+def _process(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     processes = ["serial communication protocol", "motor controllers", "sensor scan"]
-    return ToolResult(_lines(*processes, *([board.running] if board.running else [])))
+    return ToolResult(_format_lines(*processes, *([context.running] if context.running else [])))
 
 
-def _restart(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
+def _restart(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     return ToolResult(restart=True)
 
 
-def _run(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
+def _run(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     if arguments == (DEMO,):
-        return ToolResult(_lines(f"run {DEMO}"), function=DEMO)
+        return ToolResult(_format_lines(f"run {DEMO}"), function=DEMO)
     if arguments == (SELF_TEST,):
         return ToolResult(function=SELF_TEST)
     if arguments == ("sloader",):
-        return _sfill(arguments, board)
+        return _sfill(arguments, context)
     return ToolResult(refusal(f"Function not found, right is {DEMO} or {SELF_TEST}"))
 
 
-def _serial(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
+def _serial(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     speeds = {str(baud): baud for baud in BAUD_RATES}
     if len(arguments) != 1 or arguments[0] not in speeds:
         return ToolResult(refusal(f"Baud rate not possible, right is one of {' '.join(speeds)}"))
-    return ToolResult(_lines(f"serial {arguments[0]}"), baud=speeds[arguments[0]])
+    return ToolResult(_format_lines(f"serial {arguments[0]}"), baud=speeds[arguments[0]])
 
 
-def _sfill(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
+def _sfill(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     return ToolResult(refusal("No S-record loader, the twin runs no machine code"))
 
 
@@ -147,3 +129,22 @@ _TOOLS: dict[str, tuple[str, _Handler]] = {
     "serial": ("sets the speed of the serial line", _serial),
     "sfill": ("loads a program in S-records", _sfill),
 }
+
+
+def run_tool(tool: Tool, context: ToolContext) -> ToolResult:
+    """Execute a tool and return its reply and effects."""
+    entry = _TOOLS.get(tool.word.decode("ascii"))
+    if entry is None:
+        return ToolResult(COMMAND_NOT_FOUND)
+    arguments = tuple(argument.decode("latin-1") for argument in tool.arguments)
+    return entry[1](arguments, context)
+
+
+def self_test(are_sensors_alive: bool) -> bytes:
+    """Return the report of running mode 7, the board's self-test."""
+    return _format_lines(
+        "Self test",
+        f"sensors     {'ok' if are_sensors_alive else 'no conversion'}",
+        "registers   ok",
+        "end of test",
+    )

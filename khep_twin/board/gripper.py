@@ -1,4 +1,4 @@
-"""The gripper turret's electronics: orders of the T bus and the registers that they write and read.
+"""Electronics of the gripper turret: orders of the T bus and the registers that they write and read.
 
     B        versions                              b,1,0
     D,state  opens (0) or closes (1) the fingers   d
@@ -9,9 +9,9 @@
     H,1      position of the arm, 152 … 255        h,…
     J        jumpers                               j,0
 
-Orders and positions as in public host programs and simulators; its own manual is not available. Fingers
-and arm move to their targets at a fixed speed; an order beyond 152 to 255 sends the arm to the nearer end.
-A reset stops them where they are.
+Orders and positions are from public host programs and simulators; the turret's manual is not available.
+Fingers and arm move to their targets at a fixed speed. A position beyond 152 to 255 moves the arm to the
+nearer end. A reset stops both at their present positions.
 """
 
 from enum import IntEnum
@@ -51,7 +51,7 @@ class Register(IntEnum):
 
 
 class GripperElectronics:
-    """The gripper's electronics, a `Turret`.
+    """Electronics of the gripper, a `Turret`.
 
     Attributes:
         registers: State of the electronics (8,).
@@ -96,7 +96,7 @@ class GripperElectronics:
         self._approach(Register.FINGER_SETPOINT, Register.FINGER_TARGET, FINGER_SPEED)
 
     def reset(self) -> None:
-        """Stop arm and fingers where they are."""
+        """Stop arm and fingers at their present positions."""
         view = self._view
         for position in (Register.ARM_POSITION, Register.FINGER_POSITION):
             target, setpoint = position - 2, position - 1

@@ -1,4 +1,4 @@
-"""The gripper in the physics: positions of arm and fingers, light barrier, resistivity and motors."""
+"""Body of the gripper in the physics: arm and fingers with motors, light barrier and resistivity sensor."""
 
 import math
 from importlib.resources import files
@@ -12,14 +12,13 @@ from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
 ARM_DEGREES_PER_UNIT = 200 / 255
-"""Angle of the arm per position; 255 is 10 degrees below level: elevation = 190 - 200 position / 255 [deg] (a
-simulator's model of the turret)."""
+"""Angle per position of the arm: elevation = 190 - 200 position / 255 [deg] (a simulator's model)."""
 
 ARM_LEVEL_DEG = 190.0
-"""Elevation that position 0 would have [deg] (likewise)."""
+"""Elevation by the same formula at position 0 [deg] (the same model)."""
 
 GAP_CLOSED, GAP_OPEN = 0.0005, 0.0275
-"""Half of the gap between the fingers at positions 0 and 200 [m] (likewise)."""
+"""Half of the gap between the fingers at positions 0 and 200 [m] (the same model)."""
 
 SERIES_RESISTANCE = 10_000.0
 """Resistance in series with the gripped object, to measure its resistance [ohm] (assumed)."""
@@ -34,14 +33,14 @@ N_RAYS = 3
 """Number of the light barrier's rays in assets/gripper.xml."""
 
 _SLACK = 0.0005
-"""Distance from the right finger within which a ray has reached it [m]."""
+"""Distance from the right finger within which a ray counts as unobstructed [m]."""
 
 
 class GripperBody:
     """Gripper of one robot in a compiled scene, a `TurretBody`.
 
     Args:
-        context: Its place in the world.
+        context: Interface to the world.
     """
 
     def __init__(self, context: TurretContext) -> None:
@@ -67,9 +66,9 @@ class GripperBody:
         view[Register.ARM_POSITION] = round((ARM_LEVEL_DEG - elevation_deg) / ARM_DEGREES_PER_UNIT)
         position = (half_gap - GAP_CLOSED) / (GAP_OPEN - GAP_CLOSED) * FINGERS_OPEN
         view[Register.FINGER_POSITION] = min(max(round(position), 0), FINGERS_OPEN)
-        free_way = 2 * half_gap + FINGER_THICKNESS - _SLACK
-        dark = sum(0 <= self._data.sensordata[ray] < free_way for ray in self._rays)
-        view[Register.BARRIER] = dark * 255 // N_RAYS
+        gap = 2 * half_gap + FINGER_THICKNESS - _SLACK
+        n_dark = sum(0 <= self._data.sensordata[ray] < gap for ray in self._rays)
+        view[Register.BARRIER] = n_dark * 255 // N_RAYS
         view[Register.RESISTIVITY] = resistivity(self._conductance())
 
     def drive(self) -> None:
@@ -81,7 +80,7 @@ class GripperBody:
         self._data.ctrl[self._finger_motor] = GAP_CLOSED + (GAP_OPEN - GAP_CLOSED) * fingers / FINGERS_OPEN
 
     def _conductance(self) -> float:
-        """Return the conductance between the fingers, through an object that both touch [S]."""
+        """Return the conductance of the object that both fingers touch [S]; 0 without one."""
         pairs: NDArray[np.int32] = self._data.contact.geom
         if not len(pairs):
             return 0.0

@@ -1,25 +1,25 @@
-"""The electronics of the K213, a linear vision turret: a line of 64 pixels, and a light sensor.
+"""Electronics of the K213, a linear vision turret with a line of 64 pixels and a light sensor.
 
     B        versions                                        b,1,0
     N        all pixels, 0 (dark) to 255, from the left      n, and 64 values
     M        all pixels in 16 greys, two in each value       m, and 32 values
-    S        every second pixel, from pixel 0 on             s, and 32 values
-    T        every fourth pixel, from pixel 0 on             t, and 16 values
-    Q,start  8 pixels from this one on, 0 to 56              q, and 8 values
-    R,start  16 pixels from this one on, 0 to 48             r, and 16 values
+    S        every second pixel, from pixel 0                s, and 32 values
+    T        every fourth pixel, from pixel 0                t, and 16 values
+    Q,start  8 pixels from this one, 0 to 56                 q, and 8 values
+    R,start  16 pixels from this one, 0 to 48                r, and 16 values
     O, P     index of the brightest, of the darkest pixel    o,…
     L        light sensor, high and low byte                 l,high,low
-    U,period scan rate: 0 by the light, 1 to 7 fixed         u
+    U,period scan rate: 0 automatic, 1 to 7 fixed            u
 
-Orders and numbers of values as in public host programs and simulators; its own manual is not available. That
-M has two pixels of 4 bits in a value, the left one in the higher bits, is assumed: the sources have 32 values
-of a lower grey resolution. So are the limits of Q and R, and that of equal pixels the leftmost counts in O
-and P.
+Orders and numbers of values are from public host programs and simulators; the turret's manual is not
+available. The sources give M 32 values of a lower grey resolution; two pixels of 4 bits in each value, the
+left one in the higher bits, are assumed. The limits of Q and R are assumed, and that O and P return the
+leftmost of equal pixels.
 
-The turret scans by itself. `K213Body` writes the pixels and the light into the registers as a scan ends, in
-the control period in which the register LEFT is 1; the answers are those of the last whole scan. The light
-sensor reads its period: 200 in the light of a room, more in the dark. By itself (U,0) a scan takes as many
-milliseconds, so that a white wall has the same grey in any light.
+The turret scans continuously. `K213Body` writes the pixels and the light into the registers at the end of a
+scan, in the control period in which the register LEFT is 1; replies report the last complete scan. The light
+sensor reads its period: 200 in the light of a room, more in the dark. In automatic mode (U,0) a scan takes
+as many milliseconds, so that a white wall has the same grey in any light.
 """
 
 from enum import IntEnum
@@ -33,13 +33,16 @@ VERSION, REVISION = 1, 0
 """Version and revision in the reply to B (simulators)."""
 
 SHORTEST_MS, LONGEST_MS = 50, 1000
-"""Shortest and longest scan by the light [ms] (assumed: the fixed periods but the longest)."""
+"""Shortest and longest scan in automatic mode [ms] (assumed: the fixed periods except the longest)."""
 
 LIGHT_LIMIT = 65535
 """Largest reading of the light sensor."""
 
 TICK_MS = TICK_NS // 1_000_000
 """Control period, in which scans are counted [ms]."""
+
+_LENGTHS = {"Q": 8, "R": 16}
+"""Numbers of pixels in the replies to these orders."""
 
 _ORDERS = {"B": 0, "L": 0, "M": 0, "N": 0, "O": 0, "P": 0, "Q": 1, "R": 1, "S": 0, "T": 0, "U": 1}
 
@@ -49,17 +52,17 @@ class K213Register(IntEnum):
 
     LIGHT = 0  # reading of the light sensor, the lower the brighter
     PERIOD = 1  # parameter of U
-    SCAN = 2  # duration of the present scan [10 ms]; 0 for the first one, which is done at once
-    LEFT = 3  # rest of it [10 ms]
-    SCANS = 4  # whole scans so far
+    SCAN = 2  # duration of the present scan [10 ms]; 0 for the first one, which ends in the first tick
+    LEFT = 3  # its remaining time [10 ms]
+    SCANS = 4  # complete scans so far
 
 
 PIXELS = slice(len(K213Register), len(K213Register) + K213_PIXELS)
-"""Registers of the pixels, 0 to 255, from the left to the right."""
+"""Registers of the pixels, 0 to 255, from left to right."""
 
 
 class K213Electronics:
-    """The K213's electronics, a `Turret`.
+    """Electronics of the K213, a `Turret`.
 
     Attributes:
         registers: State of the electronics (69,).
@@ -97,27 +100,27 @@ class K213Electronics:
                 values = pixels[::4]
             case "U", (period,) if 0 <= period < len(K213_PERIODS_MS):
                 self._view[K213Register.PERIOD] = period
-                self._begin()
+                self._start_scan()
                 values = []
             case _:
                 return PROTOCOL_ERROR
         return turret_reply(K213_NUMBER, order.letter, *values)
 
     def tick(self) -> None:
-        """Go on with the scan, and begin the next one when it ends."""
+        """Continue the scan; start the next one at its end."""
         view = self._view
         view[K213Register.LEFT] -= 1
         if view[K213Register.LEFT] <= 0:
             view[K213Register.SCANS] += 1
-            self._begin()
+            self._start_scan()
 
     def reset(self) -> None:
-        """Scan by the light, the first time at once."""
+        """Scan in automatic mode, first in the next control period."""
         self._view[K213Register.PERIOD] = self._view[K213Register.SCAN] = 0
         self._view[K213Register.LEFT] = 1
 
-    def _begin(self) -> None:
-        """Begin a scan."""
+    def _start_scan(self) -> None:
+        """Start a scan."""
         view = self._view
         # A snapshot from outside may hold any number.
         fixed_ms = K213_PERIODS_MS[view[K213Register.PERIOD] % len(K213_PERIODS_MS)]
@@ -125,10 +128,6 @@ class K213Electronics:
         view[K213Register.SCAN] = view[K213Register.LEFT] = (period_ms + TICK_MS // 2) // TICK_MS
 
 
-_LENGTHS = {"Q": 8, "R": 16}
-"""Numbers of pixels in the replies to these orders."""
-
-
 def _pairs(pixels: list[int]) -> list[tuple[int, int]]:
-    """Return the pixels two by two."""
+    """Return pairs of adjacent pixels."""
     return list(zip(pixels[::2], pixels[1::2], strict=True))

@@ -1,8 +1,8 @@
-"""The board's arithmetic: encoders, motor controllers, speed profile and sensor scan.
+"""Arithmetic of the board: encoders, motor controllers, speed profile and sensor scan.
 
 The whole state of the board is one int64 array: a copy is a snapshot and a stack of arrays is a batch.
-All arithmetic is on integers, as on the robot; the functions use only what a compiler for numerical Python
-accepts: no objects, no floats, no exceptions, explicit saturation.
+All arithmetic is on integers, as on the robot. Numba can compile all functions: they use no objects, floats
+or exceptions, and saturate explicitly.
 
 The controllers run every 10 ms (manual, 3.1.3):
 
@@ -10,7 +10,7 @@ The controllers run every 10 ms (manual, 3.1.3):
 
 in speed mode on `setpoint - speed`, in position mode on `profile - position`, where the profile is the
 trapezoid of the J command: accelerate, cruise, brake over v (v + a) / (2 a). The manual gives the form and
-the reset values of the gains but not their scale, which is assumed so that they settle well.
+the reset values of the gains but not their scale, which is assumed so that the controllers settle well.
 """
 
 from enum import IntEnum
@@ -93,7 +93,7 @@ class Board(IntEnum):
 N_REGISTERS = Board.CURRENT + 1
 
 POWERED, DEMO = 0, 1
-"""Indices in the state of the processor: whether it runs, and whether the ROM's demonstration does."""
+"""Indices in the state of the processor: flags of the supply and of the running ROM demonstration."""
 N_PROCESSOR = 2
 
 # Registers that are read together, left before right and sensors in the order of N.
@@ -104,13 +104,13 @@ PROXIMITY = [Board.PROXIMITY + sensor for sensor in range(N_SENSORS)]
 AMBIENT = [Board.AMBIENT + sensor for sensor in range(N_SENSORS)]
 
 DEMO_WEIGHTS = ((4, -5), (4, -15), (6, -18), (-18, 6), (-15, 4), (-5, 4), (5, 3), (3, 5))
-"""Weights of each proximity sensor for the left and the right speed in the ROM's demonstration (toolbox)."""
+"""Weights of each proximity sensor for the left and right speed in the ROM's demonstration (toolbox)."""
 
 DEMO_DIVISOR = 400
 """Divisor of the weighted counts, which gives pulses/10 ms (toolbox)."""
 
 DEMO_SPEED_PULSES = 10
-"""Speed with nothing in view [pulses/10 ms] (toolbox)."""
+"""Speed of the demonstration without obstacles [pulses/10 ms] (toolbox)."""
 
 RESET_VALUES = (
     (int(Board.SPEED_KP), 3800),
@@ -128,6 +128,15 @@ RESET_VALUES = (
 )
 """Registers that are not 0 after a reset, and their values (manual, appendix A)."""
 
+# Plain integers, as each use of an enum as an index costs a look-up.
+_ENCODER, _POSITION, _SPEED, _MODE, _SPEED_SETPOINT, _TARGET = 0, 1, 2, 3, 4, 5
+_PROFILE_POSITION, _PROFILE_SPEED, _MAX_SPEED, _ACCELERATION = 6, 7, 8, 9
+_ERROR, _ERROR_SUM, _ON_TARGET, _DUTY = 10, 11, 12, 13
+_SPEED_MODE, _POSITION_MODE, _PWM_MODE = 0, 1, 2
+_SPEED_GAINS, _POSITION_GAINS = int(Board.SPEED_KP), int(Board.POSITION_KP)
+_SCAN, _PROXIMITY, _AMBIENT, _CHANNELS = int(Board.SCAN), int(Board.PROXIMITY), int(Board.AMBIENT), N_SENSORS
+_SUPPLY, _CURRENT = int(Board.SUPPLY), int(Board.CURRENT)
+
 
 @compilable
 def reset(registers: Registers) -> None:
@@ -141,7 +150,7 @@ def reset(registers: Registers) -> None:
 
 @compilable
 def run(registers: Registers, processor: Registers, left_pulses: int, right_pulses: int) -> None:
-    """Run one control period, with the ROM's demonstration if it is on; without power do nothing.
+    """Run one control period, with the ROM's demonstration if it is on; do nothing without power.
 
     Args:
         registers: State of the board, changed in place.
@@ -230,7 +239,7 @@ def set_target(registers: Registers, wheel: int, target: int) -> None:
 
 @compilable
 def set_position(registers: Registers, wheel: int, position: int) -> None:
-    """Set a wheel's position counter to `position` [pulses]; a current move ends where it would have."""
+    """Set a wheel's position counter to `position` [pulses]; the end of a move in progress stays the same."""
     _unwind(registers, wheel)
     shift = position - registers[wheel + _POSITION]
     registers[wheel + _POSITION] = position
@@ -257,16 +266,6 @@ def wrap(value: int) -> int:
     return (value + 2**31) % 2**32 - 2**31
 
 
-# Plain numbers, because an enum costs a look-up each time it is an index.
-_ENCODER, _POSITION, _SPEED, _MODE, _SPEED_SETPOINT, _TARGET = 0, 1, 2, 3, 4, 5
-_PROFILE_POSITION, _PROFILE_SPEED, _MAX_SPEED, _ACCELERATION = 6, 7, 8, 9
-_ERROR, _ERROR_SUM, _ON_TARGET, _DUTY = 10, 11, 12, 13
-_SPEED_MODE, _POSITION_MODE, _PWM_MODE = 0, 1, 2
-_SPEED_GAINS, _POSITION_GAINS = int(Board.SPEED_KP), int(Board.POSITION_KP)
-_SCAN, _PROXIMITY, _AMBIENT, _CHANNELS = int(Board.SCAN), int(Board.PROXIMITY), int(Board.AMBIENT), N_SENSORS
-_SUPPLY, _CURRENT = int(Board.SUPPLY), int(Board.CURRENT)
-
-
 @compilable
 def _control(registers: Registers, wheel: int, pulses: int) -> None:
     """Run one wheel's control period."""
@@ -283,17 +282,17 @@ def _control(registers: Registers, wheel: int, pulses: int) -> None:
         _advance_profile(registers, wheel)
         error = wrap(divide(registers[wheel + _PROFILE_POSITION], FRACTION) - position)
         _regulate(registers, wheel, _POSITION_GAINS, POSITION_GAIN_SCALE, error)
-        ended = registers[wheel + _PROFILE_POSITION] == registers[wheel + _TARGET] * FRACTION
-        ended = ended and registers[wheel + _PROFILE_SPEED] == 0
-        # The target is reached at rest, and lost when something pushes the wheel away.
-        calm = abs(speed) <= 1 or registers[wheel + _ON_TARGET] == 1
-        near = abs(error) <= TARGET_TOLERANCE_PULSES
-        registers[wheel + _ON_TARGET] = 1 if ended and near and calm else 0
+        is_profile_done = registers[wheel + _PROFILE_POSITION] == registers[wheel + _TARGET] * FRACTION
+        is_profile_done = is_profile_done and registers[wheel + _PROFILE_SPEED] == 0
+        # The target is reached at rest, and no longer counts when a push displaces the wheel.
+        is_slow = abs(speed) <= 1 or registers[wheel + _ON_TARGET] == 1
+        is_near = abs(error) <= TARGET_TOLERANCE_PULSES
+        registers[wheel + _ON_TARGET] = 1 if is_profile_done and is_near and is_slow else 0
 
 
 @compilable
 def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: int) -> None:
-    """Apply the PID law; the sum grows only as far as it can act on the duty."""
+    """Apply the PID law; the error sum is limited to its effect on the full duty (anti-windup)."""
     kp, ki, kd = registers[gains], registers[gains + 1], registers[gains + 2]
     error_sum = clip(registers[wheel + _ERROR_SUM] + error, divide(DUTY_LIMIT * scale, max(ki, 1)))
     drive = kp * error + ki * error_sum + kd * (error - registers[wheel + _ERROR])
@@ -306,8 +305,8 @@ def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: i
 def _advance_profile(registers: Registers, wheel: int) -> None:
     """Advance the trapezoid by one tick towards the target.
 
-    The speed changes by at most the acceleration. It falls as soon as the remaining distance is no more than
-    the stopping distance; if that is too late already, the profile overshoots the target and returns.
+    The speed changes by at most the acceleration. It falls once the remaining distance is at most the
+    stopping distance. If the remaining distance is already shorter, the profile overshoots and returns.
     """
     position = registers[wheel + _PROFILE_POSITION]
     speed = registers[wheel + _PROFILE_SPEED]
@@ -316,16 +315,16 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
     direction = 1 if distance >= 0 else -1
     distance *= direction
     speed *= direction
-    wanted = min(speed + acceleration, registers[wheel + _MAX_SPEED] * FRACTION)
-    if wanted > 0:
-        whole, rest = wanted // acceleration, wanted % acceleration
-        if (whole + 1) * (whole * acceleration + 2 * rest) > 2 * distance:
-            wanted = _stopping_speed(distance, acceleration)
-    wanted = max(wanted, speed - acceleration)
-    registers[wheel + _PROFILE_POSITION] = position + direction * wanted
-    registers[wheel + _PROFILE_SPEED] = direction * wanted
-    if wanted == 0 and speed != 0:
-        # The load that the sum compensated while driving is gone at the end of the move.
+    new_speed = min(speed + acceleration, registers[wheel + _MAX_SPEED] * FRACTION)
+    if new_speed > 0:
+        n_steps, remainder = new_speed // acceleration, new_speed % acceleration
+        if (n_steps + 1) * (n_steps * acceleration + 2 * remainder) > 2 * distance:
+            new_speed = _stopping_speed(distance, acceleration)
+    new_speed = max(new_speed, speed - acceleration)
+    registers[wheel + _PROFILE_POSITION] = position + direction * new_speed
+    registers[wheel + _PROFILE_SPEED] = direction * new_speed
+    if new_speed == 0 and speed != 0:
+        # The load that the error sum compensated in motion ends with the move.
         registers[wheel + _ERROR_SUM] = 0
 
 
@@ -333,22 +332,22 @@ def _advance_profile(registers: Registers, wheel: int) -> None:
 def _stopping_speed(distance: int, acceleration: int) -> int:
     """Return the fastest speed that can stop within a distance: v + (v - a) + (v - 2 a) + ... <= distance.
 
-    With v = n a + r and r < a the distance is (n + 1) (n a / 2 + r). The remainder, below n + 1, is covered
-    by the speeds that follow.
+    With v = n a + r and r < a the distance is (n + 1) (n a / 2 + r). The speeds of later ticks cover the
+    remainder, which is below n + 1.
     """
     square = 8 * (distance // acceleration) + 1
-    root, last = square, square + 1
-    while root < last:  # Newton's method on integers, from above
-        last = root
+    root, previous_root = square, square + 1
+    while root < previous_root:  # Newton's method on integers, from above
+        previous_root = root
         root = (root + square // root) // 2
-    steps = (last - 1) // 2
+    steps = (previous_root - 1) // 2
     return steps * acceleration + (distance - acceleration * steps * (steps + 1) // 2) // (steps + 1)
 
 
 @compilable
 def _unwind(registers: Registers, wheel: int) -> None:
     """Shift profile and target to the counter's range after it has wrapped."""
-    ahead = divide(registers[wheel + _PROFILE_POSITION], FRACTION) - registers[wheel + _POSITION]
-    turns = ahead - wrap(ahead)
-    registers[wheel + _TARGET] -= turns
-    registers[wheel + _PROFILE_POSITION] -= turns * FRACTION
+    difference = divide(registers[wheel + _PROFILE_POSITION], FRACTION) - registers[wheel + _POSITION]
+    offset = difference - wrap(difference)
+    registers[wheel + _TARGET] -= offset
+    registers[wheel + _PROFILE_POSITION] -= offset * FRACTION

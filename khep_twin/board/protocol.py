@@ -1,4 +1,4 @@
-"""The grammar of the serial protocol: lines, commands and replies; `firmware` executes them.
+"""Grammar of the serial protocol: lines, commands and replies; `firmware` executes the commands.
 
 A command is a capital letter and decimal numbers, separated by commas, ended by CR, LF or CR LF; a tool is a
 lower-case word and its arguments, separated by blanks. A reply is the command's letter in lower case and its
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 LINE_LIMIT = 128
-"""Longest command line [bytes] (assumed; the manual gives none). Longer ones are truncated."""
+"""Longest command line [bytes] (assumed; the manual gives none); longer ones are truncated."""
 
 LINE_ENDS = b"\r\n"
 """Bytes that end a command."""
@@ -20,16 +20,16 @@ LINE_END = re.compile(rb"[\r\n]")
 
 END = b"\r\n"
 
-MOVING = ("C", "D", "P")
+MOTION_COMMANDS = ("C", "D", "P")
 """Letters of the commands that move the wheels."""
 
-SETTING = (*MOVING, "A", "F", "G", "J")
-"""Letters of the commands that change what the motors' status is compared with."""
+SETPOINT_COMMANDS = (*MOTION_COMMANDS, "A", "F", "G", "J")
+"""Letters of the commands that change setpoints, counters or gains of the motors' controllers."""
 
 COMMAND_NOT_FOUND = b"Command not found" + END
 PROTOCOL_ERROR = b"z,Protocol error" + END
 TURRET_REFUSAL = b"z,Turret order not supported" + END
-"""Reply for an order that a turret does not know, and for a missing turret."""
+"""Reply to an order that a turret does not know, and to any order for a missing turret."""
 
 _NUMBER = re.compile(rb"[+-]?[0-9]{1,10}")
 _TOOL = re.compile(rb"[a-z][a-z-]*")
@@ -79,7 +79,7 @@ class LineReader:
         limit: Longest line [bytes].
 
     Attributes:
-        begun: Bytes of the incomplete line.
+        partial_line: Bytes of the incomplete line.
     """
 
     def __init__(self, limit: int = LINE_LIMIT) -> None:
@@ -88,12 +88,12 @@ class LineReader:
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         """Add bytes; yield the lines that they complete, without their ending."""
-        *lines, begun = LINE_END.split(self.partial_line + data)
-        # Cleared while a line is handled, the reader goes on with the bytes after it.
+        *lines, remainder = LINE_END.split(self.partial_line + data)
+        # If `clear` is called while a line is handled, the bytes after that line are still read.
         self.partial_line = b""
         for line in filter(None, lines):
             yield line[: self._limit + 1]
-        self.partial_line = begun[: self._limit + 1]
+        self.partial_line = remainder[: self._limit + 1]
 
     def clear(self) -> None:
         """Discard the incomplete line."""
@@ -103,22 +103,22 @@ class LineReader:
 def parse(line: bytes, argument_counts: Mapping[str, int]) -> Request:
     """Parse a line without its ending.
 
-    Blanks count only within tools: around a command's letter and numbers they are skipped, as the manual
-    itself prints `D, 5, 5`.
+    Blanks separate a tool's arguments; around a command's letter and numbers they are skipped, as the
+    manual prints `D, 5, 5`.
 
     Args:
-        line: Line.
-        argument_counts: Number of arguments of each command but T.
+        line: Line to parse.
+        argument_counts: Number of arguments of each command except T.
     """
     text = line.strip(_BLANKS)
-    head, *rest = text.split(b",")
-    letter = head.strip(_BLANKS).decode("latin-1")
+    letter_field, *fields = text.split(b",")
+    letter = letter_field.strip(_BLANKS).decode("latin-1")
     if len(line) > LINE_LIMIT:
         return Malformed(PROTOCOL_ERROR if letter in argument_counts or letter == "T" else COMMAND_NOT_FOUND)
     if letter == "T":
-        return _parse_turret_message(rest)
+        return _parse_turret_message(fields)
     if letter in argument_counts:
-        return _parse_order(letter, rest, argument_counts[letter])
+        return _parse_order(letter, fields, argument_counts[letter])
     words = text.split()
     if words and _TOOL.fullmatch(words[0]):
         return Tool(words[0], tuple(words[1:]))
@@ -132,11 +132,11 @@ def parse_turret_order(message: bytes, argument_counts: Mapping[str, int]) -> Co
         message: A letter and numbers, separated by commas, e.g. b"D,0".
         argument_counts: Number of arguments of each of the turret's orders.
     """
-    head, *rest = message.split(b",")
-    letter = head.strip(_BLANKS).decode("latin-1")
+    letter_field, *fields = message.split(b",")
+    letter = letter_field.strip(_BLANKS).decode("latin-1")
     if letter not in argument_counts:
         return Malformed(TURRET_REFUSAL)
-    return _parse_order(letter, rest, argument_counts[letter])
+    return _parse_order(letter, fields, argument_counts[letter])
 
 
 def reply(letter: str, *values: int | str) -> bytes:
@@ -155,7 +155,7 @@ def refusal(text: str) -> bytes:
 
 
 def _parse_order(letter: str, fields: Sequence[bytes], count: int) -> Command | Malformed:
-    """Return the command of a letter and its numbers, of which there must be `count`."""
+    """Return the command with this letter and exactly `count` numbers."""
     arguments = [_parse_number(field) for field in fields]
     numbers = tuple(number for number in arguments if number is not None)
     if len(numbers) != len(arguments) or len(numbers) != count:
@@ -168,9 +168,9 @@ def _parse_number(field: bytes) -> int | None:
     return int(field) if _NUMBER.fullmatch(field) else None
 
 
-def _parse_turret_message(rest: list[bytes]) -> Request:
-    number = _parse_number(rest[0]) if rest else None
-    message = b",".join(rest[1:]).strip(_BLANKS)
+def _parse_turret_message(fields: list[bytes]) -> Request:
+    number = _parse_number(fields[0]) if fields else None
+    message = b",".join(fields[1:]).strip(_BLANKS)
     if number is None or not message:
         return Malformed(PROTOCOL_ERROR)
     return TurretMessage(number, message)

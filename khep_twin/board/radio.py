@@ -1,39 +1,33 @@
-"""The radio turret's electronics: orders of the T bus and the registers that they write and read.
+"""Electronics of the radio turret: orders of the T bus and the registers that they write and read.
 
     B                        versions                                             b,1,0
     F                        status bits, `units.RadioStatus`                     f,1 for ready to send
     R                        reads and removes the oldest received message        r,sender,length,16 bytes
     S,to,length,16 bytes     sends a message to a radio number, -1 for all        s
 
-Orders, replies and the first three status bits are those of a public simulator, KiKS; numbers of radios,
-acknowledgement, repetition and length those of K-Team's manual of the radio base (1999). The turret's own
+Orders, replies and the first three status bits are those of a public simulator, KiKS. Numbers of radios,
+acknowledgement, repetition and length are those of K-Team's manual of the radio base (1999). The turret's
 manual is not available. Without a received message R reads zeros: no radio turret has the number 0. An order
-S while a message is sent is refused.
+S is refused while a message is sent.
 
-A reset drops what is sent and what was received.
+A reset drops the message that is sent and all received ones.
 """
 
 from enum import IntEnum
 
 import numpy as np
 
-from khep_twin.board.protocol import (
-    PROTOCOL_ERROR,
-    Malformed,
-    parse_turret_order,
-    refusal,
-    turret_reply,
-)
+from khep_twin.board.protocol import PROTOCOL_ERROR, Malformed, parse_turret_order, refusal, turret_reply
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
 
 VERSION, REVISION = 1, 0
 """Version and revision in the reply to B (simulators)."""
 
 TRANSMISSIONS = 4
-"""Most transmissions of a message that is not acknowledged (assumed; the manual has "a maximum number")."""
+"""Most transmissions of a message without acknowledgement (assumed; the manual says "a maximum number")."""
 
 CAPACITY = 4
-"""Received messages that wait to be read (assumed)."""
+"""Most received messages in the buffer (assumed)."""
 
 NUMBER_LIMIT = 255
 """Largest number of a radio (assumed: a byte)."""
@@ -61,9 +55,9 @@ class RadioRegister(IntEnum):
     IS_ON = 0  # 1 after a control period, until the body has run
     PHASE = 1  # RadioPhase of the message that is sent
     ARRIVAL = 2  # time when its transmission arrives [ns]
-    TRIES = 3  # transmissions that are left to it
-    IS_HEARD = 4  # 1 if its receiver has taken it
-    TRANSMISSIONS = 5  # since power-up, which number the random draws
+    TRIES = 3  # its remaining transmissions
+    IS_HEARD = 4  # 1 if its receiver has accepted it
+    TRANSMISSIONS = 5  # transmissions since power-up, the counter of the random draws
     HAS_FAILED = 6  # 1 if the last message was not acknowledged
     HAS_OVERRUN = 7  # 1 if a message found the buffer full since the last read
     RECEIVED = 8  # messages in the buffer
@@ -87,7 +81,7 @@ NAMES = (
 
 
 class RadioElectronics:
-    """The radio turret's electronics, a `Turret`.
+    """Electronics of the radio turret, a `Turret`.
 
     Attributes:
         registers: State of the electronics (N_REGISTERS,).
@@ -108,20 +102,20 @@ class RadioElectronics:
             case "F", ():
                 return self._reply("F", int(self._status()))
             case "R", ():
-                return self._reply("R", *self._take())
+                return self._reply("R", *self._pop_message())
             case _:
                 to, length, *data = order.arguments
                 return self._send(to, length, data)
 
     def tick(self) -> None:
-        """Let the body run: only a turret with power sends and receives."""
+        """Enable the body: only a turret with power sends and receives."""
         self._view[RadioRegister.IS_ON] = 1
 
     def reset(self) -> None:
-        """Drop what is sent and what was received."""
+        """Drop the message that is sent and all received ones."""
         transmissions = self._view[RadioRegister.TRANSMISSIONS]
         self.registers[:] = 0
-        # Draws of a robot that was reset go on, rather than begin again.
+        # The random draws of a robot continue after its reset.
         self._view[RadioRegister.TRANSMISSIONS] = transmissions
 
     def _status(self) -> RadioStatus:
@@ -134,8 +128,8 @@ class RadioElectronics:
         )
         return RadioStatus(sum(flag for flag, is_set in flags if is_set))
 
-    def _take(self) -> list[int]:
-        """Return the registers of the oldest received message, zeros without one, and remove it."""
+    def _pop_message(self) -> list[int]:
+        """Remove the oldest received message and return its registers; zeros without one."""
         view, buffer = self._view, self.registers[RadioRegister.BUFFER :]
         oldest: list[int] = buffer[:ENTRY].tolist()
         buffer[:-ENTRY] = buffer[ENTRY:].copy()
@@ -145,8 +139,8 @@ class RadioElectronics:
         return oldest
 
     def _send(self, to: int, length: int, data: list[int]) -> bytes:
-        bytes_are_fine = all(0 <= byte <= 255 for byte in data)
-        if not (RADIO_ALL <= to <= NUMBER_LIMIT and 0 <= length <= RADIO_BYTES and bytes_are_fine):
+        are_bytes_valid = all(0 <= byte <= 255 for byte in data)
+        if not (RADIO_ALL <= to <= NUMBER_LIMIT and 0 <= length <= RADIO_BYTES and are_bytes_valid):
             return PROTOCOL_ERROR
         view = self._view
         if view[RadioRegister.PHASE] != RadioPhase.IDLE:
@@ -154,8 +148,8 @@ class RadioElectronics:
         view[RadioRegister.PHASE] = RadioPhase.WAITING
         view[RadioRegister.TRIES] = TRANSMISSIONS
         view[RadioRegister.HAS_FAILED] = 0
-        sent = data[:length] + [0] * (RADIO_BYTES - length)
-        self.registers[RadioRegister.TO : RadioRegister.BUFFER] = [to, length, *sent]
+        padded = data[:length] + [0] * (RADIO_BYTES - length)
+        self.registers[RadioRegister.TO : RadioRegister.BUFFER] = [to, length, *padded]
         return self._reply("S")
 
     def _reply(self, letter: str, *values: int) -> bytes:

@@ -1,4 +1,4 @@
-"""The robot's ROM and jumpers: versions of the firmware and running modes.
+"""Versions of the firmware in the robot's ROM, and running modes.
 
 Running modes are chosen by three jumpers on the Khepera 1 (0 to 7) and by a wheel on the Khepera II (0 to F);
 the board reads them at a reset (manual, appendix E; manual II, appendix C).
@@ -17,7 +17,7 @@ SELF_TEST_MODE = 7
 """Running mode of the self-test."""
 
 BAUD_RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
-"""Speeds that the tool `serial` sets [baud] (assumed: the usual ones of hosts)."""
+"""Baud rates that the tool `serial` sets (assumed: the usual ones of hosts)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,8 @@ class RunningMode:
     """Behaviour of the robot after a reset.
 
     Attributes:
-        baud: Speed of the serial line [baud].
-        function: ROM function that is started besides the protocol; empty for none.
+        baud: Baud rate of the serial line.
+        function: ROM function that is started beside the protocol; empty for none.
         refusal: Reason why the twin cannot run it; empty if it can.
     """
 
@@ -38,7 +38,7 @@ class RunningMode:
 _LOADER = "waits for a program in S-records, and the twin runs no machine code"
 _USER = "runs a user's program from the robot's memory, and the twin runs no machine code"
 _SERVICE = "rewrites the robot's memory, and the twin runs no machine code"
-_SECOND = "is a mode of the Khepera II; the twin has it with rom khepera2"
+_KHEPERA_2_ONLY = "is a mode of the Khepera II; the twin has it with rom khepera2"
 _RESERVED = "is reserved"
 
 _COMMON_MODES: Mapping[int, RunningMode] = {
@@ -51,13 +51,13 @@ _COMMON_MODES: Mapping[int, RunningMode] = {
     6: RunningMode(refusal=_LOADER),
     SELF_TEST_MODE: RunningMode(function=SELF_TEST),
 }
-"""Modes that both robots have. In modes 0 and 7 the twin answers the protocol, too (assumed)."""
+"""Modes of both robots. In modes 0 and 7 the twin also answers the protocol (assumed)."""
 
 KHEPERA_1_MODES: Mapping[int, RunningMode] = {
     **_COMMON_MODES,
-    **{mode: RunningMode(refusal=_SECOND) for mode in range(8, 16)},
+    **{mode: RunningMode(refusal=_KHEPERA_2_ONLY) for mode in range(8, 16)},
 }
-"""Modes of the Khepera 1, which has three jumpers; those beyond are listed to refer to the Khepera II."""
+"""Modes of the Khepera 1, which has three jumpers; modes 8 to 15 only refer to the Khepera II."""
 
 KHEPERA_2_MODES: Mapping[int, RunningMode] = {
     **_COMMON_MODES,
@@ -79,9 +79,9 @@ class Rom:
     Attributes:
         bios: Version of the BIOS, the first field of the reply to B.
         protocol: Version of the serial protocol, the second field.
-        banner: Lines shown after a reset.
+        banner: Lines sent after a reset.
         mode_codes: Codes of speed, position and PWM mode in the reply to K.
-        memory: RAM of the robot [bytes] (manual and manual II, specification).
+        memory: Size of the RAM [bytes] (manual and manual II, specification).
         modes: Running modes by number.
     """
 
@@ -92,19 +92,19 @@ class Rom:
     memory: int = 256 * 1024
     modes: Mapping[int, RunningMode] = field(default_factory=lambda: KHEPERA_1_MODES)
 
-    def refused(self, mode: int) -> str:
+    def refusal_reason(self, mode: int) -> str:
         """Return the reason why a running mode is unavailable; empty if it is available."""
-        had = ", ".join(f"{number:X}" for number, entry in self.modes.items() if not entry.refusal)
-        wanted = f"a running mode that the twin has ({had})"
+        codes = ", ".join(f"{number:X}" for number, entry in self.modes.items() if not entry.refusal)
+        expected = f"a running mode that the twin has ({codes})"
         if mode not in self.modes:
-            return f"there is no such mode; expected {wanted}"
+            return f"there is no such mode; expected {expected}"
         refusal = self.modes[mode].refusal
-        return f"mode {mode:X} {refusal}; expected {wanted}" if refusal else ""
+        return f"mode {mode:X} {refusal}; expected {expected}" if refusal else ""
 
-    def mode_at(self, baud: int) -> int | None:
-        """Find the running mode that speaks the protocol at this speed [baud]; None if there is none."""
-        plain = RunningMode(baud)
-        return next((number for number, mode in self.modes.items() if mode == plain), None)
+    def find_mode(self, baud: int) -> int | None:
+        """Find the running mode that only runs the protocol, at this baud rate; None without one."""
+        protocol_mode = RunningMode(baud)
+        return next((number for number, mode in self.modes.items() if mode == protocol_mode), None)
 
 
 _AUTHOR = "ROM of minirobot KHEPERA, Edoardo Franzi"
@@ -115,7 +115,7 @@ ROMS: Mapping[str, Rom] = {
     "5.02": Rom(
         bios="5.02", protocol="5.01", banner=(_AUTHOR, "K-Team S.A.", "October 22, 1998 Rev. 5.01", _PROTOCOL)
     ),
-    # The mode codes are those of the toolbox's reference to the manual 4.06; the rest is assumed.
+    # The mode codes are from the toolbox's reference to the manual 4.06; the rest is assumed.
     "4.06": Rom(bios="4.06", protocol="4.06", banner=(_AUTHOR, "Rev. 4.06", _PROTOCOL), mode_codes=(1, 0, 2)),
     # Modes and memory: manual II. No source gives its version numbers or its banner: assumed.
     "khepera2": Rom(
@@ -125,6 +125,6 @@ ROMS: Mapping[str, Rom] = {
         memory=512 * 1024,
         modes=KHEPERA_2_MODES,
     ),
-    # The server of the Khepera IV, which has no banner and one speed (its manual, chapter 6).
+    # The server of the Khepera IV, with no banner and one baud rate (its manual, chapter 6).
     "kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(115200)}),
 }

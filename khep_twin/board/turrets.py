@@ -1,14 +1,14 @@
-"""Turrets: boards that are plugged on top of the robot and answer on its T bus.
+"""Turrets: boards on top of the robot that answer on its T bus.
 
-A turret has electronics, which receive orders and hold registers, and may have a body in the physics, which
-writes its sensor readings into those registers and is driven from them. Each is a `TurretKind` that a package
-registers under the entry point "khep_twin.turrets"; the gripper is part of the twin.
+A turret has electronics, which receive orders and hold registers. It may have a body in the physics, which
+writes sensor readings into those registers and is driven from them. A package registers a `TurretKind` under
+the entry point "khep_twin.turrets", as this one does for the gripper:
 
     [project.entry-points."khep_twin.turrets"]
     gripper = "khep_twin.board.gripper_body:GRIPPER"
 
-Several turrets stack in the order of their names, from the robot upwards. The scene of each is drawn as right
-on the robot, and raised by the heights of those below it.
+Several turrets form a stack from the robot upwards, in the order in which they are named. The MJCF file of a
+turret has it directly on the robot; the heights of the turrets below are added to its position.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -34,7 +34,7 @@ NUMBERS = range(32)
 
 
 class Turret(Protocol):
-    """Electronics of a turret: bytes in, bytes out; no clock, file or thread."""
+    """Electronics of a turret, which map received bytes to replies, without clock, file or thread."""
 
     registers: NDArray[np.int64]
     """Whole state, shared with the body (n,)."""
@@ -82,12 +82,12 @@ class TurretContext(Protocol):
 
     @property
     def room_lux(self) -> float:
-        """Illuminance by the room's own light [lx]."""
+        """Illuminance by the ambient light of the room [lx]."""
         ...
 
     @property
     def key(self) -> tuple[int, int]:
-        """Words of the key of the turret's random draws, for `sensing.noise`; follows the world's seed."""
+        """Key of the turret's random draws for `sensing.noise`, derived from the world's seed."""
         ...
 
     @property
@@ -102,12 +102,12 @@ class TurretContext(Protocol):
 
     @property
     def is_compiled(self) -> bool:
-        """True if the world is stepped by compiled code, so that a body may use such code, too."""
+        """True if the world is stepped by compiled code; a body may then also use compiled code."""
         ...
 
     @property
     def peers(self) -> "Sequence[TurretBody | None]":
-        """Bodies of the turrets of this kind, by the index of their robot; None for a robot without."""
+        """Bodies of the turrets of this kind by the index of their robot; None for a robot without one."""
         ...
 
 
@@ -131,16 +131,16 @@ class TurretKind:
         name: Name in playpen files.
         number: Number on the T bus.
         description: A few words for the tool `net`.
-        revision: Revision of its own ROM.
+        revision: Revision of the turret's ROM.
         make: Factory of its electronics.
         scene: MJCF file, with its origin on the floor under the robot's centre; None without a body. Its
             keyframe "home" has the motors' initial targets.
-        fit: Factory of its body from its place in the world; None without a body.
-        reach: Radius of the floor around the robot's centre that it covers at the start [m].
+        fit: Factory of its body from its context; None without a body.
+        reach: Radius around the robot's centre that it covers at the start [m].
         names: Names of its registers, for tables; empty for numbers.
-        image: Registers that hold a line image, from the left to the right, greys of 0 to 255; None without.
-        height: Height by which it raises what stands on it [m]; None if nothing fits on it.
-        is_lowest: True if it fits only right on the robot, as an arm that reaches the floor.
+        image: Registers of a line image, from left to right, greys of 0 to 255; None without.
+        height: Height by which it raises turrets on top of it [m]; None if no turret fits there.
+        is_lowest: True if it fits only directly on the robot, such as an arm that reaches the floor.
     """
 
     name: str
@@ -158,11 +158,11 @@ class TurretKind:
 
 
 @cache
-def installed() -> Mapping[str, TurretKind]:
-    """Return the turrets of all installed packages, by name, in an order in which they stack.
+def installed_turrets() -> Mapping[str, TurretKind]:
+    """Return the turrets of all installed packages by name, in an order in which they stack.
 
     Raises:
-        TurretError: A package registers an object that is no turret, or a name that is taken.
+        TurretError: A package registers an object that is no turret, or a name that is in use.
     """
     kinds: dict[str, TurretKind] = {}
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
@@ -180,48 +180,48 @@ def installed() -> Mapping[str, TurretKind]:
     return dict(sorted(kinds.items(), key=lambda item: (not item[1].is_lowest, item[1].height is None)))
 
 
-def find(names: Sequence[str]) -> tuple[TurretKind, ...]:
-    """Return the turrets of these names, in their order, which is that of the stack from the robot upwards.
+def find_turrets(names: Sequence[str]) -> tuple[TurretKind, ...]:
+    """Return the turrets of these names, stacked in this order from the robot upwards.
 
     Raises:
         TurretError: A name is unknown, two turrets have the same number on the bus, or one does not fit on
-            those below it.
+            the turrets below it.
     """
-    known = installed()
+    known_kinds = installed_turrets()
     by_number: dict[int, TurretKind] = {}
     for name in names:
-        if name not in known:
-            raise TurretError(f"unknown turret {name!r}; {choices(name, known)}")
-        kind = known[name]
+        if name not in known_kinds:
+            raise TurretError(f"unknown turret {name!r}; {choices(name, known_kinds)}")
+        kind = known_kinds[name]
         if by_number.get(kind.number) is kind:
             raise TurretError(f"turret {name!r} is named twice")
-        if other := by_number.get(kind.number):
-            raise TurretError(f"turret {name!r} and {other.name!r} are both number {kind.number}")
+        if other_kind := by_number.get(kind.number):
+            raise TurretError(f"turret {name!r} and {other_kind.name!r} are both number {kind.number}")
         by_number[kind.number] = kind
     kinds = tuple(by_number.values())
-    raised_by(kinds)
+    mount_heights(kinds)
     return kinds
 
 
-def raised_by(kinds: Sequence[TurretKind]) -> tuple[float, ...]:
-    """Return the height by which each turret of a stack is raised by those below it [m].
+def mount_heights(kinds: Sequence[TurretKind]) -> tuple[float, ...]:
+    """Return the mount height of each turret of a stack, the sum of the heights below it [m].
 
-    A turret without a body and a height has no place in the stack.
+    A turret with neither body nor height takes no place in the stack.
 
     Raises:
-        TurretError: One does not fit on those below it.
+        TurretError: A turret does not fit on the turrets below it.
     """
     heights: list[float] = []
-    below, top = 0.0, None
+    height, top_kind = 0.0, None
     for kind in kinds:
-        if top is not None and (kind.scene is not None or kind.height != 0):
+        if top_kind is not None and (kind.scene is not None or kind.height != 0):
             raise TurretError(
-                f"nothing fits on turret {top.name!r}; expected it last, not below {kind.name!r}"
+                f"nothing fits on turret {top_kind.name!r}; expected it last, not below {kind.name!r}"
             )
-        if kind.is_lowest and below > 0:
+        if kind.is_lowest and height > 0:
             raise TurretError(f"turret {kind.name!r} fits only right on the robot; expected it first")
-        heights.append(below)
+        heights.append(height)
         if kind.height is None:
-            top = kind
-        below += kind.height or 0.0
+            top_kind = kind
+        height += kind.height or 0.0
     return tuple(heights)

@@ -1,4 +1,4 @@
-"""The serial line in simulated time: arrival of each byte, in either direction.
+"""Model of the serial line in simulated time: the arrival of each byte in both directions.
 
 A byte takes eleven bit times. Byte k (counted from 1) of a burst that starts at t0 arrives at
 t0 + k * 11 * 10^9 // baud; a burst that finds the line busy starts when the line is free.
@@ -24,7 +24,7 @@ _BYTE_BITS_NS = BITS_PER_BYTE * NS_PER_S
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """A host's settings of its end of the line, as far as they are known.
+    """A host's known settings of its end of the line.
 
     Attributes:
         baud: Bits per second; 0 for a disconnected line.
@@ -36,28 +36,28 @@ class LineSettings:
 
 
 class HostEventKind(IntEnum):
-    """Actions of a host on the line, and of a user on the robot and its world."""
+    """Actions of a host on the line, and of a user on the robot or its world; the numbers are logged."""
 
     SEND = 0
     DISCONNECT = 1
     FLUSH = 2
-    SET = 3
-    PUT = 4
-    SWITCH = 5
+    LINE_SETTINGS = 3
+    MOVE_ROBOT = 4
+    SWITCH_LAMP = 5
     SCAN = 6
     SET_LAMPS = 7
     NOTE = 8
 
 
 class HostEvent(NamedTuple):
-    """One action on a robot's line; the same actions repeat a run.
+    """One action on a robot's line; replay of the same actions repeats a run.
 
     Attributes:
         kind: Kind of action.
         at_ns: Time of effect, now or later [ns].
-        host: Settings of the host's end of the line; None for the robot's own.
-        data: Bytes as the host sent them; new pose of the robot, switched lamp or new lamps, encoded by
-            `khep_twin.interventions`; text of an event, after a byte that is 1 if it is about no robot.
+        host: Settings of the host's end of the line; None if they equal the robot's.
+        data: Bytes as the host sent them; or the robot's new pose, the switched lamp or the new lamps,
+            encoded by `khep_twin.interventions`; or an event's text after a byte, 1 if it concerns no robot.
     """
 
     kind: HostEventKind
@@ -71,9 +71,9 @@ class LineState(NamedTuple):
 
     Attributes:
         baud: Bits per second; 0 for a line without delay.
-        data: Bytes in transit, and those that no one has read.
-        arrivals: Arrival of each of them [ns].
-        free_ns: Time from which on the line is free [ns].
+        data: Bytes in transit or arrived but unread.
+        arrivals: Arrival of each byte [ns].
+        free_ns: Time from which the line is free [ns].
     """
 
     baud: Annotated[int, Field(ge=0, le=10**9)]
@@ -102,23 +102,25 @@ class SerialLine:
 
     def state(self, since_ns: int = -1) -> LineState:
         """Return the state, with the bytes that arrive after a time [ns]."""
-        first = self.arrived(since_ns)
-        arrivals = tuple(self._arrivals[first:])
-        return LineState(self.baud, bytes(self._bytes[first:]), arrivals, self._free_ns)
+        n_arrived = self.count_arrived(since_ns)
+        arrivals = tuple(self._arrivals[n_arrived:])
+        return LineState(self.baud, bytes(self._bytes[n_arrived:]), arrivals, self._free_ns)
 
     def set_state(self, state: LineState) -> None:
-        """Take over a state.
+        """Restore a state.
 
         Raises:
-            ValueError: Its bytes do not arrive one after the other.
+            ValueError: Its arrivals are not one for each byte in rising order.
         """
         arrivals = list(state.arrivals)
         if len(arrivals) != len(state.data) or arrivals != sorted(arrivals):
             raise ValueError(
                 f"{len(arrivals)} arrivals of {len(state.data)} bytes; expected one each, rising"
             )
-        self.baud, self._free_ns = state.baud, state.free_ns
-        self._bytes, self._arrivals = bytearray(state.data), arrivals
+        self.baud = state.baud
+        self._free_ns = state.free_ns
+        self._bytes = bytearray(state.data)
+        self._arrivals = arrivals
         self.next_ns = arrivals[0] if arrivals else None
 
     @property
@@ -126,7 +128,7 @@ class SerialLine:
         """Duration of one byte [ns]."""
         return _BYTE_BITS_NS // self.baud if self.baud else 0
 
-    def put(self, data: bytes, time_ns: int) -> int:
+    def send(self, data: bytes, time_ns: int) -> int:
         """Send `data` at `time_ns` or once the line is free; return the arrival of its last byte [ns]."""
         if data:
             start_ns = max(time_ns, self._free_ns)
@@ -136,27 +138,27 @@ class SerialLine:
             self.next_ns = self._arrivals[0]
         return self._free_ns
 
-    def arrived(self, time_ns: int) -> int:
+    def count_arrived(self, time_ns: int) -> int:
         """Return the number of bytes that have arrived by `time_ns`."""
         return bisect_right(self._arrivals, time_ns)
 
-    def arrival(self, count: int) -> int | None:
+    def arrival_ns(self, count: int) -> int | None:
         """Return the arrival of the `count`-th byte in transit [ns], None if there are fewer."""
         return self._arrivals[count - 1] if 0 < count <= len(self._arrivals) else None
 
-    def count_to(self, wanted: re.Pattern[bytes]) -> int | None:
+    def count_to_match(self, pattern: re.Pattern[bytes]) -> int | None:
         """Return the number of bytes in transit up to the end of the first match; None without one."""
-        found = wanted.search(self._bytes)
-        return found and found.end()
+        match = pattern.search(self._bytes)
+        return match and match.end()
 
     def count_to_end_of(self, text: bytes) -> int | None:
         """Return the number of bytes in transit up to the end of the first `text`, None if it is absent."""
-        place = self._bytes.find(text) if text else -1
-        return place + len(text) if place >= 0 else None
+        start = self._bytes.find(text) if text else -1
+        return start + len(text) if start >= 0 else None
 
     def read(self, time_ns: int, limit: int | None = None) -> bytes:
         """Remove and return the bytes that have arrived by `time_ns`, at most `limit`."""
-        count = self.arrived(time_ns)
+        count = self.count_arrived(time_ns)
         count = count if limit is None else min(count, limit)
         data = bytes(self._bytes[:count])
         del self._bytes[:count], self._arrivals[:count]
@@ -165,7 +167,7 @@ class SerialLine:
 
     def flush(self, time_ns: int) -> None:
         """Drop the bytes that have not arrived by `time_ns`; the line is free then."""
-        count = self.arrived(time_ns)
+        count = self.count_arrived(time_ns)
         del self._bytes[count:], self._arrivals[count:]
         self.next_ns = self._arrivals[0] if self._arrivals else None
         self._free_ns = min(self._free_ns, time_ns)
@@ -186,8 +188,5 @@ class Uart:
 
     @property
     def room(self) -> int:
-        """Number of bytes that the host may send before flow control stops it.
-
-        A host that connects as another leaves may have sent more already; the number is then 0.
-        """
+        """Number of bytes that the host may send before flow control stops it; 0 if it has sent more."""
         return max(QUEUE_LIMIT - len(self.rx), 0)

@@ -169,7 +169,7 @@ def table(
     force: Force = False,
 ) -> None:
     """Score every controller file in a folder, and print them by rank."""
-    from khep_twin.files.atomic import write_whole
+    from khep_twin.files.atomic import write_atomic
     from khep_twin.lab.challenge.attempt import Attempt
     from khep_twin.lab.challenge.challenge import load
     from khep_twin.lab.challenge.results import participants, score_files, to_csv
@@ -196,7 +196,7 @@ def table(
         if scored_attempts:
             typer.echo(as_text(file.challenge, scored_attempts))
             if output is not None:
-                write_whole(output, to_csv(file.challenge, scored_attempts), force)
+                write_atomic(output, to_csv(file.challenge, scored_attempts), force)
                 typer.echo(f"table  {output}")
 
 

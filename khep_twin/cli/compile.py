@@ -18,19 +18,19 @@ def compile_all(
 
     They load it from numba's cache.
     """
-    from khep_twin.simulation.ready import CODE, NOT_KEPT, alone, can_be_kept, functions_of, is_cached
+    from khep_twin.simulation import ready
 
     for part in parts or ():
-        if part not in CODE:
-            raise usage(f"part {part!r}: unknown; {choices(part, CODE)}")
-    functions = [function for part in parts or CODE for function in functions_of(part)]
-    if not all(map(can_be_kept, functions)):
-        raise KhepTwinError(f"nothing is compiled, as {NOT_KEPT}")
+        if part not in ready.CODE:
+            raise usage(f"part {part!r}: unknown; {choices(part, ready.CODE)}")
+    functions = [function for part in parts or ready.CODE for function in ready.functions_of(part)]
+    if not all(map(ready.can_cache, functions)):
+        raise KhepTwinError(f"nothing is compiled, as {ready.NO_CACHE_REASON}")
     from khep_twin.simulation.announcement import ANNOUNCER
 
-    with ANNOUNCER.together(function for function in functions if not is_cached(function)):
-        for part in parts or CODE:
-            with alone(part):
+    with ANNOUNCER.group(function for function in functions if not ready.is_cached(function)):
+        for part in parts or ready.CODE:
+            with ready.compile_lock(part):
                 _compile_part(part)
 
 

@@ -7,7 +7,7 @@ import typer
 
 from khep_twin.cli.completion import logs, ports
 from khep_twin.cli.options import Force, check_new, refuse, usage
-from khep_twin.files.atomic import unusable, write_whole
+from khep_twin.files.atomic import unusable, write_atomic
 from khep_twin.lab.conformance.model import RobotModel
 
 _PORT_OPTIONS = {"move", "baudrate", "model"}
@@ -55,6 +55,6 @@ def conform(
         outcome = check_port(port, move=move, baudrate=baudrate, model=model)
     typer.echo(outcome.text())
     if report is not None:
-        write_whole(report, outcome.json().encode("utf-8"), force)
+        write_atomic(report, outcome.json().encode("utf-8"), force)
     if not outcome.passed:
         raise typer.Exit(1)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.options import notify, usage
-from khep_twin.files.atomic import resolved
+from khep_twin.files.atomic import resolve
 from khep_twin.signals import stopping
 
 
@@ -35,9 +35,9 @@ def design(
     folder = Path.cwd()
     name = None
     if file is not None:
-        if not resolved(file).is_relative_to(resolved(folder)):
+        if not resolve(file).is_relative_to(resolve(folder)):
             raise usage(f"{file}: outside the folder; expected a file below {folder}, or a start there")
-        name = str(resolved(file).relative_to(resolved(folder)))
+        name = str(resolve(file).relative_to(resolve(folder)))
     with stopping() as stop:
         server = Server(folder, name, listen, allow_remote=allow_remote, report=notify)
         if allow_remote:

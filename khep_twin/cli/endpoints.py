@@ -57,14 +57,14 @@ class EndpointOptions:
     @contextmanager
     def announce(self, ports: Sequence["HostPort"], subject: str) -> Generator[None]:
         """Register the service for `khep-twin ports`; print its paths, also to the file descriptor."""
-        from khep_twin.ports.service_registry import registered
+        from khep_twin.ports.service_registry import registered_ports
 
         with ExitStack() as stack:
             try:
-                stack.enter_context(registered([port.path for port in ports], subject))
+                stack.enter_context(registered_ports([port.path for port in ports], subject))
             except PortError as error:
                 notify(f"not listed by khep-twin ports: {error}")
-            instruction = "hosts open what the next lines name"
+            instruction = "hosts open the paths in the next lines"
             if self.link and not os.path.dirname(self.link):
                 instruction += f", in a private directory (--link ./{self.link} is in this one)"
             notify(f"serving a {subject}; {instruction}; Ctrl-C ends it")
@@ -83,7 +83,7 @@ class EndpointOptions:
         fd = self.ready_fd
         if fd is None:
             return
-        expected = "expected 3 or above, of what is open for writing, such as --ready-fd 3 3>ready"
+        expected = "expected 3 or above, open for writing, such as --ready-fd 3 3>ready"
         if not 3 <= fd < 2**31:
             raise usage(f"--ready-fd {fd}: {expected}")
         try:
@@ -101,7 +101,7 @@ def line_baud(mode: int | None) -> int:
     from khep_twin.board.rom import ROMS
 
     number, modes = 1 if mode is None else mode, ROMS["khepera2"]
-    if reason := modes.refused(number):
+    if reason := modes.refusal_reason(number):
         raise usage(f"--mode {number:X}: {reason}")
     return modes.modes[number].baud
 
@@ -129,10 +129,10 @@ def relay_robot(
     """
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.ports.idle_polls import IdlePolls
-    from khep_twin.ports.relay import Device, relay, since_now
+    from khep_twin.ports.relay import Device, relay, start_wall_clock
 
     with closing(Device(port, baud)) as device, endpoint.open({0: baud}) as ports, ExitStack() as stack:
-        now = since_now()
+        now = start_wall_clock()
         listeners: list[LineListener] = []
         recorder = None
         if logging.log is not None:

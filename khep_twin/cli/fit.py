@@ -9,8 +9,8 @@ from khep_twin.cli.completion import calibrations, logs, playpens
 from khep_twin.cli.options import Force, check_inputs, check_new, check_picture, check_writable, refuse, usage
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
-from khep_twin.files.atomic import is_same, write_whole
-from khep_twin.files.text import encodable
+from khep_twin.files.atomic import is_same, write_atomic
+from khep_twin.files.text import escape_surrogates
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.fit_inputs import FitTests
@@ -115,9 +115,9 @@ def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bo
         typer.echo(line)
     if output is not None:
         calibration = with_name(
-            fit.calibration, output.stem, f"learned by a shadow in {encodable(path.name)}"
+            fit.calibration, output.stem, f"learned by a shadow in {escape_surrogates(path.name)}"
         )
-        write_whole(output, dump(calibration).encode("utf-8"), force)
+        write_atomic(output, dump(calibration).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
 
 
@@ -159,7 +159,7 @@ def fit_and_write(
         typer.echo(f"{line} off, not used for the fit")
     if output is not None:
         calibration = with_name(robot_fit.calibration, output.stem, f"fitted to {count} tests")
-        write_whole(output, dump(calibration).encode("utf-8"), force)
+        write_atomic(output, dump(calibration).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
     if picture is not None:
         from khep_twin.drawing import map as drawing

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, choices
-from khep_twin.files.atomic import is_same, resolved, unusable
+from khep_twin.files.atomic import is_same, resolve, unusable
 from khep_twin.files.drawings import is_replaceable
 from khep_twin.invocation import command
 
@@ -107,7 +107,7 @@ def check_picture(picture: Path | None, log: Path | None = None) -> None:
         raise MissingExtraError("matplotlib", EXTRAS["matplotlib"])
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
-    if log is not None and resolved(picture) == resolved(log):
+    if log is not None and resolve(picture) == resolve(log):
         raise usage(f"--picture {picture}: this is the log; expected a separate file")
     if not picture.parent.is_dir():
         raise usage(f"--picture {picture}: there is no directory {picture.parent}")

@@ -10,12 +10,12 @@ import typer
 from khep_twin.cli import completion
 from khep_twin.cli.options import Force, check_inputs, check_new, command_group
 from khep_twin.errors import CalibrationError, KhepTwinError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.atomic import write_atomic
 from khep_twin.files.drawings import write_drawing
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
-    from khep_twin.playpen.bitmap import Imported
+    from khep_twin.playpen.bitmap import BitmapPlaypen
     from khep_twin.playpen.bitmap_files import Bitmap
 
 playpen_app = command_group("List, check, compile, draw and import playpens.")
@@ -165,7 +165,7 @@ def _write(text: str, output: Path | None, kind: str, force: bool, details: str 
     if output is None:
         typer.echo(text, nl=False)
     else:
-        write_whole(output, text.encode("utf-8"), force)
+        write_atomic(output, text.encode("utf-8"), force)
         typer.echo(f"{kind:7}  {output}{details}")
 
 
@@ -218,7 +218,7 @@ def import_bitmap(
     check_new(force, target)
     pose = None if robot in (None, "none") else _parse_pose(robot)
     image = bitmap_files.read(file, variable, solid)
-    upside_down = image.scanned if flip is None else flip
+    upside_down = image.is_scan if flip is None else flip
     try:
         result = bitmap.to_playpen(
             image.solid[::-1] if upside_down else image.solid,
@@ -226,30 +226,30 @@ def import_bitmap(
             mm_per_pixel=mm_per_pixel,
             height_mm=height_mm,
             robot=pose,
-            find_place=robot is None,
+            place_robot=robot is None,
         )
     except BitmapError as error:
         raise BitmapError(f"{file}: {error}") from None
-    head = f"# Imported from {toml_files.show(file.name)} by khep-twin playpen import.\n\n"
-    write_whole(target, (head + playpens.dump(result.playpen)).encode("utf-8"), force)
+    head = f"# Imported from {toml_files.format_value(file.name)} by khep-twin playpen import.\n\n"
+    write_atomic(target, (head + playpens.dump(result.playpen)).encode("utf-8"), force)
     for line in _summary(image, result, upside_down, mm_per_pixel):
         typer.echo(line)
     typer.echo(f"robot    {_robot_text(result.playpen, is_requested=robot != 'none')}")
     typer.echo(f"playpen  {target}")
 
 
-def _summary(image: "Bitmap", result: "Imported", upside_down: bool, mm_per_pixel: float) -> Iterator[str]:
+def _summary(image: "Bitmap", result: "BitmapPlaypen", upside_down: bool, pixel_mm: float) -> Iterator[str]:
     """Yield lines that describe a bitmap and the playpen made from it."""
     rows, columns = image.solid.shape
     borders, arena = result.borders, result.playpen.arena
     solid = f"{int(image.solid.sum())} of them solid"
-    yield f"bitmap   {image.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, {solid}"
+    yield f"bitmap   {image.label}, {rows} x {columns} pixels of {pixel_mm:g} mm, {solid}"
     first_row = "bottom" if upside_down else "top"
-    reason = " (the toolbox's scan turned the right way up)" if upside_down and image.scanned else ""
+    reason = " (the toolbox's scan turned the right way up)" if upside_down and image.is_scan else ""
     other_option = "--no-flip" if upside_down else "--flip"
     yield f"flip     its first row is the {first_row}{reason}; {other_option} for the other way"
     sides = {"left": borders.left, "right": borders.right, "bottom": borders.bottom, "top": borders.top}
-    wall_widths = ", ".join(f"{pixels * mm_per_pixel:g} mm {side}" for side, pixels in sides.items())
+    wall_widths = ", ".join(f"{pixels * pixel_mm:g} mm {side}" for side, pixels in sides.items())
     yield f"walls    {wall_widths}; now {arena.wall_thickness_mm:g} mm thick"
     yield f"arena    {arena.width_mm:g} x {arena.height_mm:g} mm within the walls"
     yield f"blocks   {len(result.playpen.blocks)}"

@@ -11,7 +11,7 @@ from khep_twin.cli.completion import logs
 from khep_twin.cli.options import Force, check_new, check_writable
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import is_same, resolved, whole_file
+from khep_twin.files.atomic import atomic_file, is_same, resolve
 from khep_twin.files.drawings import write_drawing
 
 LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
@@ -101,7 +101,7 @@ def _export_tables(
     if output is not None:
         if kind != ".mat" and not selection:
             raise LogError(f"{log}: {name} has no samples; expected --transcript, or -o FILE.mat")
-        with whole_file(output, force) as file, progress_bar() as progress:
+        with atomic_file(output, force) as file, progress_bar() as progress:
             if kind == ".mat":
                 data, n_rows = tables.matrices(log, robots, selection, progress)
                 file.write(data)
@@ -110,7 +110,7 @@ def _export_tables(
         names = ", ".join(channel.name for channel in selection) or "no samples"
         typer.echo(f"table       {output}: {name}: {names}; {n_rows} rows")
     if transcript is not None:
-        with whole_file(transcript, force) as file, progress_bar() as progress:
+        with atomic_file(transcript, force) as file, progress_bar() as progress:
             n_lines = tables.write_transcript(log, robots, file, progress)
         typer.echo(f"transcript  {transcript}: {name}: {n_lines} lines")
 
@@ -180,5 +180,5 @@ def _check_outputs(log: Path, *outputs: Path) -> None:
         check_writable(path)
         if is_same(path, log):
             raise LogError(f"{path}: this is the log; expected a separate file")
-    if len({resolved(path) for path in outputs}) < len(outputs):
+    if len({resolve(path) for path in outputs}) < len(outputs):
         raise LogError(f"{outputs[0]}: named twice; expected a separate file for each")

@@ -117,7 +117,7 @@ def rollout(
     from khep_twin.episodes.device import choose_device
     from khep_twin.lab.experiment.controller_files import find_driver
     from khep_twin.playpen.starts import at_spots
-    from khep_twin.ports.twin import Twin, equipped
+    from khep_twin.ports.twin import Twin, equip_playpen
 
     check_picture(picture)
     check_inputs([scene.playpen], picture, logging.log)
@@ -126,7 +126,7 @@ def rollout(
     playpen = scene.load()
     program = find_driver(controller)
     driver, function = (Policy(), program) if callable(program) else (program, None)
-    playpen, _ = equipped(at_spots(playpen, options.seed), options)
+    playpen, _ = equip_playpen(at_spots(playpen, options.seed), options)
     check_body(options.rom, playpen.robots)
     try:
         setup = physics.setup(playpen, program, map(parse_fault, options.faults), logging.log)
@@ -136,9 +136,9 @@ def rollout(
         raise usage(str(error)) from None
     episode_options = EpisodeOptions(noise=options.noise, vary=options.vary, line=physics.line)
     seconds = periods * setup.period_ns / 1e9
-    has_path = picture is not None
+    draw = picture is not None
     if device == "cuda":
-        results = _run_on_gpu(setup, driver, function, options.seed, episode_options, periods, has_path)
+        results = _run_on_gpu(setup, driver, function, options.seed, episode_options, periods, draw)
         _print_results(periods, seconds, *results, playpen, picture, logging.force)
         return
     compiled = None if is_compiled() else False
@@ -153,7 +153,7 @@ def rollout(
             )
             recorder = recorded_twin.recorder
             print_kept(recorder)
-        times, paths = _run(episode, setup, function, periods, has_path)
+        times, paths = _run(episode, setup, function, periods, draw)
     metrics = [episode.metrics(robot) for robot in range(len(episode.boards))]
     _print_results(periods, seconds, metrics, times, paths, playpen, picture, logging.force)
     logging.check(recorder)
@@ -162,15 +162,11 @@ def rollout(
 
 
 def _run(
-    episode: "Episode",
-    setup: "EpisodeSetup",
-    function: Callable[..., Any] | None,
-    periods: int,
-    has_path: bool,
+    episode: "Episode", setup: "EpisodeSetup", function: Callable[..., Any] | None, periods: int, draw: bool
 ) -> tuple[list[float], list[list[Pose]]]:
-    """Run an episode; return times [s] and each robot's path, with all periods if `has_path`."""
+    """Run an episode; return times [s] and each robot's path, with all periods if `draw`."""
     # Without a path to draw, one call steps many periods, with the same results.
-    periods_per_call = 1 if has_path else max(_PROGRESS_NS // setup.period_ns, 1)
+    periods_per_call = 1 if draw else max(_PROGRESS_NS // setup.period_ns, 1)
     times, paths = [0.0], [[pose] for pose in episode.poses]
     end_step = periods * setup.steps_per_period
     if episode.is_at_line:
@@ -198,7 +194,7 @@ def _run_on_gpu(
     seed: int,
     options: "EpisodeOptions",
     periods: int,
-    has_path: bool,
+    draw: bool,
 ) -> tuple[list[dict[str, float]], list[float], list[list[Pose]]]:
     """Run an episode on a GPU; return metrics, times [s] and the robot's path, as `_run` does."""
     from khep_twin.episodes import Policy, batch
@@ -208,14 +204,14 @@ def _run_on_gpu(
         decide = partial(_call_controller, function)
         driver = Policy(lambda proximity, ambient, _: [decide(proximity[0].tolist(), ambient[0].tolist())])
     period = setup.period_ns / 1e9
-    path_interval_s = period if has_path else None
+    path_interval_s = period if draw else None
     results = batch.rollout(
         setup, driver, [seed], periods * period, options=options, paths_every=path_interval_s, device="cuda"
     )
     for failure in results.failures:
         raise DivergedError(failure.reason)
     metrics = {name: float(values[0]) for name, values in results.metrics.items()}
-    times = [period * sample for sample in range(periods + 1)] if has_path else []
+    times = [period * sample for sample in range(periods + 1)] if draw else []
     return [metrics], times, [[tuple(pose) for pose in results.paths[0].tolist()]]
 
 

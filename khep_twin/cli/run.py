@@ -36,7 +36,7 @@ from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.run_logs import RunLogs
 from khep_twin.cli.streams import has_no_reader
 from khep_twin.errors import ControllerError, StoppedError
-from khep_twin.files.atomic import resolved
+from khep_twin.files.atomic import resolve
 from khep_twin.invocation import command
 from khep_twin.signals import handle_signals, stopping
 
@@ -80,7 +80,7 @@ class SeriesOptions:
         """Refuse an unusable folder."""
         if self.resume and self.save is None:
             raise usage("--resume continues a saved series; expected --save FOLDER with it")
-        if log is not None and self.save is not None and resolved(log) == resolved(self.save):
+        if log is not None and self.save is not None and resolve(log) == resolve(self.save):
             raise usage(f"--save {self.save}: this is the log; expected a separate folder")
 
 
@@ -264,9 +264,9 @@ def _open_twins(
     from khep_twin.log.run_description import versions
     from khep_twin.playpen import dump
     from khep_twin.ports.protocol_khep import Serial
-    from khep_twin.ports.twin import equipped, open_twin
+    from khep_twin.ports.twin import equip_playpen, open_twin
 
-    playpen, robot_indices = equipped(playpen, options)
+    playpen, robot_indices = equip_playpen(playpen, options)
     check_body(options.rom, (playpen.robots[index] for index in robot_indices))
     values = {key: value for key, value in asdict(options).items() if key != "log"}
     settings: dict[str, Any] = {**values, "playpen": dump(playpen), "starts": start_specs, **versions()}

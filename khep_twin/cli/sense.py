@@ -16,7 +16,7 @@ from khep_twin.cli.options import Force, check_new, check_picture, check_writabl
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.progress import subrange
 from khep_twin.errors import KhepTwinError, SensorTestError
-from khep_twin.files.atomic import resolved
+from khep_twin.files.atomic import resolve
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def _numbered_paths(paths: list[Path], number: int, count: int) -> list[Path]:
 
 
 def _check_distinct(paths: list[Path]) -> None:
-    real_paths = [resolved(path) for path in paths]
+    real_paths = [resolve(path) for path in paths]
     for number, path in enumerate(paths):
         if real_paths[number] in real_paths[:number]:
             raise SensorTestError(f"{path}: is given twice; expected a name for each file")

@@ -176,7 +176,7 @@ def _open_log(
     from khep_twin.ports.resume import run_end_ns
 
     change = BranchPoint(run_end_ns(path) if start_ns is None else start_ns, seed=seed, faults=faults)
-    return open_log(path, change, robot, logging.log, served=True, on_failure=logging.on_failure)
+    return open_log(path, change, robot, logging.log, all_robots=True, on_failure=logging.on_failure)
 
 
 def _parse_log_time(text: str) -> tuple[Path, int | None]:
@@ -202,7 +202,7 @@ def _serve_twin(
     viewer: bool,
 ) -> None:
     """Serve a twin at `factor` simulated seconds per real second."""
-    from khep_twin.ports.serve import MANY, WIRE
+    from khep_twin.ports.serve import MANY_ROBOTS, WIRE
     from khep_twin.ports.serve import serve as serve_twin
 
     with (
@@ -214,7 +214,7 @@ def _serve_twin(
         print_kept(twin.recorder)
         remote = endpoint.allow_remote
         live_view.open_viewers(stack, name, viewer=viewer, real_time=False, allow_remote=remote)(twin)
-        if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY:
+        if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY_ROBOTS:
             # Load compiled code before the first host opens, as that takes half a second.
             twin.world.code.switch_if_ready()
         with endpoint.announce(ports, f"twin in {name}"):

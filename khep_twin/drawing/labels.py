@@ -1,4 +1,4 @@
-"""Labels of a drawing: each beside its object, clear of the others and within the axes."""
+"""Labels of a drawing: each beside its object, without overlap and within the axes."""
 
 # The annotations of matplotlib leave keyword arguments untyped.
 # pyright: reportUnknownMemberType=false
@@ -16,12 +16,12 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 SEARCH_LIMIT = 200
-"""Most labels for which a free position is searched; with more, each stands below its object."""
+"""Largest number of labels whose positions are optimised; with more, each is below its object."""
 
 _LINES = 4
-"""Distances to try, in lines of text."""
+"""Number of distances to try, in lines of text."""
 
-_Place = tuple[float, float, Literal["left", "center", "right"], Literal["top", "center", "bottom"]]
+_Position = tuple[float, float, Literal["left", "center", "right"], Literal["top", "center", "bottom"]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class _Label:
 
 
 class Labels:
-    """Labels, collected while objects are drawn, and written when the axes' limits are final.
+    """Labels on axes in mm, collected while objects are drawn, and written when the limits are final.
 
     Args:
         axes: Axes in mm.
@@ -41,12 +41,13 @@ class Labels:
     """
 
     def __init__(self, axes: Axes, ink: str) -> None:
-        self._axes, self._ink = axes, ink
-        self._wanted: list[_Label] = []
+        self._axes = axes
+        self._ink = ink
+        self._labels: list[_Label] = []
 
     def add(self, x_mm: float, y_mm: float, reach_mm: float, text: str) -> None:
         """Request a label beside a point, outside of a circle of `reach_mm` around it."""
-        self._wanted.append(_Label(x_mm, y_mm, reach_mm, text))
+        self._labels.append(_Label(x_mm, y_mm, reach_mm, text))
 
     def write(self) -> None:
         """Write all labels; later ones avoid earlier ones."""
@@ -54,27 +55,27 @@ class Labels:
         if figure is None or not isinstance(figure.canvas, FigureCanvasAgg):
             raise TypeError("labels expected a figure with an Agg canvas")
         renderer = figure.canvas.get_renderer()
-        within = np.array(self._axes.get_window_extent(renderer).extents)
-        search = len(self._wanted) <= SEARCH_LIMIT
-        taken = np.empty((0, 4))
-        for label in self._wanted:
+        limits = np.array(self._axes.get_window_extent(renderer).extents)
+        is_searched = len(self._labels) <= SEARCH_LIMIT
+        occupied = np.empty((0, 4))
+        for label in self._labels:
             text = self._text(label)
-            if not search:
+            if not is_searched:
                 continue
-            best, least = None, np.inf
-            for position in _places(label, self._height_mm(text.get_window_extent(renderer))):
-                _put(text, position)
-                covered = _covered(np.array(text.get_window_extent(renderer).extents), taken, within)
-                if covered < least:
-                    best, least = position, covered
-                if covered == 0:
+            best_position, least_overlap = None, np.inf
+            for position in _positions(label, self._height_mm(text.get_window_extent(renderer))):
+                _set_position(text, position)
+                overlap = _covered(np.array(text.get_window_extent(renderer).extents), occupied, limits)
+                if overlap < least_overlap:
+                    best_position, least_overlap = position, overlap
+                if overlap == 0:
                     break
-            if best is not None:
-                _put(text, best)
-            taken = np.vstack((taken, text.get_window_extent(renderer).extents))
+            if best_position is not None:
+                _set_position(text, best_position)
+            occupied = np.vstack((occupied, text.get_window_extent(renderer).extents))
 
     def _text(self, label: _Label) -> Text:
-        # A pale outline keeps it readable on top of other objects.
+        # A pale outline keeps the text legible on top of other objects.
         rim = withStroke(linewidth=2.2, foreground=(1, 1, 1, 0.8))
         at = label.x_mm, label.y_mm - label.reach_mm
         return self._axes.text(
@@ -93,8 +94,8 @@ class Labels:
         return float(high - low)
 
 
-def _places(label: _Label, line_mm: float) -> Iterator[_Place]:
-    """Yield positions and alignments of a label, best first: below, above, right and left, then farther."""
+def _positions(label: _Label, line_mm: float) -> Iterator[_Position]:
+    """Yield positions and alignments of a label, best first: below, above, right, left, then farther away."""
     x, y, reach = label.x_mm, label.y_mm, label.reach_mm
     for line in range(_LINES):
         away = 1.1 * line * line_mm
@@ -105,15 +106,15 @@ def _places(label: _Label, line_mm: float) -> Iterator[_Place]:
             yield x - reach, y + shift, "right", "center"
 
 
-def _put(text: Text, position: _Place) -> None:
+def _set_position(text: Text, position: _Position) -> None:
     text.set_position(position[:2])
     text.set_horizontalalignment(position[2])
     text.set_verticalalignment(position[3])
 
 
-def _covered(box: NDArray[np.float64], taken: NDArray[np.float64], within: NDArray[np.float64]) -> float:
-    """Return the area of a box (x0, y0, x1, y1) on boxes (n, 4) that are taken and outside of `within`."""
-    shared = np.minimum(box[2:], taken[:, 2:]) - np.maximum(box[:2], taken[:, :2])
-    inside = np.minimum(box[2:], within[2:]) - np.maximum(box[:2], within[:2])
+def _covered(box: NDArray[np.float64], occupied: NDArray[np.float64], limits: NDArray[np.float64]) -> float:
+    """Return the area of a box (x0, y0, x1, y1) that overlaps boxes (n, 4) or is outside of `limits`."""
+    shared = np.minimum(box[2:], occupied[:, 2:]) - np.maximum(box[:2], occupied[:, :2])
+    inside = np.minimum(box[2:], limits[2:]) - np.maximum(box[:2], limits[:2])
     outside = np.prod(box[2:] - box[:2]) - np.prod(np.maximum(inside, 0))
     return float(np.prod(np.maximum(shared, 0), axis=1).sum() + outside)

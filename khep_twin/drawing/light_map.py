@@ -1,10 +1,10 @@
-"""Illumination: light of a playpen's lamps at points of it, for pictures.
+"""Illumination: light of a playpen's lamps at points of the floor, for drawings.
 
-    light = sum over lamps of P / r^2, 0 for a lamp that is hidden
+    light = sum over visible lamps of P / r^2
 
 with power P and distance r from the point, at the height of the robot's sensors, to the bulb's centre. The
-robot's ambient light sensors (`sensors`) use the same light, with the direction they look in.
-Left out: light reflected off walls and objects, and the shadows of robots.
+robot's ambient light sensors (`sensors`) use the same light, with their directional sensitivity.
+Ignored are light reflected from walls and objects, and the shadows of robots.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from khep_twin.playpen.footprint import Circle, Footprint
 from khep_twin.units import SENSOR_HEIGHT
 
 SHADOW_LIMIT = 200
-"""Most pairs of lamp and object for which shadows are computed; with more, lamps shine through objects."""
+"""Largest number of pairs of lamp and object with shadows; with more, lamps shine through objects."""
 
 _HEIGHT_MM = SENSOR_HEIGHT * 1000
 
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
-    """Return the light at points x, y of a playpen (any one shape), in that shape [W/mm^2]."""
+    """Return the light at points x, y of a playpen, in the shape of these arrays [W/mm^2]."""
     objects = [(item.footprint, item.height_mm) for items in playpen.objects.values() for item in items]
     objects += [(shape, wall.height_mm) for wall in playpen.walls for shape in wall.footprints]
     if len(playpen.lamps) * len(objects) > SHADOW_LIMIT:
@@ -31,16 +31,16 @@ def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
     light = np.zeros(x_mm.shape)
     for lamp in playpen.lamps:
         square = (lamp.x_mm - x_mm) ** 2 + (lamp.y_mm - y_mm) ** 2 + (lamp.z_mm - _HEIGHT_MM) ** 2
-        seen = np.ones(x_mm.shape, dtype=bool)
+        is_visible = np.ones(x_mm.shape, dtype=bool)
         for shape, height_mm in objects:
-            seen &= ~_hidden(lamp, shape, height_mm, x_mm, y_mm)
-        # No point is nearer to a bulb than its glass.
-        light += seen * lamp.power_w * lamp.dim / np.maximum(square, BULB_RADIUS_MM**2)
+            is_visible &= ~_shadow(lamp, shape, height_mm, x_mm, y_mm)
+        # Distances are at least the radius of the bulb.
+        light += is_visible * lamp.power_w * lamp.dim / np.maximum(square, BULB_RADIUS_MM**2)
     return light
 
 
-def _hidden(lamp: Lamp, shape: Footprint, height_mm: float, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:
-    """Return which points have an object between them and the lamp's bulb."""
+def _shadow(lamp: Lamp, shape: Footprint, height_mm: float, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:
+    """Return which points are in the shadow of an object."""
     to_x, to_y = lamp.x_mm - x_mm, lamp.y_mm - y_mm
     # The segment from the point (0) to the bulb's centre (1) crosses the object's footprint from `entry` to
     # `leave`; it ends at the bulb's glass.
@@ -55,7 +55,7 @@ def _hidden(lamp: Lamp, shape: Footprint, height_mm: float, x_mm: Floats, y_mm: 
 def _crossing(
     footprint: Footprint, x_mm: Floats, y_mm: Floats, to_x: Floats, to_y: Floats
 ) -> tuple[Floats, Floats]:
-    """Return where lines from points along vectors enter and leave a footprint, in lengths of the vector."""
+    """Return where rays from points along vectors enter and leave a footprint, in lengths of the vector."""
     x, y = x_mm - footprint.x_mm, y_mm - footprint.y_mm
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(footprint, Circle):
@@ -68,8 +68,8 @@ def _crossing(
         for (axis_x, axis_y), size_mm in zip(
             footprint.axes(), (footprint.length_mm, footprint.width_mm), strict=True
         ):
-            at, to = x * axis_x + y * axis_y, to_x * axis_x + to_y * axis_y
-            sides = (-size_mm / 2 - at) / to, (size_mm / 2 - at) / to
+            distance, rate = x * axis_x + y * axis_y, to_x * axis_x + to_y * axis_y
+            sides = (-size_mm / 2 - distance) / rate, (size_mm / 2 - distance) / rate
             entries.append(np.minimum(*sides))
             leaves.append(np.maximum(*sides))
     return np.maximum(*entries), np.minimum(*leaves)

@@ -1,8 +1,8 @@
 """Drawings: a playpen from above, to scale, with the paths of robots.
 
-Lamps, objects and robots are drawn as in the playpen (`symbols`), robots at their start. Paths of several
-names have a colour each; those of one robot, or of many, are coloured by time. The robot's outline at its end
-is dashed. The same arguments give the same bytes, whatever the configuration of matplotlib.
+Lamps, objects and robots are drawn to scale (`symbols`), robots at their start. Several named paths have
+a colour each; paths of one robot, or of many, are coloured by time. The robot's outline at the end of a path is
+dashed. The same arguments give the same bytes, independent of the configuration of matplotlib.
 """
 
 # The annotations of matplotlib leave keyword arguments untyped.
@@ -49,7 +49,7 @@ from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.units import BODY_RADIUS
 
 POINT_LIMIT = 20_000
-"""Most points of a path that are drawn; longer ones are thinned out evenly."""
+"""Largest number of drawn points of a path; longer paths are subsampled evenly."""
 
 STYLE: list[str | dict[str, object]] = [
     "default",
@@ -69,26 +69,26 @@ STYLE: list[str | dict[str, object]] = [
 ]
 """Style of drawings, independent of matplotlib's configuration; for `matplotlib.style.context`."""
 
-_START: Look = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
-_END: Look = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
+_START_MARKER: Look = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
+_END_MARKER: Look = {"marker": "s", "ms": 4.5, "mfc": INK, "mec": "white", "mew": 0.8}
 METADATA: dict[str, dict[str, None]] = {
     "png": {"Software": None},
     "svg": {"Date": None, "Creator": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }
-"""Metadata with version and time that matplotlib would write into each kind of file, left out."""
+"""Metadata by kind of file that omit the version and time of matplotlib."""
 
 LONGER_SIDE = 6.2
 """Longer side of the playpen on paper [inch]."""
 
 _ENTRY = 1.0
-"""Width of an entry of the legend [inch]."""
+"""Width of a legend entry [inch]."""
 
 _COLOURS = (
     *("#2f6fb0", "#d81b82", "#14808c", "#5b2a86", "#8c564b"),
     *("#c2452d", "#5d6d1e", "#1f9fd6", "#e07b00", "#6b7280"),
 )
-"""Colours of paths by their names; of more names, paths are coloured by time."""
+"""Colours of named paths; with more names, paths are coloured by time."""
 
 
 def draw(
@@ -103,9 +103,9 @@ def draw(
     Args:
         playpen: Playpen to draw, or its name or path.
         paths: Paths of robots: arrays of positions or poses [m], by name if they have names, or `DrawnPath`s.
-            Up to ten names have a colour each; otherwise one scale of time colours all, if times are known.
+            Up to ten names have a colour each; otherwise all are coloured by time, if times are known.
         title: Title above the drawing; by default the playpen's name.
-        longer_side: Longer side of the playpen on paper [inch]; letters keep their size.
+        longer_side: Longer side of the playpen on paper [inch]; the text keeps its size.
 
     Raises:
         PlaypenError: The playpen cannot be used.
@@ -115,8 +115,8 @@ def draw(
     colours, norm = _colours(tracks), _scale(tracks)
     with matplotlib.style.context(STYLE):
         legend = list(_legend_entries(playpen, colours, bool(tracks)))
-        scale = norm is not None and not colours
-        figure, axes, columns = _sheet(playpen, longer_side, scale=scale, entries=len(legend))
+        has_scale = norm is not None and not colours
+        figure, axes, columns = _sheet(playpen, longer_side, scale=has_scale, entries=len(legend))
         labels = Labels(axes, INK)
         axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
         limits = axes.axis()
@@ -132,8 +132,9 @@ def draw(
             draw_spot(axes, labels, spot)
         for index, robot in enumerate(playpen.robots):
             if robot.spots:
-                continue  # Its spot is not known yet.
-            draw_robot(axes, labels, robot, f"khepera{index}")
+                continue  # Its spot is not yet known.
+            draw_robot(axes, robot)
+            labels.add(robot.x_mm, robot.y_mm, 1000 * robot.body.radius + 4, f"khepera{index}")
         draw_lamps(axes, labels, playpen)
         radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
         for index, track in enumerate(tracks):
@@ -142,7 +143,7 @@ def draw(
             if len(tracks) > 1 and track.robot and not colours:
                 x_mm, y_mm = track.xy_mm[-1].tolist()
                 labels.add(x_mm, y_mm, 1000 * radii.get(track.robot, BODY_RADIUS) + 4, track.robot)
-        if scale and norm is not None:
+        if has_scale and norm is not None:
             _draw_scale(figure, axes, norm)
         axes.axis(limits)
         labels.write()
@@ -155,7 +156,7 @@ def save(figure: Figure, file: StrPath, replace: bool = True) -> None:
     """Write a drawing as PNG, SVG or PDF, by the file's suffix; `replace` as for `write_drawing`.
 
     Raises:
-        KhepTwinError: The suffix is another one, or the file cannot be written.
+        KhepTwinError: The suffix is not one of these, or the file cannot be written.
     """
     file = Path(file)
     kind = file.suffix.lower().removeprefix(".")
@@ -173,7 +174,7 @@ def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:
 
 
 def thumbnail(playpen: Playpen, longer_side: int = 200) -> bytes:
-    """Return a small map without letters, as PNG; the longer side in pixels."""
+    """Return a small map without text, as PNG; the longer side in pixels."""
     figure = draw(playpen)
     axes, data = figure.axes[0], BytesIO()
     with matplotlib.style.context(STYLE):
@@ -189,15 +190,15 @@ def thumbnail(playpen: Playpen, longer_side: int = 200) -> bytes:
     return data.getvalue()
 
 
-def sheet(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:
-    """Return an empty figure or page of a size [inch]."""
+def blank_figure(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:
+    """Return an empty figure of a size [inch]."""
     figure = Figure(figsize=(width, height), facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
 def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -> tuple[Figure, Axes, int]:
-    """Return a figure, its axes in mm with room around them, and the number of columns of its legend."""
+    """Return a figure, its axes in mm with margins, and the number of columns of its legend."""
     arena = playpen.arena
     rim_mm = arena.wall_thickness_mm + 2
     width_mm, height_mm = arena.width_mm + 2 * rim_mm, arena.height_mm + 2 * rim_mm
@@ -207,7 +208,7 @@ def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -
     columns = max(min(entries, int((left + width + right) / _ENTRY)), 1)
     bottom = 0.65 + 0.2 * -(-entries // columns) if entries > 1 else 0.55
     size = left + width + right, bottom + height + top
-    figure = sheet(*size)
+    figure = blank_figure(*size)
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
     axes.set(xlim=(-rim_mm, arena.width_mm + rim_mm), ylim=(-rim_mm, arena.height_mm + rim_mm))
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
@@ -220,30 +221,30 @@ def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -
 
 
 def _colours(tracks: Sequence[DrawnPath]) -> dict[str, str]:
-    """Return the colour of each name; none of one name alone, or of too many."""
+    """Return the colour of each name; empty for one name, or for too many."""
     names = dict.fromkeys(track.robot for track in tracks)
     return dict(zip(names, _COLOURS, strict=False)) if 1 < len(names) <= len(_COLOURS) else {}
 
 
 def _scale(tracks: Sequence[DrawnPath]) -> Normalize | None:
-    """Return the scale of time of all paths; None if the times of one are not known."""
+    """Return the time scale of all paths; None if the times of one are unknown."""
     times = [track.time_s for track in tracks if track.time_s is not None]
     if not tracks or len(times) < len(tracks):
         return None
-    first, last = min(float(each[0]) for each in times), max(float(each[-1]) for each in times)
+    first, last = min(float(time_s[0]) for time_s in times), max(float(time_s[-1]) for time_s in times)
     return Normalize(first, last if last > first else first + 1)
 
 
 def _draw_path(
     axes: Axes, track: DrawnPath, radius_mm: float, colour: str | None, norm: Normalize | None
 ) -> None:
-    """Draw a path in a colour, or without one by time; its start, its end, and the robot's outline there."""
-    thin = slice(None, None, -(-len(track.xy_mm) // POINT_LIMIT))
-    points = track.xy_mm[thin]
+    """Draw a path in a colour, or if None by time, with its start, its end, and the robot's outline there."""
+    subset = slice(None, None, -(-len(track.xy_mm) // POINT_LIMIT))
+    points = track.xy_mm[subset]
     segments = list(np.stack((points[:-1], points[1:]), axis=1))
     if colour is None and track.time_s is not None:
         lines = LineCollection(segments, cmap=_time_colours(), norm=norm, lw=1.4, zorder=4)
-        lines.set_array(track.time_s[thin][:-1])
+        lines.set_array(track.time_s[subset][:-1])
     else:
         lines = LineCollection(segments, colors=colour, lw=1.4, zorder=4)
     lines.set_capstyle("round")
@@ -251,24 +252,24 @@ def _draw_path(
     (start_x, start_y), (end_x, end_y) = track.xy_mm[[0, -1]].tolist()
     outline = Circle((end_x, end_y), radius_mm, fill=False, edgecolor=colour or INK, lw=0.9, ls="--")
     axes.add_patch(outline).set_zorder(6)
-    axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START))
-    look: Look = _END | ({"mfc": colour} if colour else {})
+    axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START_MARKER))
+    look: Look = _END_MARKER | ({"mfc": colour} if colour else {})
     axes.add_line(Line2D([end_x], [end_y], zorder=7, **look))
 
 
 def _time_colours() -> Colormap:
-    # Plasma without its yellow end, which would not stand out from a lit floor.
+    # Plasma without its yellow end, which has too little contrast to an illuminated floor.
     plasma = matplotlib.colormaps["plasma"]
     return LinearSegmentedColormap.from_list("time", list(plasma(np.linspace(0, 0.8, 64))))
 
 
 def _draw_scale(figure: Figure, axes: Axes, norm: Normalize) -> None:
-    """Draw the scale of time beside the playpen."""
+    """Draw the time scale beside the playpen."""
     box, width = axes.get_position(), figure.get_figwidth()
-    beside = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
-    scale = figure.colorbar(ScalarMappable(norm, _time_colours()), cax=beside)
+    bar_axes = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
+    scale = figure.colorbar(ScalarMappable(norm, _time_colours()), cax=bar_axes)
     scale.set_label("time [s]")
-    beside.spines[:].set_visible(False)
+    bar_axes.spines[:].set_visible(False)
 
 
 def _legend_entries(playpen: Playpen, colours: Mapping[str, str], paths: bool) -> Iterator[Line2D | Patch]:
@@ -292,5 +293,5 @@ def _legend_entries(playpen: Playpen, colours: Mapping[str, str], paths: bool) -
     for name, colour in colours.items():
         yield Line2D([], [], label=name, color=colour, lw=1.4)
     if paths:
-        yield Line2D([], [], label="start", ls="", **_START)
-        yield Line2D([], [], label="end", ls="", **_END)
+        yield Line2D([], [], label="start", ls="", **_START_MARKER)
+        yield Line2D([], [], label="end", ls="", **_END_MARKER)

@@ -1,7 +1,7 @@
-"""MuJoCo's own viewer as a window beside a running world.
+"""MuJoCo's viewer as a window on a running world.
 
-The viewer works on copies of the scene and its state, which are refreshed up to 30 times a second. It
-has no effect on the run, which is bit for bit the same without: the mouse moves the camera, not the robots.
+The viewer uses copies of the scene and its state, which are updated up to 30 times per second. It has no
+effect on the run, which is the same bit for bit without it: the mouse moves the camera, not the robots.
 """
 
 # mujoco.viewer and glfw are not typed here.
@@ -24,19 +24,19 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.world import Observer, World
 
 FRAME_NS = NS_PER_S // 30
-"""Shortest wall time between two pictures [ns]."""
+"""Shortest wall time between two frames [ns]."""
 
-_LONGEST_NAP = 0.05
-"""Longest sleep at once [s], so that a closed window is noticed."""
+_MAX_SLEEP_S = 0.05
+"""Longest single sleep [s], so that a closed window is detected."""
 
 _CLOSING_S = 10.0
 """Longest wait for the window to close (assumed) [s]."""
 
-_WITHOUT = "without one, give --log FILE.mcap and look at it with khep-twin view"
+_REMEDY = "without one, give --log FILE.mcap and look at it with khep-twin view"
 
 
 class MujocoViewer(Observer):
-    """Window on a world; an `Observer` of it, and of the worlds that follow in a series.
+    """Window on a world; an `Observer` of it, and of later worlds in a series.
 
     Args:
         real_time: True to slow down a world that runs ahead of the wall clock.
@@ -52,42 +52,42 @@ class MujocoViewer(Observer):
         self._model: mujoco.MjModel | None = None
         self._data: mujoco.MjData | None = None
         self._threads: set[threading.Thread] = set()
-        self._shown_ns = 0
-        self._ahead_ns = 0
+        self._last_frame_ns = 0
+        self._offset_ns = 0
 
     def watch(self, world: World) -> None:
-        """Show a world from now on; open the window for the first one."""
+        """Show a world; open the window for the first one."""
         from mujoco import viewer
 
         if self._model is None:
             self._model, self._data = copy.copy(world.model), copy.copy(world.data)
-            before = set(threading.enumerate())
+            other_threads = set(threading.enumerate())
             self._handle = viewer.launch_passive(
                 self._model, self._data, show_left_ui=False, show_right_ui=False
             )
-            self._threads = set(threading.enumerate()) - before
-            self._look(world)
-        self._ahead_ns = world.time_ns - time.monotonic_ns()
+            self._threads = set(threading.enumerate()) - other_threads
+            self._point_camera(world)
+        self._offset_ns = world.time_ns - time.monotonic_ns()
         world.add_observer(self)
 
     def close(self) -> None:
-        """Close the window and wait for its last picture; X ends a process that draws without one."""
+        """Close the window and wait for its last frame; X would end a process that draws without a window."""
         if self._handle is not None:
             self._handle.close()
         for thread in self._threads:
             thread.join(_CLOSING_S)
 
     def sample(self, world: World) -> None:
-        """Refresh the picture if it is due, and wait for the wall clock in real time."""
+        """Draw a frame if it is due, and wait for the wall clock in real time."""
         if self._handle is None or not self._handle.is_running():
             return
-        if time.monotonic_ns() - self._shown_ns >= FRAME_NS:
+        if time.monotonic_ns() - self._last_frame_ns >= FRAME_NS:
             self._show(world)
         while self._real_time and self._handle.is_running():
-            early_ns = world.time_ns - self._ahead_ns - time.monotonic_ns()
+            early_ns = world.time_ns - self._offset_ns - time.monotonic_ns()
             if early_ns <= 0:
                 break
-            time.sleep(min(early_ns / NS_PER_S, _LONGEST_NAP))
+            time.sleep(min(early_ns / NS_PER_S, _MAX_SLEEP_S))
 
     def _show(self, world: World) -> None:
         assert self._model is not None
@@ -101,10 +101,10 @@ class MujocoViewer(Observer):
                     0.25 + 0.75 * (power / lamp.power_w if power else 0)
                 )
         self._handle.sync()
-        self._shown_ns = time.monotonic_ns()
+        self._last_frame_ns = time.monotonic_ns()
 
-    def _look(self, world: World) -> None:
-        """Point the camera at the arena's centre, from the front and above."""
+    def _point_camera(self, world: World) -> None:
+        """Point the camera at the arena's centre, from above and in front."""
         arena = world.playpen.arena
         camera = self._handle.cam
         camera.lookat[:] = np.array((arena.width_mm, arena.height_mm, 0.0)) / 2000
@@ -113,18 +113,18 @@ class MujocoViewer(Observer):
 
 
 def _check_screen() -> None:
-    """Raise a `KhepTwinError` if no window can be opened, as the viewer would wait for ever."""
+    """Raise a `KhepTwinError` if no window can be opened, as the viewer would wait indefinitely."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise KhepTwinError(f"--viewer: DISPLAY is not set, expected a desktop; {_WITHOUT}")
+        raise KhepTwinError(f"--viewer: DISPLAY is not set, expected a desktop; {_REMEDY}")
     import glfw
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # glfw reports its errors as warnings, too
-        opened = None
+        warnings.simplefilter("ignore")  # glfw also reports its errors as warnings
+        window = None
         if glfw.init():
             glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-            opened = glfw.create_window(64, 64, "khep_twin", None, None)
+            window = glfw.create_window(64, 64, "khep_twin", None, None)
             glfw.default_window_hints()
-    if not opened:
-        raise KhepTwinError(f"--viewer: no window can be opened, expected a screen with OpenGL; {_WITHOUT}")
-    glfw.destroy_window(opened)
+    if not window:
+        raise KhepTwinError(f"--viewer: no window can be opened, expected a screen with OpenGL; {_REMEDY}")
+    glfw.destroy_window(window)

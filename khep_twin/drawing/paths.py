@@ -1,4 +1,4 @@
-"""Paths of robots for drawings, and what is taken for them."""
+"""Paths of robots for drawings, and the types that are accepted as paths."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -7,8 +7,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-_FARTHEST = 100.0
-"""Largest coordinate that is taken for metres; arenas have 10 at most."""
+_MAX_COORDINATE = 100.0
+"""Largest coordinate that is accepted [m]; arenas are at most 10 m wide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class DrawnPath:
 
     Attributes:
         robot: Name of the robot, e.g. "khepera0"; empty for none.
-        time_s: Times, rising (n,) [s]; None if they are unknown.
+        time_s: Times in ascending order (n,) [s]; None if they are unknown.
         xy_mm: Positions in the playpen (n, 2) [mm].
     """
 
@@ -42,29 +42,29 @@ Positions = NDArray[np.float64]
 """Positions x, y, or poses x, y and heading, along a path (n, 2 or 3) or several (..., n, 2 or 3) [m]."""
 
 Paths = DrawnPath | Positions | Mapping[str, Positions] | Iterable[DrawnPath | Positions]
-"""Paths as `draw` takes them: one or several `DrawnPath`s or arrays, or arrays by name."""
+"""Paths that `draw` accepts: one or several `DrawnPath`s or arrays, or arrays by name."""
 
 
 def drawn_paths(paths: Paths) -> list[DrawnPath]:
-    """Return paths for a drawing, those of at least one point; points that are not finite are left out.
+    """Return the paths with at least one point for a drawing; non-finite points are removed.
 
     Raises:
         ValueError: An array has another shape, or is not in metres.
     """
-    found: list[DrawnPath] = []
+    drawn: list[DrawnPath] = []
     if isinstance(paths, Mapping):
         for name, positions in cast(Mapping[str, Positions], paths).items():
-            found += _named(name, positions)
+            drawn += _named(name, positions)
     else:
-        given = cast(Any, paths)
+        value = cast(Any, paths)
         try:
-            several = [given] if isinstance(paths, DrawnPath | np.ndarray) else [*given]
+            items = [value] if isinstance(paths, DrawnPath | np.ndarray) else [*value]
         except TypeError:
-            wanted = "expected arrays of positions [m], or DrawnPaths"
-            raise ValueError(f"paths: {type(given).__name__}; {wanted}") from None
-        for each in several:
-            found += [each] if isinstance(each, DrawnPath) else _named("", each)
-    return [path for path in found if len(path.xy_mm)]
+            expected = "expected arrays of positions [m], or DrawnPaths"
+            raise ValueError(f"paths: {type(value).__name__}; {expected}") from None
+        for item in items:
+            drawn += [item] if isinstance(item, DrawnPath) else _named("", item)
+    return [path for path in drawn if len(path.xy_mm)]
 
 
 def _named(name: str, positions: Positions) -> Iterator[DrawnPath]:
@@ -74,10 +74,10 @@ def _named(name: str, positions: Positions) -> Iterator[DrawnPath]:
     except (TypeError, ValueError):
         array = np.zeros(0)
     if array.ndim < 2 or array.shape[-1] not in (2, 3):
-        given = f"{type(positions).__name__} of shape {array.shape}"
-        raise ValueError(f"a path: {given}; expected positions (n, 2) or poses (n, 3) [m], or a DrawnPath")
-    for each in array.reshape(-1, *array.shape[-2:])[..., :2]:
-        there = each[np.isfinite(each).all(axis=1)]
-        if (farthest := np.abs(there).max(initial=0)) > _FARTHEST:
-            raise ValueError(f"a path with a coordinate of {farthest:g} m; expected metres, as poses are in")
-        yield DrawnPath(name, None, 1000 * there)
+        kind = f"{type(positions).__name__} of shape {array.shape}"
+        raise ValueError(f"a path: {kind}; expected positions (n, 2) or poses (n, 3) [m], or a DrawnPath")
+    for track in array.reshape(-1, *array.shape[-2:])[..., :2]:
+        points = track[np.isfinite(track).all(axis=1)]
+        if (largest := np.abs(points).max(initial=0)) > _MAX_COORDINATE:
+            raise ValueError(f"a path with a coordinate of {largest:g} m; expected metres, as poses are in")
+        yield DrawnPath(name, None, 1000 * points)

@@ -1,6 +1,6 @@
 """View of a playpen from a camera above it, rendered by MuJoCo if OpenGL is available.
 
-A graphics driver may crash the process that uses it, so the picture is made in its own process:
+A graphics driver may crash its process, so the picture is rendered in a separate one:
 `python -m khep_twin.drawing.render` reads a playpen and writes a PNG.
 """
 
@@ -25,14 +25,14 @@ from khep_twin.playpen_to_mjcf import to_spec
 WIDTH, HEIGHT = 1280, 960
 """Size of a picture [pixels]."""
 
-LONGEST = 60.0
+TIMEOUT_S = 60.0
 """Time-out for rendering a picture, wall time [s]."""
 
 _NO_OPENGL, _FAILED = 1, 2
-"""Exit statuses; 1 also if the library is missing: Python ends so when `import mujoco` fails."""
+"""Exit statuses; 1 also if the library is missing, as `import mujoco` then fails."""
 
 _FLOOR, _LINES = [0.68, 0.76, 0.80], [0.48, 0.57, 0.63]
-"""Colours of no surface of the library."""
+"""Colours that no built-in surface has."""
 
 
 def render(playpen: Playpen, target: Path) -> bytes:
@@ -40,10 +40,10 @@ def render(playpen: Playpen, target: Path) -> bytes:
 
     Args:
         playpen: Playpen to render.
-        target: Name of the file, checked for its suffix.
+        target: Name of the file; only its suffix is checked.
 
     Raises:
-        KhepTwinError: The name does not end in .png, or no picture can be made on this machine.
+        KhepTwinError: The name does not end in .png, or no picture can be rendered on this machine.
     """
     if target.suffix.lower() != ".png":
         raise KhepTwinError(f"{target}: expected a name that ends in .png", ", or no --perspective")
@@ -53,16 +53,16 @@ def render(playpen: Playpen, target: Path) -> bytes:
     for library in _libraries():
         setting = {**os.environ, "MUJOCO_GL": library}
         try:
-            done = subprocess.run(
-                command, input=text, env=setting, capture_output=True, timeout=LONGEST, check=False
+            process = subprocess.run(
+                command, input=text, env=setting, capture_output=True, timeout=TIMEOUT_S, check=False
             )
         except subprocess.TimeoutExpired:
-            raise KhepTwinError(f"{target}: the picture took longer than {LONGEST:g} s") from None
-        if not done.returncode:
-            return done.stdout
-        told = done.stderr.decode("utf-8", "replace").strip().splitlines()
-        reason = told[-1] if told else f"the graphics driver ended with status {done.returncode}"
-        if done.returncode != _NO_OPENGL:
+            raise KhepTwinError(f"{target}: the picture took longer than {TIMEOUT_S:g} s") from None
+        if not process.returncode:
+            return process.stdout
+        messages = process.stderr.decode("utf-8", "replace").strip().splitlines()
+        reason = messages[-1] if messages else f"the graphics driver ended with status {process.returncode}"
+        if process.returncode != _NO_OPENGL:
             raise KhepTwinError(f"{target}: {reason}", ", or no --perspective")
         reasons.append(f"{library}: {reason.split(':')[0]}")
     raise KhepTwinError(
@@ -77,8 +77,8 @@ def main() -> int:
     try:
         picture = _rendered(parse(sys.stdin.buffer.read().decode("utf-8"), "standard input"))
     except Exception as error:
-        told = str(error) if isinstance(error, KhepTwinError) else f"{type(error).__name__}: {error}"
-        print(told, file=sys.stderr)
+        message = str(error) if isinstance(error, KhepTwinError) else f"{type(error).__name__}: {error}"
+        print(message, file=sys.stderr)
         return _FAILED
     if isinstance(picture, str):
         print(picture, file=sys.stderr)
@@ -88,15 +88,15 @@ def main() -> int:
 
 
 def _libraries() -> list[str]:
-    """Return the libraries to try, as `MUJOCO_GL` names them: the screen's, or those that need no screen."""
-    wanted = os.environ.get("MUJOCO_GL", "").lower()
-    if wanted in ("egl", "osmesa", "glfw"):
-        return [wanted]
+    """Return the libraries to try, by their names in `MUJOCO_GL`: with a screen, or without one."""
+    requested = os.environ.get("MUJOCO_GL", "").lower()
+    if requested in ("egl", "osmesa", "glfw"):
+        return [requested]
     return ["glfw"] if os.environ.get("DISPLAY") or sys.platform != "linux" else ["egl", "osmesa"]
 
 
 def _rendered(playpen: Playpen) -> NDArray[np.uint8] | str:
-    """Return the pixels, or the name of the error of a library that does not render here."""
+    """Return the pixels, or the name of the error if the library cannot render here."""
     spec = to_spec(playpen)
     _decorate(spec)
     model = spec.compile()
@@ -112,7 +112,7 @@ def _rendered(playpen: Playpen) -> NDArray[np.uint8] | str:
     try:
         renderer = mujoco.Renderer(model, HEIGHT, WIDTH, max_geom=20_000)
     except Exception as error:
-        # Each library raises its own errors.
+        # The libraries raise different errors.
         return type(error).__name__
     with renderer:
         renderer.update_scene(data, camera, option)
@@ -120,9 +120,9 @@ def _rendered(playpen: Playpen) -> NDArray[np.uint8] | str:
 
 
 def _decorate(spec: mujoco.MjSpec) -> None:
-    """Add a sky, a floor with lines every 100 mm, and light from the side, for shadows, to a scene.
+    """Add a sky, a floor with lines every 100 mm, and a light from the side for shadows to a scene.
 
-    The lights together stay below full brightness, so that white objects differ from the floor, and their
+    The sum of the lights stays below full brightness, so that white objects differ from the floor, and their
     tops from their sides.
     """
     headlight = spec.visual.headlight
@@ -132,9 +132,9 @@ def _decorate(spec: mujoco.MjSpec) -> None:
     floor = spec.geom("floor")
     for light in spec.lights:
         light.dir, light.diffuse, light.specular = [0.45, 0.55, -1], [0.5] * 3, [0.1] * 3
-        # From about as far as the arena is wide: from farther off, shadows would have stripes.
-        far = 2 * max(floor.size[:2])
-        light.pos = [at - far * part for at, part in zip(floor.pos, light.dir, strict=True)]
+        # At about the width of the arena; from farther away, shadows would have stripes.
+        distance = 2 * max(floor.size[:2])
+        light.pos = [x - distance * dx for x, dx in zip(floor.pos, light.dir, strict=True)]
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -158,8 +158,8 @@ def _decorate(spec: mujoco.MjSpec) -> None:
     lines.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     floor.material, floor.rgba = "floor", [1, 1, 1, 1]
     # The grid includes the lines through the arena's corner.
-    place, size = np.array(floor.pos), np.array(floor.size)
-    low, high = np.floor(10 * (place - size)) / 10, np.ceil(10 * (place + size)) / 10
+    centre, size = np.array(floor.pos), np.array(floor.size)
+    low, high = np.floor(10 * (centre - size)) / 10, np.ceil(10 * (centre + size)) / 10
     floor.pos, floor.size = [*(low + high)[:2] / 2, 0], [*(high - low)[:2] / 2, 0.01]
 
 

@@ -1,8 +1,8 @@
 """Symbols: parts of a playpen in a drawing, to scale, on axes in mm.
 
-Walls and objects have their surface's colour; movable objects are hatched, with a dashed edge. An arrow
-points up a ramp; a table has a dashed edge and no walls. The floor
-glows where it is lit by the lamps (`illumination`). The white wedge on a robot is its front.
+Walls and objects have the colour of their surface; movable objects are hatched, with a dashed edge. An arrow
+points up a ramp; a table has a dashed edge and no walls. The floor is tinted by the light of the lamps
+(`illumination`). The white wedge on a robot is its front.
 """
 
 # The annotations of matplotlib leave keyword arguments untyped.
@@ -35,7 +35,7 @@ from khep_twin.playpen.polygon import walls_around
 from khep_twin.units import BODY_RADIUS
 
 Look = dict[str, Any]
-"""Keyword arguments of matplotlib's artists, which leave their types open."""
+"""Keyword arguments of matplotlib's artists, of any types."""
 
 INK = "#2b2f36"
 """Colour of lines and text."""
@@ -48,10 +48,10 @@ FILAMENT = "#9a6b00"
 _GLOW = (1.0, 0.72, 0.12)
 
 _HALF_GLOW = 3e-4
-"""Light at which the glow has half its strength [W/mm^2]: that of 7 W at 15 cm."""
+"""Light at which the tint has half its strength [W/mm^2]: that of 7 W at 15 cm."""
 
 _GLOW_CELLS = 480
-"""Resolution of the glow along the longer side."""
+"""Resolution of the tint along the longer side."""
 
 
 def draw_arena(axes: Axes, playpen: Playpen) -> None:
@@ -87,7 +87,7 @@ def draw_arena(axes: Axes, playpen: Playpen) -> None:
 
 
 def _light_at_start(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
-    """Return the light of the lamps that are on at the start [W/mm^2]; with one drawn at random, the mean."""
+    """Return the light of the lamps that are on at the start [W/mm^2]; of a random lamp, the mean."""
     if playpen.lighting.mode == "sequenced":
         playpen = playpen.model_copy(update={"lamps": playpen.lamps[:1]})
     light = illumination(playpen, x_mm, y_mm)
@@ -106,7 +106,7 @@ def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> Patch:
 
 
 def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
-    """Draw a free-standing wall, in one colour and with an edge around all of it."""
+    """Draw a free-standing wall, in one colour and with one edge around it."""
     colour = surface_colour(playpen, wall.surface)
     for shape in wall.footprints:
         _draw_shape(axes, shape, zorder=2.8, facecolor=colour, edgecolor=INK, lw=1.6)
@@ -167,7 +167,7 @@ def _draw_shape(axes: Axes, shape: footprint.Footprint, **look: Any) -> Patch:
 
 
 def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
-    """Draw bulbs with their power; if lamps are on one at a time, only one that is on first has rays.
+    """Draw bulbs with their power; lamps that are on at the start have rays.
 
     Sequenced lamps have their number before the power, and arrows from each to the next.
     """
@@ -178,21 +178,21 @@ def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
         _draw_lamp(axes, lamp, on=mode == "all" or (mode == "sequenced" and index == 0))
         texts[lamp.x_mm, lamp.y_mm].append(f"{index + 1}: {power}" if mode == "sequenced" else power)
         if mode == "sequenced" and len(lamps) > 1:
-            after = lamps[(index + 1) % len(lamps)]
-            ends = (lamp.x_mm, lamp.y_mm), (after.x_mm, after.y_mm)
-            # Bent, so that the arrows between two lamps do not coincide.
+            next_lamp = lamps[(index + 1) % len(lamps)]
+            ends = (lamp.x_mm, lamp.y_mm), (next_lamp.x_mm, next_lamp.y_mm)
+            # Curved, so that the arrows between two lamps do not coincide.
             look: Look = {"arrowstyle": "-|>", "mutation_scale": 8, "shrinkA": 9, "shrinkB": 9}
             look["connectionstyle"] = "arc3,rad=0.08"
             arrow = FancyArrowPatch(*ends, ls=(0, (4, 3)), lw=0.9, color=FILAMENT, **look)
             axes.add_patch(arrow).set_zorder(3.5)
-    for (x_mm, y_mm), found in texts.items():
-        counts = {text: found.count(text) for text in found}
-        told = ", ".join(text if count == 1 else f"{count} x {text}" for text, count in counts.items())
-        labels.add(x_mm, y_mm, 2.2 * BULB_RADIUS_MM, told)
+    for (x_mm, y_mm), lamp_texts in texts.items():
+        text_counts = {text: lamp_texts.count(text) for text in lamp_texts}
+        label = ", ".join(text if count == 1 else f"{count} x {text}" for text, count in text_counts.items())
+        labels.add(x_mm, y_mm, 2.2 * BULB_RADIUS_MM, label)
 
 
 def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
-    """Draw a bulb: full and with rays if it is on, else empty and dashed."""
+    """Draw a bulb: filled and with rays if it is on, otherwise empty and dotted."""
     x, y, radius = lamp.x_mm, lamp.y_mm, BULB_RADIUS_MM
     colour = tuple(part / 255 for part in lamp.rgb) if on else "white"
     bulb = Circle((x, y), radius, facecolor=colour, edgecolor=FILAMENT, lw=0.9, ls="-" if on else ":")
@@ -203,13 +203,13 @@ def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
         axes.add_line(ray)
 
 
-def draw_robot(axes: Axes, labels: Labels, robot: RobotEntry, name: str) -> list[Patch]:
-    """Draw a robot with its wheels, its front and its name; return its parts but for the name."""
+def draw_robot(axes: Axes, robot: RobotEntry) -> list[Patch]:
+    """Draw a robot with its wheels and its front; return its parts."""
     radius = 1000 * robot.body.radius
     heading = np.radians(robot.heading_deg)
     centre = np.array((robot.x_mm, robot.y_mm))
-    ahead = np.array((np.cos(heading), np.sin(heading)))
-    left = np.array((-ahead[1], ahead[0]))
+    forward = np.array((np.cos(heading), np.sin(heading)))
+    left = np.array((-forward[1], forward[0]))
     parts: list[Patch] = [
         Circle((robot.x_mm, robot.y_mm), radius, facecolor=_BOARD, edgecolor=INK, lw=0.9, zorder=5)
     ]
@@ -219,12 +219,11 @@ def draw_robot(axes: Axes, labels: Labels, robot: RobotEntry, name: str) -> list
     )
     for side in (1, -1):
         offset = centre + side * 500 * body.wheel_base * left
-        parts.append(Polygon(offset + tyre @ np.array((ahead, left)), facecolor=INK, zorder=5))
+        parts.append(Polygon(offset + tyre @ np.array((forward, left)), facecolor=INK, zorder=5))
     wedge = radius * np.array(((0.88, 0.0), (0.42, 0.34), (0.42, -0.34)))
-    parts.append(Polygon(centre + wedge @ np.array((ahead, left)), facecolor="white", zorder=6))
+    parts.append(Polygon(centre + wedge @ np.array((forward, left)), facecolor="white", zorder=6))
     for part in parts:
         axes.add_patch(part)
-    labels.add(robot.x_mm, robot.y_mm, radius + 4, name)
     return parts
 
 

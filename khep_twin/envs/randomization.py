@@ -20,9 +20,9 @@ from khep_twin.episodes.episode_options import check_count
 from khep_twin.episodes.line import MeasuredCycle
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.playpen import BULB_RADIUS_MM, Block, Cylinder, Lamp, Playpen
-from khep_twin.playpen.checks import things
-from khep_twin.playpen.overlap import Thing, placement_problems
-from khep_twin.playpen.starts import Start, anywhere, at_spots, at_start, extent, no_room
+from khep_twin.playpen.checks import placed_parts
+from khep_twin.playpen.overlap import PlacedPart, placement_problems
+from khep_twin.playpen.starts import Start, anywhere, at_spots, at_start, extent, find_obstruction
 from khep_twin.randomness import stream
 
 TRIES = 100
@@ -116,7 +116,7 @@ class Randomization:
         for index, (x_mm, y_mm, heading_deg) in enumerate(starts_of(playpen)):
             for _ in range(TRIES):
                 dx, dy, turn_deg = (rng.uniform(-1, 1, 3) * (max_mm, max_mm, max_deg)).round(1).tolist()
-                if not no_room(playpen, index, x_mm + dx, y_mm + dy):
+                if not find_obstruction(playpen, index, x_mm + dx, y_mm + dy):
                     playpen = at_start(playpen, index, (x_mm + dx, y_mm + dy, heading_deg + turn_deg))
                     break
         return starts_of(playpen)
@@ -175,7 +175,7 @@ def place_robots(playpen: Playpen, starts: Iterable[Start]) -> Playpen:
     for index, start in enumerate(starts):
         playpen = at_start(playpen, index, start)
     for index, start in enumerate(starts):
-        if problem := no_room(playpen, index, *start[:2]):
+        if problem := find_obstruction(playpen, index, *start[:2]):
             raise KhepTwinError(f"start = {start}: {playpen.name}: {problem}")
     return playpen
 
@@ -185,7 +185,7 @@ def _move(surroundings: Playpen, kind: str, item: Item, max_mm: float, rng: np.r
 
     An object that already overlaps others, e.g. a part of a maze, is not moved.
     """
-    fixed = [replace(thing, free=False) for thing in things(surroundings)]
+    fixed = [replace(part, is_free=False) for part in placed_parts(surroundings)]
     bottom_mm, top_mm = 0.0, 0.0
     if isinstance(item, Lamp):
         bottom_mm, top_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
@@ -193,9 +193,9 @@ def _move(surroundings: Playpen, kind: str, item: Item, max_mm: float, rng: np.r
         top_mm = item.height_mm
 
     def is_clear(candidate: Item) -> bool:
-        thing = Thing(kind, 0, item.name, candidate.footprint, bottom_mm, top_mm, True)
-        problems = placement_problems([*fixed, thing], surroundings.arena)
-        return all(problem.location[:2] != thing.place for problem in problems)
+        part = PlacedPart(kind, 0, item.name, candidate.footprint, bottom_mm, top_mm, True)
+        problems = placement_problems([*fixed, part], surroundings.arena)
+        return all(problem.location[:2] != part.location for problem in problems)
 
     if max_mm and is_clear(item):
         (left, right), (low, high) = extent(surroundings)

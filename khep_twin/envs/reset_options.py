@@ -13,8 +13,6 @@ from khep_twin.playpen import Lamp, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start
 from khep_twin.randomness import SEED_LIMIT
 
-_EXPECTED_PLAYPEN = "the name or path of a playpen, or a Playpen"
-
 
 def is_list(value: object) -> bool:
     """Return whether this is a list, tuple or array."""
@@ -99,7 +97,7 @@ def checked_playpen(value: object) -> PlaypenLike:
     """Return a playpen, its name or its path; raise a `KhepTwinError` for other types."""
     if isinstance(value, Playpen | str | PathLike):
         return cast(PlaypenLike, value)
-    raise KhepTwinError(f"playpen = {value!r}; expected {_EXPECTED_PLAYPEN}")
+    raise KhepTwinError(f"playpen = {value!r}; expected the name or path of a playpen, or a Playpen")
 
 
 def checked_lamps(value: object) -> Sequence[Lamp]:

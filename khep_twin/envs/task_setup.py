@@ -114,8 +114,7 @@ class TaskSetup(CopiedByArguments):
         robots = check_count(robots, "robots")
         if period_ns <= 0 or period_ns % units.TICK_NS:
             raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
-        switches = {"noise": noise, "vary": vary, "planar": planar, "normalize": normalize}
-        switches["details"] = details
+        switches = dict(noise=noise, vary=vary, planar=planar, normalize=normalize, details=details)
         for name, value in (switches | ({} if compiled is None else {"compiled": compiled})).items():
             if value not in (True, False):
                 raise ValueError(f"{name} = {value!r}; expected True or False")

@@ -29,7 +29,6 @@ from khep_twin.errors import KhepTwinError, choices
 from khep_twin.units import COUNTS_LIMIT, Sensor
 
 Starts = Literal["anywhere", "playpen"]
-
 Observation = NDArray[np.float32]
 
 

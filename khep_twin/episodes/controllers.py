@@ -260,7 +260,7 @@ def _to_python(controllers: stepping.Controllers) -> stepping.Controllers:
     controllers = controllers._replace(
         line=np.asarray(controllers.line).tolist(),
         events=[event.data for event in controllers.events],
-        seen=[registers.data for registers in controllers.host_registers],
+        host_registers=[registers.data for registers in controllers.host_registers],
     )
     if controllers.kind == stepping.FUNCTION:
         return controllers
@@ -268,5 +268,5 @@ def _to_python(controllers: stepping.Controllers) -> stepping.Controllers:
         sizes=np.asarray(controllers.sizes).tolist(),
         genes=controllers.genes.tolist(),
         memory=controllers.memory.tolist(),
-        values=[0.0] * len(controllers.neurons),
+        neurons=[0.0] * len(controllers.neurons),
     )

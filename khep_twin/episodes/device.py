@@ -9,7 +9,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes
 from khep_twin.errors import DeviceError, choices, pip_install_extra
 from khep_twin.playpen import Lamp
-from khep_twin.sensing.lamps import are_steady
+from khep_twin.sensing.lamps import are_constant
 
 Device = Literal["cpu", "cuda", "auto"]
 
@@ -76,7 +76,7 @@ def find_unsupported(
     if isinstance(driver, Policy) and line is not None:
         return f"a controller in plain Python at a line of {line}; expected no line"
     lighting = setup.playpen.lighting
-    if not all(are_steady(episode_lamps, lighting) for episode_lamps in lamps or [setup.playpen.lamps]):
+    if not all(are_constant(episode_lamps, lighting) for episode_lamps in lamps or [setup.playpen.lamps]):
         return "lamps that change; expected steady ones"
     if template is not None:
         obstacles, expected = _describe_obstacles(setup), _describe_obstacles(template)

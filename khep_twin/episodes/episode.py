@@ -35,7 +35,7 @@ from khep_twin.errors import DivergedError
 from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start
-from khep_twin.simulation.ready import function_of, what_is_missing, when_ready
+from khep_twin.simulation.ready import find_missing_numba, function_of, when_ready
 from khep_twin.world import World
 
 _CHECK_INTERVAL = 2000
@@ -50,7 +50,7 @@ def is_compiled(requested: bool | None) -> bool:
     """Return whether episodes run compiled; None means if numba is installed, with a warning if not."""
     if requested is not None:
         return requested
-    if (missing := what_is_missing()) is None:
+    if (missing := find_missing_numba()) is None:
         return True
     warnings.warn(
         f"{missing.reason}: episodes run uncompiled, many times slower, with the same results; "

@@ -89,10 +89,10 @@ class EpisodeBatch(NotCopied):
 
         Episodes at a line run until they await speeds again.
         """
-        joint, chosen_slots = self._arrays, np.asarray(slots, np.int64)
+        arrays, chosen_slots = self._arrays, np.asarray(slots, np.int64)
         line_slots: list[int] = chosen_slots[self._is_at_line[chosen_slots]].tolist()
-        joint.end_steps[chosen_slots] += steps
-        joint.end_steps[line_slots] = self.last_step
+        arrays.end_steps[chosen_slots] += steps
+        arrays.end_steps[line_slots] = self.last_step
         runs_compiled = self._runs_compiled[chosen_slots]
         if runs_compiled.all():
             single_slots: list[int] = []
@@ -223,7 +223,9 @@ class EpisodeBatch(NotCopied):
         if len(self._group_numbers) > 1:
             groups = np.split(slots, np.flatnonzero(np.diff(self._slot_groups[slots])) + 1)
         for group in groups:
-            self._run(self._arguments[int(group[0])], 0, int(Stop.AWAITED), self._arrays._replace(rows=group))
+            self._run(
+                self._arguments[int(group[0])], 0, int(Stop.AWAITED), self._arrays._replace(indices=group)
+            )
 
 
 def _iterate_arrays(values: tuple[Any, ...]) -> Iterator[NDArray[Any]]:

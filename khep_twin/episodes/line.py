@@ -4,10 +4,9 @@ A host's cycle on the line, in which each exchange starts when the previous one 
 
     start, N, its reply, O and H with their replies, D, its reply, a pause until start + period
 
-A byte takes eleven bit times. The robot answers when the last byte of a request has arrived, with its
-registers at that time. The speeds of command D take effect when its last byte has arrived. A cycle that takes
-longer than the control period delays the next one. These are the times of a controller on `khep://`, to the
-nanosecond, if the host computes in no time.
+A byte takes eleven bit times. The robot answers when the last byte of a request has arrived, with its current
+registers. The speeds of command D take effect when its last byte has arrived. A cycle longer than the control
+period delays the next one. To the nanosecond, these are the times on `khep://` of a host with no delay.
 
 Without a line, a cycle reads and drives at the same time. The functions run interpreted and compiled.
 """

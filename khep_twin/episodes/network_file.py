@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from khep_twin import units
 from khep_twin.episodes import networks
 from khep_twin.errors import ControllerError, choices
-from khep_twin.files.atomic import open_regular, write_whole
-from khep_twin.files.npz_file import SIZE_LIMIT, packed, read_arrays
+from khep_twin.files.atomic import open_regular, write_atomic
+from khep_twin.files.npz_file import SIZE_LIMIT, npz_bytes, read_arrays
 from khep_twin.firmware import SPEED_LIMIT_PULSES
 from khep_twin.randomness import SEED_LIMIT
 
@@ -131,7 +131,7 @@ def write(path: Path, stored: NetworkContent, replace: bool = False) -> None:
     may_replace = replace or _is_network(path)
     if not may_replace and path.is_file() and path.stat().st_size:
         raise ControllerError(f"{path}: is there, and no network; expected another name, or replace=True")
-    write_whole(path, packed(arrays), may_replace)
+    write_atomic(path, npz_bytes(arrays), may_replace)
 
 
 def _is_network(path: Path) -> bool:

@@ -36,7 +36,7 @@ CONSTANT_SPEED, BRAITENBERG, NETWORK, FUNCTION, CALLER = 0, 1, 2, 3, 4
 caller of the core, which sets speeds after each reading at a line."""
 
 _SPEED_LIMIT = 127
-_CONVERSION = units.STEP_NS * 1e-9
+_STEP_S = units.STEP_NS * 1e-9
 _LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 
@@ -263,7 +263,7 @@ def _handle_event(simulated: Simulated, controllers: Controllers, robot: int) ->
             kernel.set_speed(registers, 0, host_registers[_LEFT_SETPOINT])
             kernel.set_speed(registers, kernel.RIGHT, host_registers[_RIGHT_SETPOINT])
         robot_pose, sums, home = pose(simulated.scene, state.pose), controllers.sums[robot], controllers.home
-        period = end_cycle(event, line) / units.STEP_NS * _CONVERSION
+        period = end_cycle(event, line) / units.STEP_NS * _STEP_S
         add_period(host_registers, sums, home, ambient.dark, ambient.floor, robot_pose, period)
     set_next_step(event, line, simulated.timing.step_ns)
     return True

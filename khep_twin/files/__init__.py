@@ -1,4 +1,4 @@
-"""User files: atomic writing, TOML editing that keeps comments, MAT files."""
+"""Users' files: atomic writing, TOML editing that keeps comments, MAT and NPZ files."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Safe reading and atomic writing: only regular files are read, and a file is written whole or not at all."""
+"""Safe reading of regular files, and atomic writing: a failed write leaves the previous file unchanged."""
 
 import errno
 import os
@@ -16,18 +16,24 @@ from khep_twin.invocation import quoted
 from khep_twin.machine import flags
 from khep_twin.signals import clear_at_end, undisturbed
 
+_NO_HARD_LINKS = errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK
+"""Errors of file systems without hard links, such as FAT."""
+
+_NO_FOLDER_SYNC = errno.EINVAL, errno.ENOTSUP
+"""Errors of file systems that cannot synchronize a folder, such as some network file systems."""
+
 
 def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
-    """Open a file to read it; refuse pipes, which could block for ever, and devices at once.
+    """Open a file to read it; refuse devices, and pipes, which could block for ever.
 
     Raises:
         OSError: It cannot be opened, or is no regular file.
     """
-    # Check before opening, which alone may act on a device, and after, as the file may be another by then.
+    # Check before opening, as that may act on a device, and after, as the file may have been replaced.
     try:
         _check_regular(os.stat(path))
     except FileNotFoundError as error:
-        raise FileNotFoundError(errno.ENOENT, f"{error.strerror}{_nearest(path)}", str(path)) from None
+        raise FileNotFoundError(errno.ENOENT, f"{error.strerror}{_suggestion(path)}", str(path)) from None
     descriptor = os.open(path, flags("O_RDONLY", "O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC"))
     try:
         _check_regular(os.fstat(descriptor))
@@ -47,24 +53,24 @@ def read_regular(path: Path) -> bytes:
         return file.read()
 
 
-def resolved(path: Path) -> Path:
-    """Return a path without links; it need not exist, and links in a circle stay, for its use to report."""
-    # Path.resolve raises another error for such links, on some versions of Python only.
+def resolve(path: Path) -> Path:
+    """Return a path without symbolic links, which need not exist; circular links stay."""
+    # Path.resolve raises another error for circular links, on some versions of Python only.
     return Path(os.path.realpath(path))
 
 
 def is_same(path: Path, other: Path) -> bool:
     """Return whether two paths name the same file, which need not exist yet."""
     try:
-        return resolved(path) == resolved(other) or path.samefile(other)
+        return resolve(path) == resolve(other) or path.samefile(other)
     except (OSError, ValueError):  # a missing file is not the same as any other
         return False
 
 
 def unusable(path: StrPath) -> str:
-    """Return the reason why nothing can be written under a name; empty if it can.
+    """Return the reason why a file cannot be written; empty if it can.
 
-    Devices, pipes and directories are refused: a rename to their name would replace them.
+    Devices, pipes and directories are refused, as a rename would replace them.
     """
     path = Path(path)
     try:
@@ -79,32 +85,32 @@ def unusable(path: StrPath) -> str:
         if path.is_symlink() and not path.exists():
             with suppress(FileNotFoundError):  # of a link to a new file; any other error is a reason
                 path.stat()
-        if not os.access(resolved(path).parent, os.W_OK):
+        if not os.access(resolve(path).parent, os.W_OK):
             return f"nothing can be written in {path.parent}"
     except (OSError, ValueError) as error:
         return getattr(error, "strerror", None) or str(error)
     return ""
 
 
-def write_whole(path: Path, data: bytes, replace: bool = True) -> None:
-    """Write a file beside `path` and rename it when it is whole; a link is followed.
+def write_atomic(path: Path, data: bytes, replace: bool = True) -> None:
+    """Write a temporary file beside `path` and rename it when it is complete; a link is followed.
 
-    After a power failure, too, the previous or the new file is there, and after the return the new one.
+    A power failure leaves the previous or the new file; after the return, the new one.
 
     Raises:
-        KhepTwinError: It cannot be written; the previous file is unchanged. With `replace` false also: a file
-            that is not empty is there by now, and the new one has another name.
+        KhepTwinError: It cannot be written; the previous file is unchanged. Or `replace` is false, and a file
+            that is not empty has appeared; the new one gets another name.
     """
-    with undisturbed(), whole_file(path, replace) as file:
+    with undisturbed(), atomic_file(path, replace) as file:
         file.write(data)
 
 
 @contextmanager
-def whole_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
-    """Open a file for writing that is renamed to `path` when it is whole; a link is followed.
+def atomic_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
+    """Open a temporary file that is renamed to `path` when it is complete; a link is followed.
 
     Raises:
-        KhepTwinError: As `write_whole`.
+        KhepTwinError: As `write_atomic`.
     """
     if reason := unusable(path):
         raise KhepTwinError(f"{path}: cannot be written: {reason}")
@@ -117,18 +123,17 @@ def whole_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
 
 @contextmanager
 def part_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
-    """Do the same as `whole_file`, for callers that report errors in their own words.
+    """Open a file like `atomic_file`, for callers that report errors themselves.
 
     Raises:
-        OSError: It cannot be written; the previous file is unchanged, or the new one there in spite of a disk
-            that fails.
-        KhepTwinError: With `replace` false, another file was there at the end.
+        OSError: It cannot be written; the previous file is unchanged, unless the disk fails after the rename.
+        KhepTwinError: With `replace` false, another file has appeared.
     """
-    target = resolved(path)
+    target = resolve(path)
     with undisturbed():
         part = _new_part(target)
-        clear = partial(part.unlink, missing_ok=True)
-        forget = clear_at_end(clear)
+        remove_part = partial(part.unlink, missing_ok=True)
+        cancel_removal = clear_at_end(remove_part)
     try:
         with part.open("w+b") as file:
             yield file
@@ -136,21 +141,22 @@ def part_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
             os.fsync(file.fileno())
         if target.exists() and (mode := target.stat().st_mode) != part.stat().st_mode:
             part.chmod(stat.S_IMODE(mode))
-        placed, there = target, Identity.of(target)
+        final_path = target
+        previous = Identity.of(target)
         if replace:
             os.replace(part, target)
         else:
-            placed = put(part, target, there if there and not there.size else None)
+            final_path = rename_into_place(part, target, previous if previous and not previous.size else None)
         synchronize_folder(target.parent)
-        if placed != target:
-            raise KhepTwinError(kept_both(path, placed))
+        if final_path != target:
+            raise KhepTwinError(name_taken_message(path, final_path))
     finally:
-        clear()
-        forget()
+        remove_part()
+        cancel_removal()
 
 
 class Identity(NamedTuple):
-    """Identity of a file, beside another one that has taken its name."""
+    """Identity of a file, to notice that another one has replaced it."""
 
     device: int
     inode: int
@@ -161,54 +167,55 @@ class Identity(NamedTuple):
     def of(cls, path: Path) -> "Identity | None":
         """Return the identity of a file; None if there is none."""
         try:
-            found = path.stat()
+            status = path.stat()
         except FileNotFoundError:
             return None
-        return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+        return cls(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
 
 
-def put(part: Path, target: Path, before: Identity | None, word: str = "kept") -> Path:
-    """Rename a file to `target`, or to a free name like it if another file than `before` is there.
+def rename_into_place(part: Path, target: Path, previous: Identity | None, infix: str = "kept") -> Path:
+    """Rename a file to `target`, or to a similar free name if a file other than `previous` exists there.
 
     Returns:
-        Its new name.
+        The new path.
 
     Raises:
         OSError: It cannot be renamed.
     """
-    if before is not None and Identity.of(target) in (before, None):
+    if previous is not None and Identity.of(target) in (previous, None):
         os.replace(part, target)
         return target
-    place = target
+    path = target
     while True:
         try:
-            _rename_to_new(part, place)
-            return place
+            _rename_to_new(part, path)
+            return path
         except FileExistsError:
-            place = free_name(target, word)
+            path = free_name(target, infix)
 
 
-def free_name(path: Path, word: str) -> Path:
-    """Return a name, or the first free one like it: NAME.word.mcap, NAME.word.2.mcap and so on."""
-    found, number = path, 1
-    while os.path.lexists(found):
+def free_name(path: Path, infix: str) -> Path:
+    """Return a path, or the first free one of NAME.infix.mcap, NAME.infix.2.mcap and so on."""
+    candidate = path
+    number = 1
+    while os.path.lexists(candidate):
         count = "" if number == 1 else f".{number}"
-        found, number = path.with_name(f"{path.stem}.{word}{count}{path.suffix}"), number + 1
-    return found
+        candidate, number = path.with_name(f"{path.stem}.{infix}{count}{path.suffix}"), number + 1
+    return candidate
 
 
-def kept_both(path: Path, placed: Path) -> str:
-    """Return the line about a file that was written under another name, as its own was taken."""
-    shown = placed if path.is_symlink() else path.with_name(placed.name)
-    return f"{path}: another file is there by now, and stays; what was to be written is {shown}"
+def name_taken_message(path: Path, final_path: Path) -> str:
+    """Return the message that a file was written under another name, as another file took its name."""
+    new_path = final_path if path.is_symlink() else path.with_name(final_path.name)
+    return f"{path}: another file is there by now, and stays; what was to be written is {new_path}"
 
 
 def _rename_to_new(part: Path, name: Path) -> None:
-    """Rename a file without replacing another, as a hard link can; some file systems have none."""
+    """Rename a file without replacing another, by a hard link where the file system supports it."""
     try:
         os.link(part, name)
     except OSError as error:
-        if error.errno not in _NO_LINKS:
+        if error.errno not in _NO_HARD_LINKS:
             raise
         os.close(os.open(name, flags("O_WRONLY", "O_CREAT", "O_EXCL")))
         os.replace(part, name)
@@ -216,40 +223,32 @@ def _rename_to_new(part: Path, name: Path) -> None:
         os.unlink(part)
 
 
-_NO_LINKS = errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK
-"""Errors of file systems without hard links, such as FAT."""
-
-
 def synchronize_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk, so that a power failure does not take a rename back.
+    """Flush a folder's entries to the disk, so that a rename survives a power failure.
 
     Raises:
         OSError: The disk fails.
     """
     try:
         descriptor = os.open(folder, flags("O_RDONLY", "O_DIRECTORY", "O_CLOEXEC"))
-    except PermissionError:  # it may be written, but not listed
+    except PermissionError:  # the folder is writable, but not readable
         return
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno not in _UNSUPPORTED:
+        if error.errno not in _NO_FOLDER_SYNC:
             raise
     finally:
         os.close(descriptor)
 
 
-_UNSUPPORTED = errno.EINVAL, errno.ENOTSUP
-"""Errors of file systems that cannot synchronize a folder, such as some of a network."""
-
-
-def is_part(path: Path, whole: Path) -> bool:
-    """Return whether a name is that of `whole` while it is written."""
-    return path.parent == whole.parent and path.name.startswith(f".{whole.name}.part")
+def is_part(path: Path, target: Path) -> bool:
+    """Return whether a path is the temporary file of `target`."""
+    return path.parent == target.parent and path.name.startswith(f".{target.name}.part")
 
 
 def _new_part(target: Path) -> Path:
-    """Make an empty file beside another one, under a unique name."""
+    """Create an empty file beside another one, with a unique name."""
     number = 0
     while True:
         part = target.with_name(f".{target.name}.part{number or ''}")
@@ -260,18 +259,18 @@ def _new_part(target: Path) -> Path:
             number += 1
 
 
-def _nearest(path: Path) -> str:
-    """Return the question about a file of the same folder and kind that was probably meant; empty without."""
+def _suggestion(path: Path) -> str:
+    """Return a suggestion of a similar file name in the same folder; empty if there is none."""
     with suppress(OSError):
-        there = [Path(name).stem for name in os.listdir(path.parent) if Path(name).suffix == path.suffix]
-        for stem in get_close_matches(path.stem, there, n=1):
+        stems = [Path(name).stem for name in os.listdir(path.parent) if Path(name).suffix == path.suffix]
+        for stem in get_close_matches(path.stem, stems, n=1):
             return f"; did you mean {str(path.with_stem(stem))!r}?"
     return ""
 
 
-def _check_regular(found: os.stat_result) -> None:
-    if stat.S_ISDIR(found.st_mode):
+def _check_regular(status: os.stat_result) -> None:
+    if stat.S_ISDIR(status.st_mode):
         reason = os.strerror(errno.EISDIR)
         raise IsADirectoryError(errno.EISDIR, f"{reason}; expected the name of a file")
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "this is no regular file; expected the name of a file")

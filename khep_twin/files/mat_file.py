@@ -1,13 +1,13 @@
 """Variables of MAT files, Matlab 4 to 7.2: matrices of real numbers and of characters.
 
-scipy reads them too, but a damaged file can end the whole process there: 124 of 20,000 inputs of
-`checks/fuzz/files.py` did (scipy 1.17.1), and a process for each file takes 0.4 s of CPU time. Here, damage
-is an error with its place, and memory and time for a file are limited in advance.
+scipy also reads them, but a damaged file can crash the process: 124 of 20,000 inputs of
+`checks/fuzz/files.py` did (scipy 1.17.1), and a process for each file takes 0.4 s of CPU time. This reader
+raises an error for damage, and limits memory and time for a file in advance.
 
-    Matlab 4        one header of five int32 a matrix: kind, rows, columns, imaginary, length of the name
-    Matlab 5 to 7.2 128 bytes, then elements of type and size, each matrix packed by zlib or not
+    Matlab 4        one header of five int32 per matrix: kind, rows, columns, imaginary, length of the name
+    Matlab 5 to 7.2 128 bytes, then elements of type and size, each matrix compressed by zlib or not
 
-What is written has no machine name and time: the same variables give the same bytes.
+Written files contain no machine name and no time: the same variables give the same bytes.
 """
 
 # scipy is not typed.
@@ -28,7 +28,7 @@ from khep_twin import __version__
 from khep_twin.errors import MatError
 
 SIZE_LIMIT = 2**26
-"""Most bytes of a file, and of all its unpacked content [bytes]."""
+"""Largest file, and largest decompressed content [bytes]."""
 
 VARIABLE_LIMIT = 10_000
 """Most variables in a file."""
@@ -42,26 +42,26 @@ _TITLE_BYTES = 116
 
 
 @dataclass(frozen=True, slots=True)
-class Foreign:
+class UnsupportedVariable:
     """A variable that is neither real numbers nor characters.
 
     Attributes:
-        kind: Kind in words, such as "a struct".
+        kind: Kind for messages, e.g. "a struct".
     """
 
     kind: str
 
 
 Numbers = NDArray[np.number[Any]]
-Variable = Numbers | tuple[str, ...] | Foreign
-"""A matrix of numbers (rows, columns) in the type that they are stored in, the rows of a character matrix, or
-a variable of another kind."""
+Variable = Numbers | tuple[str, ...] | UnsupportedVariable
+"""A matrix of numbers (rows, columns) in their stored type, the rows of a character matrix, or a variable of
+another kind."""
 
-_MATRIX, _PACKED, _INT32 = 14, 15, 5
+_MATRIX, _COMPRESSED, _INT32 = 14, 15, 5
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _ENCODINGS = {16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _CHARACTERS, _NUMBERS, _OPAQUE, _COMPLEX = 4, range(6, 16), 17, 0x0800
-_FOREIGN = {1: "a cell array", 2: "a struct", 3: "an object", 5: "a sparse matrix", 16: "a function"}
+_UNSUPPORTED = {1: "a cell array", 2: "a struct", 3: "an object", 5: "a sparse matrix", 16: "a function"}
 _TYPES_OF_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 
 
@@ -69,7 +69,7 @@ def read_variables(data: bytes) -> dict[str, Variable]:
     """Return the variables of a MAT file, by name.
 
     Raises:
-        MatError: It is no whole MAT file of Matlab 4 to 7.2, or larger than the limits.
+        MatError: It is no complete MAT file of Matlab 4 to 7.2, or exceeds the limits.
     """
     if len(data) < 20:
         raise MatError(f"no MAT file: only {len(data)} bytes; expected one of Matlab 4 to 7.2")
@@ -77,9 +77,9 @@ def read_variables(data: bytes) -> dict[str, Variable]:
         raise MatError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
     variables: dict[str, Variable] = {}
     characters = 0
-    # The newer files begin with a text; the older ones with a small number.
-    found = _of_4(data) if 0 in data[:4] else _of_5(data)
-    for number, (name, value) in enumerate(found):
+    # Files of Matlab 5 and later start with text, older ones with a small number.
+    stored_variables = _read_matlab_4(data) if 0 in data[:4] else _read_matlab_5(data)
+    for number, (name, value) in enumerate(stored_variables):
         if number >= VARIABLE_LIMIT:
             raise MatError(f"more than {VARIABLE_LIMIT} variables; expected a file with fewer")
         if isinstance(value, tuple):
@@ -93,119 +93,120 @@ def read_variables(data: bytes) -> dict[str, Variable]:
 
 
 @dataclass(slots=True)
-class _Bytes:
-    """The unread rest of a file."""
+class _Reader:
+    """A file's bytes, and the offset of the next one to read."""
 
     data: memoryview
     order: str
-    place: int = 0
+    offset: int = 0
 
-    def take(self, size: int) -> memoryview:
-        missing = self.place + size - len(self.data)
+    def read(self, size: int) -> memoryview:
+        missing = self.offset + size - len(self.data)
         if missing > 0:
-            raise _broken(f"{missing} bytes are missing at its end")
-        self.place += size
-        return self.data[self.place - size : self.place]
+            raise _damage(f"{missing} bytes are missing at its end")
+        self.offset += size
+        return self.data[self.offset - size : self.offset]
 
-    def words(self, count: int) -> tuple[int, ...]:
-        return struct.unpack(f"{self.order}{count}I", self.take(4 * count))
+    def read_integers(self, count: int) -> tuple[int, ...]:
+        return struct.unpack(f"{self.order}{count}I", self.read(4 * count))
 
-    def element(self) -> tuple[int, memoryview]:
-        """Return type and bytes of the next element; small ones have both in four bytes."""
-        (kind,) = self.words(1)
+    def read_element(self) -> tuple[int, memoryview]:
+        """Return type and content of the next element; a small element has its size beside its type."""
+        (kind,) = self.read_integers(1)
         if kind >> 16:
-            content = self.take(4)[: min(kind >> 16, 4)]
+            content = self.read(4)[: min(kind >> 16, 4)]
             return kind & 0xFFFF, content
-        (size,) = self.words(1)
-        content = self.take(size)
-        if kind != _PACKED:
-            self.place += min(-size % 8, len(self.data) - self.place)
+        (size,) = self.read_integers(1)
+        content = self.read(size)
+        if kind != _COMPRESSED:
+            self.offset += min(-size % 8, len(self.data) - self.offset)
         return kind, content
 
     @property
-    def empty(self) -> bool:
-        return self.place >= len(self.data)
+    def is_at_end(self) -> bool:
+        return self.offset >= len(self.data)
 
 
-def _broken(what: str) -> MatError:
-    return MatError(f"no whole MAT file: {what}; expected the file as saved")
+def _damage(reason: str) -> MatError:
+    return MatError(f"no whole MAT file: {reason}; expected the file as saved")
 
 
-def _of_5(data: bytes) -> Iterator[tuple[str, Variable]]:
+def _read_matlab_5(data: bytes) -> Iterator[tuple[str, Variable]]:
     if data[:4] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
         raise MatError("a MAT file of Matlab 7.3; expected one of Matlab 4 to 7.2, as save -v7 writes it")
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None or data[124:126] not in (b"\x00\x01", b"\x01\x00"):
         raise MatError(f"no MAT file: begins {data[:20]!r}; expected one of Matlab 4 to 7.2")
-    rest, room = _Bytes(memoryview(data), order, 128), SIZE_LIMIT
+    reader = _Reader(memoryview(data), order, 128)
+    bytes_left = SIZE_LIMIT
     elements = 0
-    while not rest.empty:
+    while not reader.is_at_end:
         elements += 1
         if elements > VARIABLE_LIMIT:
             raise MatError(f"more than {VARIABLE_LIMIT} variables; expected a file with fewer")
-        kind, content = rest.element()
-        if kind == _PACKED:
-            unpacked = _unpacked(content, room)
-            room -= len(unpacked)
-            kind, content = _Bytes(unpacked, order).element()
+        kind, content = reader.read_element()
+        if kind == _COMPRESSED:
+            matrix_bytes = _decompress(content, bytes_left)
+            bytes_left -= len(matrix_bytes)
+            kind, content = _Reader(matrix_bytes, order).read_element()
         if kind == _MATRIX and len(content):
-            yield _matrix(_Bytes(content, order))
+            yield _read_matrix(_Reader(content, order))
 
 
-def _unpacked(content: memoryview, room: int) -> memoryview:
+def _decompress(content: memoryview, limit: int) -> memoryview:
     try:
-        unpacked = zlib.decompressobj().decompress(content, room + 1)
+        data = zlib.decompressobj().decompress(content, limit + 1)
     except zlib.error as error:
-        raise _broken(str(error)) from None
-    if len(unpacked) > room:
+        raise _damage(str(error)) from None
+    if len(data) > limit:
         raise MatError(f"unpacked larger than {SIZE_LIMIT} bytes, the most that is read")
-    return memoryview(unpacked)
+    return memoryview(data)
 
 
-def _matrix(rest: _Bytes) -> tuple[str, Variable]:
-    flags = rest.element()[1]
+def _read_matrix(reader: _Reader) -> tuple[str, Variable]:
+    flags = reader.read_element()[1]
     if len(flags) != 8:
-        raise _broken("a matrix without its kind")
-    (word,) = struct.unpack(f"{rest.order}I", flags[:4])
-    kind = word & 0xFF
-    # Only these have no size before their name.
-    shape = [] if kind == _OPAQUE else _shape(*rest.element(), rest.order)
-    name = bytes(rest.element()[1][:1000]).decode("latin-1")
+        raise _damage("a matrix without its kind")
+    (flag_bits,) = struct.unpack(f"{reader.order}I", flags[:4])
+    kind = flag_bits & 0xFF
+    # Only opaque objects have no size before their name.
+    shape = [] if kind == _OPAQUE else _shape(*reader.read_element(), reader.order)
+    name = bytes(reader.read_element()[1][:1000]).decode("latin-1")
     if kind != _CHARACTERS and kind not in _NUMBERS:
-        return name, Foreign(_FOREIGN.get(kind, "an object"))
-    if word & _COMPLEX:
-        return name, Foreign("complex")
-    stored, content = rest.element() if not rest.empty else (1, memoryview(b""))
+        return name, UnsupportedVariable(_UNSUPPORTED.get(kind, "an object"))
+    if flag_bits & _COMPLEX:
+        return name, UnsupportedVariable("complex")
+    data_type, content = reader.read_element() if not reader.is_at_end else (1, memoryview(b""))
     if kind == _CHARACTERS:
-        return name, _rows(_text(stored, content, rest.order), shape)
-    return name, _shaped(_numbers(stored, content, rest.order), shape, name)
+        return name, _rows(_text(data_type, content, reader.order), shape)
+    return name, _reshape(_numbers(data_type, content, reader.order), shape, name)
 
 
 def _shape(kind: int, content: memoryview, order: str) -> list[int]:
     if kind != _INT32 or not 2 <= len(content) // 4 <= _DIMENSION_LIMIT:
-        raise _broken(f"a matrix of {len(content) // 4} dimensions")
+        raise _damage(f"a matrix of {len(content) // 4} dimensions")
     shape = list(struct.unpack(f"{order}{len(content) // 4}i", content[: len(content) // 4 * 4]))
     if min(shape) < 0:
-        raise _broken(f"a matrix of {' x '.join(map(str, shape))}")
+        raise _damage(f"a matrix of {' x '.join(map(str, shape))}")
     return shape
 
 
 def _numbers(kind: int, content: memoryview, order: str) -> Numbers:
     if kind not in _TYPES:
-        raise _broken(f"numbers of type {kind}")
+        raise _damage(f"numbers of type {kind}")
     dtype = np.dtype(order + _TYPES[kind])
     return np.frombuffer(content, dtype, len(content) // dtype.itemsize)
 
 
-def _shaped(values: Numbers, shape: list[int], name: str) -> Numbers:
+def _reshape(values: Numbers, shape: list[int], name: str) -> Numbers:
     size = " x ".join(map(str, shape))
     if math.prod(shape) != len(values):
         raise MatError(f"{name[:40]!r}: {len(values)} values; expected {size}")
     try:
         return values.reshape(shape, order="F")
     except ValueError:
-        # Size 0 in one dimension, too large a product in the others.
-        raise _broken(f"a matrix of {size}") from None
+        # Size 0 in one dimension, and a product beyond the limit of numpy in the others.
+        raise _damage(f"a matrix of {size}") from None
 
 
 def _text(kind: int, content: memoryview, order: str) -> str:
@@ -220,10 +221,10 @@ def _text(kind: int, content: memoryview, order: str) -> str:
 def _from_codes(codes: Numbers) -> str:
     if len(codes) > TEXT_LIMIT:
         raise _too_long(len(codes))
-    known = np.full(len(codes), 0xFFFD, dtype="<u4")
-    there = (codes >= 0) & (codes < 0x110000)
-    known[there] = codes[there]
-    return known.tobytes().decode("utf-32-le", "replace")
+    code_points = np.full(len(codes), 0xFFFD, dtype="<u4")
+    is_valid = (codes >= 0) & (codes < 0x110000)
+    code_points[is_valid] = codes[is_valid]
+    return code_points.tobytes().decode("utf-32-le", "replace")
 
 
 def _too_long(characters: int) -> MatError:
@@ -237,44 +238,44 @@ def _rows(text: str, shape: list[int]) -> tuple[str, ...]:
     return tuple(text[row :: shape[0]] for row in range(shape[0]))
 
 
-def _of_4(data: bytes) -> Iterator[tuple[str, Variable]]:
+def _read_matlab_4(data: bytes) -> Iterator[tuple[str, Variable]]:
     order = "<" if struct.unpack("<I", data[:4])[0] < 5000 else ">"
-    rest = _Bytes(memoryview(data), order)
-    while not rest.empty:
-        kind, rows, columns, imaginary, length = rest.words(5)
-        number, text = kind // 10 % 10, kind % 10
-        if kind >= 5000 or number >= len(_TYPES_OF_4) or text > 2 or length > 1000:
+    reader = _Reader(memoryview(data), order)
+    while not reader.is_at_end:
+        kind, rows, columns, imaginary, length = reader.read_integers(5)
+        type_index, matrix_type = kind // 10 % 10, kind % 10
+        if kind >= 5000 or type_index >= len(_TYPES_OF_4) or matrix_type > 2 or length > 1000:
             raise MatError(
-                f"no MAT file: a matrix of kind {kind} at byte {rest.place - 20}; "
+                f"no MAT file: a matrix of kind {kind} at byte {reader.offset - 20}; "
                 "expected one of Matlab 4 to 7.2"
             )
-        name = bytes(rest.take(length)).split(b"\0")[0].decode("latin-1")
-        dtype = np.dtype(order + _TYPES_OF_4[number])
-        content = rest.take(rows * columns * dtype.itemsize)
+        name = bytes(reader.read(length)).split(b"\0")[0].decode("latin-1")
+        dtype = np.dtype(order + _TYPES_OF_4[type_index])
+        content = reader.read(rows * columns * dtype.itemsize)
         if imaginary:
-            rest.take(len(content))
+            reader.read(len(content))
         values = np.frombuffer(content, dtype)
-        if text == 1:
+        if matrix_type == 1:
             yield name, _rows(_from_codes(values), [rows, columns])
-        elif text == 2 or imaginary:
-            yield name, Foreign("a sparse matrix" if text == 2 else "complex")
+        elif matrix_type == 2 or imaginary:
+            yield name, UnsupportedVariable("a sparse matrix" if matrix_type == 2 else "complex")
         else:
-            yield name, _shaped(values, [rows, columns], name)
+            yield name, _reshape(values, [rows, columns], name)
 
 
-def mat_bytes(values: Mapping[str, object], what: str, *, packed: bool = True) -> bytes:
+def mat_bytes(values: Mapping[str, object], description: str, *, compressed: bool = True) -> bytes:
     """Return variables as a MAT file of Matlab 5.
 
     Args:
         values: Variables by names that Matlab accepts.
-        what: Description of the file for its title.
-        packed: True to compress by zlib.
+        description: Description of the content, for the title of the file.
+        compressed: True to compress by zlib.
     """
-    # Every run could save a series; to import scipy would take a fifth of a short run's start.
+    # Imported here, as scipy takes a fifth of a short run's start.
     from scipy.io import savemat
 
     file = BytesIO()
-    savemat(file, dict(values), do_compression=packed)
+    savemat(file, dict(values), do_compression=compressed)
     # scipy writes the machine and the time here.
-    title = f"MATLAB 5.0 MAT-file, {what} by khep_twin {__version__}".encode("ascii")
+    title = f"MATLAB 5.0 MAT-file, {description} by khep_twin {__version__}".encode("ascii")
     return title.ljust(_TITLE_BYTES) + file.getvalue()[_TITLE_BYTES:]

@@ -1,6 +1,6 @@
-"""Paths as functions take them."""
+"""Type of the paths that functions accept."""
 
 from os import PathLike
 
 StrPath = str | PathLike[str]
-"""Path as a string or as a `pathlib.Path`; a function makes it a `Path` as it begins."""
+"""Path as a string or as a `pathlib.Path`; functions convert it to a `Path`."""

@@ -1,4 +1,4 @@
-"""Editing of a TOML file that changes only what differs: comments, order and spaces stay."""
+"""Editing of a TOML file that changes only the values that differ: comments, order and spaces stay."""
 
 # tomlkit's containers are partly untyped.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -11,57 +11,55 @@ import tomlkit
 from tomlkit.items import AoT
 
 _Table = Mapping[str, Any]
-"""Content of a table: its values are tables, arrays and plain values."""
+"""Content of a table: tables, arrays and plain values by key."""
 
 
-def change(table: MutableMapping[str, Any], before: _Table, after: _Table, bare: _Table) -> None:
-    """Change a table of a document from `before` to `after`.
+def change_table(table: MutableMapping[str, Any], current: _Table, new: _Table, minimal: _Table) -> None:
+    """Change a table of a document from `current` to `new`.
 
     Args:
         table: Table of a tomlkit document; keys that have their defaults may be missing.
-        before: Current content, defaults included.
-        after: New content, defaults included.
-        bare: New content without defaults, as written for a new table.
+        current: Current content, including defaults.
+        new: New content, including defaults.
+        minimal: New content without defaults, which is written for a new table.
     """
-    for key in before:
-        if key not in after and key in table:
+    for key in current:
+        if key not in new and key in table:
             del table[key]
-    for key, value in after.items():
-        old = before.get(key)
-        if key in before and old == value:
+    for key, value in new.items():
+        old = current.get(key)
+        if key in current and old == value:
             continue
         if key in table and isinstance(table[key], AoT) and isinstance(old, list) and isinstance(value, list):
-            _change_list(table[key], old, value, bare[key])
+            _change_array(table[key], old, value, minimal[key])
         elif key in table and isinstance(table[key], MutableMapping) and isinstance(value, Mapping):
-            change(table[key], dict(old or {}), value, bare.get(key, {}))
+            change_table(table[key], dict(old or {}), value, minimal.get(key, {}))
         elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-            table[key] = tomlkit.item([dict(each) for each in bare[key]])
+            table[key] = tomlkit.item([dict(item) for item in minimal[key]])
         elif isinstance(value, Mapping):
-            _set(table, key, bare.get(key, value))
+            _set_value(table, key, minimal.get(key, value))
         else:
-            _set(table, key, value)
+            _set_value(table, key, value)
 
 
-def _change_list(
-    tables: AoT, before: Sequence[_Table], after: Sequence[_Table], bare: Sequence[_Table]
+def _change_array(
+    tables: AoT, current: Sequence[_Table], new: Sequence[_Table], minimal: Sequence[_Table]
 ) -> None:
-    """Change an array of tables; those that stay keep their comments wherever they move to."""
-    steps = SequenceMatcher(None, [*map(repr, before)], [*map(repr, after)], autojunk=False).get_opcodes()
-    for kind, start, end, first, last in reversed(steps):
+    """Change an array of tables; unchanged tables keep their comments, also where they move."""
+    steps = SequenceMatcher(None, [*map(repr, current)], [*map(repr, new)], autojunk=False).get_opcodes()
+    for kind, start, end, new_start, new_end in reversed(steps):
         if kind == "equal":
             continue
-        common = min(end - start, last - first)
-        for offset in range(common):
-            change(
-                tables[start + offset], before[start + offset], after[first + offset], bare[first + offset]
-            )
+        common = min(end - start, new_end - new_start)
+        for index, new_index in zip(range(start, start + common), range(new_start, new_end), strict=False):
+            change_table(tables[index], current[index], new[new_index], minimal[new_index])
         for index in reversed(range(start + common, end)):
             del tables[index]
-        for offset in range(common, last - first):
-            tables.insert(start + offset, tomlkit.item(dict(bare[first + offset])))
+        for offset in range(common, new_end - new_start):
+            tables.insert(start + offset, tomlkit.item(dict(minimal[new_start + offset])))
 
 
-def _set(table: MutableMapping[str, Any], key: str, value: object) -> None:
+def _set_value(table: MutableMapping[str, Any], key: str, value: object) -> None:
     """Set the value of a key; the rest of its line stays."""
     if key in table and hasattr(table[key], "trivia"):
         trivia = table[key].trivia

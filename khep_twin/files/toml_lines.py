@@ -23,60 +23,60 @@ class LineNumbers:
         self._lines: dict[Location, int] = {}
         counts: dict[Location, int] = {}
         table: Location = ()
-        depth, ending = 0, ""
+        depth, closing_quotes = 0, ""
         for number, line in enumerate(text.split("\n"), 1):
-            if not depth and not ending:
+            if not depth and not closing_quotes:
                 if header := _HEADER.match(line):
-                    table = self._absolute(_parts(header[2]), counts, listed=header[1] == "[[")
+                    table = self._header_location(_parts(header[2]), counts, is_array=header[1] == "[[")
                     self._lines.setdefault(table, number)
                     continue
                 if key := _KEY.match(line):
                     parts = _parts(key[1])
                     for length in range(1, len(parts) + 1):
                         self._lines.setdefault((*table, *parts[:length]), number)
-            depth, ending = _after(line, depth, ending)
+            depth, closing_quotes = _scan_line(line, depth, closing_quotes)
 
-    def of(self, location: Sequence[str | int]) -> int | None:
-        """Return the line number from 1, or that of the innermost table around it; None for the file."""
-        place = tuple(location)
-        while place and place not in self._lines:
-            place = place[:-1]
-        return self._lines.get(place)
+    def find(self, location: Sequence[str | int]) -> int | None:
+        """Return the line number from 1, or that of the innermost enclosing table; None for the file."""
+        path = tuple(location)
+        while path and path not in self._lines:
+            path = path[:-1]
+        return self._lines.get(path)
 
-    def _absolute(self, parts: Location, counts: dict[Location, int], *, listed: bool) -> Location:
-        """Return a header's location, with the numbers of the arrays of tables that it is in."""
-        place: Location = ()
+    def _header_location(self, parts: Location, counts: dict[Location, int], *, is_array: bool) -> Location:
+        """Return a header's location, with the indices in its arrays of tables."""
+        location: Location = ()
         for index, part in enumerate(parts):
-            place = (*place, part)
-            if listed and index == len(parts) - 1:
-                counts[place] = counts.get(place, -1) + 1
-            if place in counts:
-                place = (*place, counts[place])
-        return place
+            location = (*location, part)
+            if is_array and index == len(parts) - 1:
+                counts[location] = counts.get(location, -1) + 1
+            if location in counts:
+                location = (*location, counts[location])
+        return location
 
 
 def _parts(path: str) -> Location:
     return tuple(part.strip().strip("\"'") for part in re.findall(_PART, path))
 
 
-def _after(line: str, depth: int, ending: str) -> tuple[int, str]:
-    """Return the depth in brackets at the next line, and the marks that would end a text open there."""
-    place = 0
-    while place < len(line):
-        if ending:
-            end = line.find(ending, place)
+def _scan_line(line: str, depth: int, closing_quotes: str) -> tuple[int, str]:
+    """Return the depth of brackets after a line, and the quotes that close a string which is open there."""
+    position = 0
+    while position < len(line):
+        if closing_quotes:
+            end = line.find(closing_quotes, position)
             if end < 0:
-                return depth, ending
-            place, ending = end + 3, ""
+                return depth, closing_quotes
+            position, closing_quotes = end + 3, ""
             continue
-        token = _TOKEN.search(line, place)
+        token = _TOKEN.search(line, position)
         if token is None:
             break
-        place = token.end()
+        position = token.end()
         if token[0] in ('"""', "'''"):
-            ending = token[0]
+            closing_quotes = token[0]
         elif token[0] in "[{":
             depth += 1
         elif token[0] in "]}":
             depth -= 1
-    return depth, ending
+    return depth, closing_quotes

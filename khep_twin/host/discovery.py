@@ -9,7 +9,7 @@ from khep_twin.errors import PortError, PortInUse, PortTimeout
 from khep_twin.host import commands
 from khep_twin.host.opening import find_speed, open_port
 from khep_twin.ports.port_users import port_user
-from khep_twin.ports.service_registry import served
+from khep_twin.ports.service_registry import served_ports
 from khep_twin.renamed import renamed_attribute
 
 _TIMEOUT_S = 0.3
@@ -38,7 +38,7 @@ def found_ports() -> list[FoundPort]:
     Raises:
         PortError: The directory of the servers' notes is accessible to other users.
     """
-    twins = [FoundPort(path, description, True) for path, description in served()]
+    twins = [FoundPort(path, description, True) for path, description in served_ports()]
     adapters = [
         # pyserial describes a built-in port as "n/a".
         FoundPort(port.device, "serial port" if port.description == "n/a" else port.description, False)

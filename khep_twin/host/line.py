@@ -18,10 +18,10 @@ from typing import Literal, NamedTuple, TypeVar, cast
 
 import serial
 
-from khep_twin.board.protocol import MOVING
+from khep_twin.board.protocol import MOTION_COMMANDS
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, PortError, PortTimeout, ProtocolError, StoppedError
-from khep_twin.files.atomic import resolved
+from khep_twin.files.atomic import resolve
 from khep_twin.files.paths import StrPath
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.opening import SPEEDS, find_speed, open_port, resolve_port
@@ -60,7 +60,7 @@ class Dialect(NamedTuple):
 
 
 KHEPERA = Dialect(
-    "a Khepera", "Khepera", re.compile(r"b,\d.*"), "BHEK", ("D,0,0",), (*MOVING, "run", "restart")
+    "a Khepera", "Khepera", re.compile(r"b,\d.*"), "BHEK", ("D,0,0",), (*MOTION_COMMANDS, "run", "restart")
 )
 KHEPERA4 = Dialect(
     "a Khepera IV", "Khepera4", re.compile(r"b,[A-P],\d+"), "BERG", ("A,2", "D,0,0"), ("A", "D", "F", "L")
@@ -391,13 +391,13 @@ class Line:
         if self._url is None or hasattr(self.port, "time_ns"):
             return "this port is not opened again"
         path = Path(self._url)
-        if "://" in self._url or not resolved(path).is_relative_to("/dev/pts"):
+        if "://" in self._url or not resolve(path).is_relative_to("/dev/pts"):
             return ""
         if sys.platform == "win32":
             return ""
-        from khep_twin.ports.link import leads_to_ours
+        from khep_twin.ports.link import is_live_link
 
-        if not leads_to_ours(path):
+        if not is_live_link(path):
             return "a terminal that has gone is not opened again, as its number may be reused by now"
         return ""
 

@@ -12,7 +12,7 @@ import serial
 
 from khep_twin.errors import PORT_FAILURES, PortError, PortInUse, PortTimeout
 from khep_twin.invocation import command
-from khep_twin.ports.service_registry import served
+from khep_twin.ports.service_registry import served_ports
 
 SPEEDS = (9600, 19200, 38400, 57600, 115200)
 """Baud rates of the robots' running modes, in the order of the search (appendix E; manual II)."""
@@ -135,7 +135,7 @@ def _find_link(name: str) -> str:
     if os.path.dirname(name):
         return ""
     with suppress(PortError):
-        return next((path for path, _ in served() if os.path.basename(path) == name), "")
+        return next((path for path, _ in served_ports() if os.path.basename(path) == name), "")
     return ""
 
 

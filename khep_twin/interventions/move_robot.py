@@ -13,7 +13,7 @@ import mujoco
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Block, Cylinder, Playpen
-from khep_twin.playpen.starts import no_room
+from khep_twin.playpen.starts import find_obstruction
 from khep_twin.world import World
 
 _PLACE = struct.Struct("<3d")
@@ -40,10 +40,10 @@ def place_robot(
         raise PlaypenError(
             f"a robot cannot be put to ({x_mm}, {y_mm}), {heading_deg} degrees; expected finite numbers"
         )
-    if reason := no_room(current_playpen(world), index, x_mm, y_mm):
+    if reason := find_obstruction(current_playpen(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
     position = _PLACE.pack(x_mm, y_mm, heading_deg) + (_RESET if reset else b"")
-    world.on_host_event(index, HostEvent(HostEventKind.PUT, world.time_ns, None, position))
+    world.on_host_event(index, HostEvent(HostEventKind.MOVE_ROBOT, world.time_ns, None, position))
     model, data = world.model, world.data
     robot, half = world.robots[index].indices, math.radians(heading_deg) / 2
     at = robot.pose

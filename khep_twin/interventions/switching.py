@@ -7,7 +7,7 @@ from typing import cast
 
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
-from khep_twin.files.toml_files import TomlTable, check, frozen
+from khep_twin.files.toml_files import TomlTable, check, freeze
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.world import World
 
@@ -29,8 +29,8 @@ def switch(world: World, lamp: int, on: bool) -> None:
     if not 0 <= lamp < len(names):
         message = f"lamp = {lamp}: there is none"
         raise PlaypenError(message, key="lamp", value=lamp, expected=range(len(names)))
-    world.on_host_event(0, HostEvent(HostEventKind.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
-    world.lamps.turn(lamp, on, world.time_ns)
+    world.on_host_event(0, HostEvent(HostEventKind.SWITCH_LAMP, world.time_ns, None, _SWITCH.pack(lamp, on)))
+    world.lamps.switch(lamp, on, world.time_ns)
     world.on_event(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
 
 
@@ -56,7 +56,7 @@ def set_lamps(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
     }
     before = world.playpen
     bare = {"version": before.version, "name": before.name, "arena": before.arena.model_dump()}
-    checked = check(Playpen, frozen(bare | lamp_values), before.name, PlaypenError)
+    checked = check(Playpen, freeze(bare | lamp_values), before.name, PlaypenError)
     world.on_host_event(
         0, HostEvent(HostEventKind.SET_LAMPS, world.time_ns, None, json.dumps(lamp_values).encode("utf-8"))
     )
@@ -75,7 +75,7 @@ def repeat_set_lamps(world: World, event: HostEvent) -> None:
         values = json.loads(event.data)
         if not isinstance(values, dict):
             raise TypeError
-        lamp_values = frozen(cast(dict[str, object], values))
+        lamp_values = freeze(cast(dict[str, object], values))
     except (ValueError, TypeError, RecursionError):
         raise PlaypenError(f"lamps = {event.data[:40]!r}; expected JSON with lamp and lighting") from None
     checked = check(_Lamps, lamp_values, "lamps", PlaypenError)

@@ -156,7 +156,7 @@ class Khepera4Robot(Robot):
             sensor_states=b"",
             strengths=np.array([*velocity, *self._gauge.state(), *qpos]).tobytes(),
             voltage=np.array([self._gauge.voltage]).tobytes(),
-            stopped=self._has_stopped,
+            is_stopped=self._has_stopped,
             leds=tuple(self._shown_leds),
         )
 
@@ -180,8 +180,8 @@ class Khepera4Robot(Robot):
         self._echoes_due = {}
         time_ns = self._context.time_ns // ultrasonic.PERIOD_NS * ultrasonic.PERIOD_NS
         self._burst = None if burst < 0 else (burst, self._moment(time_ns, np.array(floats[8:])))
-        self._has_stopped = state.stopped
-        self.dspic.is_powered = not state.stopped
+        self._has_stopped = state.is_stopped
+        self.dspic.is_powered = not state.is_stopped
         self._show(state.leds)
 
     def reseed(self, make_rng: Callable[..., np.random.Generator]) -> None:

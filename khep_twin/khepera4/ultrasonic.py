@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from khep_twin.khepera4.channels import CODES
 from khep_twin.khepera4.moments import Moment, PastScene
-from khep_twin.sensing.mujoco_scene import PAINT
+from khep_twin.sensing.mujoco_scene import PAINT_HEIGHT
 from khep_twin.sensing.noise import TABLES, draws
 from khep_twin.sensing.robot_indices import RobotIndices
 
@@ -64,7 +64,7 @@ class Ultrasonic:
         self._scene = scene
         self._base = indices.base
         model = scene.model
-        self._is_floor = (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT)
+        self._is_floor = (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT_HEIGHT)
         self._key = [key[0] ^ _KEY, key[1]]
         self._tables = TABLES[is_noisy]
         self._positions, self._rays, self._beam = _beams()

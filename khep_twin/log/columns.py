@@ -4,7 +4,7 @@ import re
 from collections.abc import Container
 
 from khep_twin.board.kernel import Board, Wheel
-from khep_twin.board.turrets import installed
+from khep_twin.board.turrets import installed_turrets
 from khep_twin.khepera4.channels import CHANNELS
 from khep_twin.units import K213_PIXELS, SENSOR_LABELS
 
@@ -58,7 +58,7 @@ _LAST_CHANNELS = ("lamps", "registers")
 
 def columns_of(name: str, count: int, *, khepera4: bool = False) -> Columns:
     """Return the `count` columns of a channel, of a Khepera IV or another robot."""
-    turret = installed().get(name)
+    turret = installed_turrets().get(name)
     known_columns = KHEPERA_COLUMNS | (KHEPERA4_COLUMNS if khepera4 else {})
     columns = known_columns.get(name, ())
     if turret is not None:

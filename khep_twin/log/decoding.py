@@ -144,9 +144,8 @@ class Decoder:
     def _check(self, count: int, size: int) -> None:
         # Check before allocating memory of this size.
         if count * size > len(self._data) - self._offset:
-            available = max(len(self._data) - self._offset, 0)
-            expected = f"at most the {available} bytes that are there"
-            raise DecodeError(f"{count} values of {size} bytes", expected)
+            n_left = max(len(self._data) - self._offset, 0)
+            raise DecodeError(f"{count} values of {size} bytes", f"at most the {n_left} bytes that are there")
 
 
 def read_array(message: bytes, kind: str) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from khep_twin.files.toml_files import NAME_WISH
+from khep_twin.files.toml_files import NAME_RULE
 from khep_twin.log.decoding import DecodeError, printable
 from khep_twin.log.record_bytes import MESSAGE, iterate_records, parse_record
 
@@ -139,7 +139,7 @@ def run_metadata(records: Iterable[Metadata]) -> dict[str, str]:
 def robot_names(text: str) -> tuple[str, ...]:
     """Return the names of a log's robots from its metadata."""
     if not _NAMES.fullmatch(text):
-        raise DecodeError(f"robots = {printable(text)}", f"names with commas between, each {NAME_WISH}")
+        raise DecodeError(f"robots = {printable(text)}", f"names with commas between, each {NAME_RULE}")
     names = tuple(text.split(","))
     if len(set(names)) < len(names):
         raise DecodeError(f"robots = {printable(text)}", "each name once")

@@ -21,8 +21,8 @@ from khep_twin.log.decoding import LATEST_NS, DecodeError, read_array
 _LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
 FLUSHING_KINDS = (
-    HostEventKind.PUT,
-    HostEventKind.SWITCH,
+    HostEventKind.MOVE_ROBOT,
+    HostEventKind.SWITCH_LAMP,
     HostEventKind.SCAN,
     HostEventKind.SET_LAMPS,
     HostEventKind.NOTE,
@@ -38,9 +38,9 @@ _MAX_BAUD = 10**9
 _SIZES = {
     HostEventKind.DISCONNECT: (0,),
     HostEventKind.FLUSH: (0,),
-    HostEventKind.SET: (0,),
-    HostEventKind.PUT: (24, 25),
-    HostEventKind.SWITCH: (5,),
+    HostEventKind.LINE_SETTINGS: (0,),
+    HostEventKind.MOVE_ROBOT: (24, 25),
+    HostEventKind.SWITCH_LAMP: (5,),
     HostEventKind.SCAN: (0,),
 }
 """Numbers of bytes of events, as of `move_robot` and `switching`; other kinds have any number."""

@@ -16,7 +16,14 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import Identity, kept_both, open_regular, put, resolved, unusable
+from khep_twin.files.atomic import (
+    Identity,
+    name_taken_message,
+    open_regular,
+    rename_into_place,
+    resolve,
+    unusable,
+)
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.output import Output
 from khep_twin.machine import flags, lock, n_forks
@@ -153,7 +160,7 @@ class LogFile(Output):
             raise LogError(f"{path}: cannot write a log here: {reason}")
         self.path = path
         # Links are followed, so that they stay links; a controller may change the directory later.
-        self._target = resolved(path) if path.is_symlink() else path.absolute()
+        self._target = resolve(path) if path.is_symlink() else path.absolute()
         self.part = self._target.with_name(self._target.name + ".part")
         self._original = Identity.of(self._target)
         self._clock = clock
@@ -175,10 +182,10 @@ class LogFile(Output):
             self._writer.finish()
             # A log under its final name is complete, even after a power failure, which may undo the renaming.
             self._file.synchronize()
-            final_path = put(self.part, self._target, self._original)
+            final_path = rename_into_place(self.part, self._target, self._original)
             self._close()
             if final_path != self._target:
-                self._fail(LogError(kept_both(self.path, final_path)))
+                self._fail(LogError(name_taken_message(self.path, final_path)))
 
     def discard(self) -> None:
         """Remove the file of a run that has not started; on a disk error it remains."""

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import free_name, open_regular, put, unusable
+from khep_twin.files.atomic import free_name, open_regular, rename_into_place, unusable
 from khep_twin.log.channels import INTEGERS
 from khep_twin.log.decoding import LATEST_NS, DecodeError, read_errors, read_line, read_transforms
 from khep_twin.log.entries import robot_names, run_metadata
@@ -90,7 +90,7 @@ def recover(path: Path, progress: Progress = None) -> Recovery:
             if size > temporary.stat().st_size * _MAX_RATIO:
                 temporary.unlink()
                 _, recovery = _write(records, temporary, CompressionType.NONE, progress)
-            target = put(temporary, preferred, None, _RECOVERED)
+            target = rename_into_place(temporary, preferred, None, _RECOVERED)
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
     return replace(recovery, path=target)

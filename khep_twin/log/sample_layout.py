@@ -130,7 +130,7 @@ class LampsChannel:
     def __init__(self, lamps: Lamps) -> None:
         self.n_sets = 1
         self._lamps = lamps
-        self._frame = None if lamps.steady else _frame(lamps)
+        self._frame = None if lamps.are_constant else _frame(lamps)
 
     @property
     def topic(self) -> str:
@@ -144,7 +144,7 @@ class LampsChannel:
 
     def matches(self, lamps: Lamps) -> bool:
         """Return whether the channel is that of these lamps, in their present mode."""
-        return lamps is self._lamps and (self.is_recorded or lamps.steady)
+        return lamps is self._lamps and (self.is_recorded or lamps.are_constant)
 
     def switch_to(self, lamps: Lamps) -> None:
         """Record the powers of these lamps from now on."""
@@ -155,7 +155,7 @@ class LampsChannel:
     def move_to(self, lamps: Lamps) -> None:
         """Continue with the same lamps in another world."""
         self._lamps = lamps
-        if not (self.is_recorded or lamps.steady):
+        if not (self.is_recorded or lamps.are_constant):
             self._frame = _frame(lamps)
 
     def resume(self, state: RecorderState) -> None:

@@ -18,7 +18,7 @@ from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import open_regular, resolved
+from khep_twin.files.atomic import open_regular, resolve
 from khep_twin.invocation import command
 from khep_twin.log.decoding import DecodeError, read_errors
 from khep_twin.log.entries import Entry, EntryReader, Label, make_label, run_metadata
@@ -52,7 +52,7 @@ class GrowingLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path.with_suffix("") if path.suffix == ".part" else path
-        target = resolved(self.path)
+        target = resolve(self.path)
         self.part = target.with_name(f"{target.name}.part")
         try:
             self._file = open_regular(self.part, buffering=0)

@@ -1,14 +1,14 @@
-"""Playpens: contents of a robot's world, as a TOML file in mm, degrees, grams and watts.
+"""Playpens: the contents of a robot's world, as TOML files in mm, degrees, grams and watts.
 
-The models of `parts` are the format: their attributes are the file's keys, except that the arrays of
+The models of `parts` define the format: their attributes are the file's keys, except that the arrays of
 tables `[[block]]`, `[[cylinder]]`, `[[wall]]`, `[[patch]]`, `[[lamp]]`, `[[spot]]` and `[[robot]]` become the
 tuples `blocks` … `robots`. The origin is the arena's lower left inner corner; x runs right, y up, angles
 counter-clockwise from x.
 
-A playpen is also checked for placement: centres lie inside the arena, names are unique, surfaces exist, and
-robots and movable objects start clear of everything else. Fixed objects may touch and cross each other and
-the walls, as in mazes. Lamps are bulbs without posts: robots and objects pass through them during a run, but
-none that reaches up to a bulb may start there.
+A playpen is also checked as a whole: centres lie inside the arena, names are unique, surfaces exist, and
+robots and movable objects do not overlap any other part at the start. Fixed objects may touch and cross each
+other and the walls, as in mazes. Lamps are bulbs without posts: robots and objects pass through them during a
+run, but must not overlap a bulb at the start.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Merging of blocks that continue each other: fewer geoms, and the same walls."""
+"""Merging of adjoining blocks: fewer geoms for the same walls."""
 
 import math
 from collections.abc import Sequence
@@ -6,45 +6,45 @@ from itertools import groupby
 
 from khep_twin.playpen.parts import Block
 
-_SAME = 6
+_DECIMALS = 6
 """Decimals of a millimetre and of a degree to which coordinates are compared."""
 
 
-def merged(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
-    """Merge blocks that continue each other; return them with the first number of each.
+def merge_blocks(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
+    """Merge adjoining blocks; return each with the lowest of its numbers.
 
-    Merged are fixed blocks without names and stripes, no ramps, of one angle, height and surface, that touch
-    or cross along one of their axes and are equally thick across it.
+    Blocks are merged if they touch or overlap along one axis, are equally thick across it, and have the same
+    angle, height and surface. Movable blocks, ramps, and blocks with names or stripes are not merged.
     """
     numbered = list(enumerate(blocks))
-    candidates = [(number, block) for number, block in numbered if not _stays(block)]
-    others = [(number, block) for number, block in numbered if _stays(block)]
+    candidates = [(number, block) for number, block in numbered if not _is_unmergeable(block)]
+    unmergeable = [(number, block) for number, block in numbered if _is_unmergeable(block)]
     for lengthwise in (True, False):
-        candidates = _merged_along(candidates, lengthwise)
-    return sorted([*candidates, *others], key=lambda item: item[0])
+        candidates = _merge_along(candidates, lengthwise)
+    return sorted([*candidates, *unmergeable], key=lambda item: item[0])
 
 
-def _stays(block: Block) -> bool:
+def _is_unmergeable(block: Block) -> bool:
     return bool(block.movable or block.name or block.stripes or block.ramp)
 
 
-def _merged_along(blocks: list[tuple[int, Block]], lengthwise: bool) -> list[tuple[int, Block]]:
-    """Merge the blocks of each line along their length, or across it."""
-    found: list[tuple[int, Block]] = []
+def _merge_along(blocks: list[tuple[int, Block]], lengthwise: bool) -> list[tuple[int, Block]]:
+    """Merge collinear blocks along their length, or across it."""
+    merged_blocks: list[tuple[int, Block]] = []
     rows = sorted(
-        ((_row(block, lengthwise), number, block) for number, block in blocks), key=lambda row: row[:2]
+        ((_row_key(block, lengthwise), number, block) for number, block in blocks), key=lambda row: row[:2]
     )
     for _, row in groupby(rows, key=lambda row: row[0]):
-        stretches = sorted((*_stretch(block, lengthwise), number, block) for _, number, block in row)
-        start, end, number, block = stretches[0]
-        for next_start, next_end, next_number, _ in stretches[1:]:
-            if next_start <= end + 10**-_SAME:
+        intervals = sorted((*_interval(block, lengthwise), number, block) for _, number, block in row)
+        start, end, number, block = intervals[0]
+        for next_start, next_end, next_number, _ in intervals[1:]:
+            if next_start <= end + 10**-_DECIMALS:
                 end, number = max(end, next_end), min(number, next_number)
                 continue
-            found.append((number, _stretched(block, start, end, lengthwise)))
+            merged_blocks.append((number, _resize(block, start, end, lengthwise)))
             start, end, number = next_start, next_end, next_number
-        found.append((number, _stretched(block, start, end, lengthwise)))
-    return found
+        merged_blocks.append((number, _resize(block, start, end, lengthwise)))
+    return merged_blocks
 
 
 def _axis(block: Block, lengthwise: bool) -> tuple[float, float]:
@@ -52,25 +52,26 @@ def _axis(block: Block, lengthwise: bool) -> tuple[float, float]:
     return math.cos(angle), math.sin(angle)
 
 
-def _row(block: Block, lengthwise: bool) -> tuple[object, ...]:
-    """Return the key that blocks of one line share."""
+def _row_key(block: Block, lengthwise: bool) -> tuple[object, ...]:
+    """Return a key that is equal for collinear blocks."""
     x, y = _axis(block, lengthwise)
     across = block.y_mm * x - block.x_mm * y
     thick = block.width_mm if lengthwise else block.length_mm
     angle_deg = block.angle_deg % 360
-    return round(angle_deg, _SAME), round(across, _SAME), round(thick, _SAME), block.height_mm, block.surface
+    measures = [round(measure, _DECIMALS) for measure in (angle_deg, across, thick)]
+    return *measures, block.height_mm, block.surface
 
 
-def _stretch(block: Block, lengthwise: bool) -> tuple[float, float]:
+def _interval(block: Block, lengthwise: bool) -> tuple[float, float]:
     x, y = _axis(block, lengthwise)
     middle = block.x_mm * x + block.y_mm * y
     half = (block.length_mm if lengthwise else block.width_mm) / 2
     return middle - half, middle + half
 
 
-def _stretched(block: Block, start: float, end: float, lengthwise: bool) -> Block:
-    """Return a block from start to end of its line."""
-    if (start, end) == _stretch(block, lengthwise):
+def _resize(block: Block, start: float, end: float, lengthwise: bool) -> Block:
+    """Return a block that extends from start to end of its line."""
+    if (start, end) == _interval(block, lengthwise):
         return block
     x, y = _axis(block, lengthwise)
     shift = (start + end) / 2 - (block.x_mm * x + block.y_mm * y)

@@ -1,14 +1,14 @@
-"""Parts of a playpen file: one class per table, its attributes the table's keys."""
+"""Parts of a playpen file: one class per table, with the table's keys as attributes."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from khep_twin.board.turrets import installed
-from khep_twin.files.toml_files import NAME_WISH, Name, TomlTable
+from khep_twin.board.turrets import installed_turrets
+from khep_twin.files.toml_files import NAME_RULE, Name, TomlTable
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
-from khep_twin.playpen.polygon import Point, area, crossing, edges, pieces, reaching_in
+from khep_twin.playpen.polygon import Point, area, edges, find_crossing, find_inner_walls, pieces
 from khep_twin.playpen.stripes import Stripes
 from khep_twin.playpen.surfaces import Colour
 from khep_twin.units import BODIES, BULB_RADIUS, ROOM_LUX, Body
@@ -20,19 +20,19 @@ SHORTEST_BLINK_S = 0.01
 """Shortest blink period [s]; lamps change at the physics step of 2.5 ms."""
 
 MIN_ANGLE_DEG, MAX_ANGLE_DEG = 10.0, 85.0
-"""Angles of the toolbox's light model that fit the lamp of the calibration `khepera1` best [deg]."""
+"""Angles of the toolbox's light model, fitted to the lamp of the calibration `khepera1` [deg]."""
 
 
-Place = Annotated[float, Field(ge=0, le=10_000)]
+Coordinate = Annotated[float, Field(ge=0, le=10_000)]
 Size = Annotated[float, Field(ge=1, le=10_000)]
 Height = Annotated[float, Field(ge=1, le=1000)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 Mass = Annotated[float, Field(ge=1, le=10_000)]
 Seconds = Annotated[float, Field(ge=0, le=3600)]
-PlacePair = Annotated[tuple[Place, Place], Field(description="x and y, from 0 to 10000")]
-Moment = Annotated[float, Field(ge=0, le=1e6)]
-TimePair = Annotated[tuple[Moment, Moment], Field(description="two times from 0 to 1000000")]
-ObjectName = Annotated[Name | None, Field(description=NAME_WISH)]
+CoordinatePair = Annotated[tuple[Coordinate, Coordinate], Field(description="x and y, from 0 to 10000")]
+Time = Annotated[float, Field(ge=0, le=1e6)]
+TimePair = Annotated[tuple[Time, Time], Field(description="two times from 0 to 1000000")]
+ObjectName = Annotated[Name | None, Field(description=NAME_RULE)]
 
 
 class Arena(TomlTable):
@@ -52,7 +52,7 @@ class Arena(TomlTable):
     width_mm: Annotated[float, Field(ge=100, le=10_000)]
     height_mm: Annotated[float, Field(ge=100, le=10_000)]
     outline_mm: Annotated[
-        tuple[PlacePair, ...],
+        tuple[CoordinatePair, ...],
         Field(max_length=200, description="corners, such as [[0, 0], [600, 0], [300, 500]]"),
     ] = ()
     wall_height_mm: Height = 50.0
@@ -86,15 +86,15 @@ class Arena(TomlTable):
             if start == end:
                 yield f"arena: outline_mm {number}: same as the next corner; expected each corner once"
                 return
-        if meeting := crossing(corners):
+        if pair := find_crossing(corners):
             yield (
-                f"arena: outline_mm: edges {meeting[0]} and {meeting[1]} meet; expected an outline that "
+                f"arena: outline_mm: edges {pair[0]} and {pair[1]} meet; expected an outline that "
                 "does not cross or touch itself"
             )
         elif abs(area(corners)) < 10_000:
             yield f"arena: outline_mm: {abs(area(corners)):g} mm2; expected at least 10000"
         else:
-            for number in reaching_in(corners, self.wall_thickness_mm):
+            for number in find_inner_walls(corners, self.wall_thickness_mm):
                 yield (
                     f"arena: outline_mm: the wall after corner {number} is thicker than the room behind it; "
                     "expected thinner walls or more room"
@@ -105,7 +105,7 @@ class Wall(TomlTable):
     """A free-standing wall along a line on the floor.
 
     Attributes:
-        points_mm: Points where it begins, turns and ends.
+        points_mm: Points where it starts, turns and ends.
         closed: True if it continues from the last point to the first.
         thickness_mm: Thickness, half of it to either side of the line.
         stripes: Stripes on all sides of each straight piece, and around each corner.
@@ -113,7 +113,7 @@ class Wall(TomlTable):
 
     name: ObjectName = None
     points_mm: Annotated[
-        tuple[PlacePair, ...],
+        tuple[CoordinatePair, ...],
         Field(
             min_length=2, max_length=1000, description="at least two points, such as [[100, 100], [100, 300]]"
         ),
@@ -134,8 +134,8 @@ class Patch(TomlTable):
     """A part of the floor with another surface: a disc, or a rectangle at an angle. No sensor sees it."""
 
     name: ObjectName = None
-    x_mm: Place
-    y_mm: Place
+    x_mm: Coordinate
+    y_mm: Coordinate
     radius_mm: Size | None = None
     length_mm: Size | None = None
     width_mm: Size | None = None
@@ -159,14 +159,14 @@ class Patch(TomlTable):
 class Spot(TomlTable):
     """A named start pose of robots."""
 
-    name: Annotated[Name, Field(description=NAME_WISH)]
-    x_mm: Place
-    y_mm: Place
+    name: Annotated[Name, Field(description=NAME_RULE)]
+    x_mm: Coordinate
+    y_mm: Coordinate
     heading_deg: Angle
 
 
 class Block(TomlTable):
-    """A cuboid on the floor; its length runs at `angle_deg`. `mass_g` applies if it is movable.
+    """A cuboid on the floor, with its length along `angle_deg`. `mass_g` applies if it is movable.
 
     Attributes:
         stripes: Stripes on its four sides.
@@ -175,8 +175,8 @@ class Block(TomlTable):
     """
 
     name: ObjectName = None
-    x_mm: Place
-    y_mm: Place
+    x_mm: Coordinate
+    y_mm: Coordinate
     angle_deg: Angle = 0.0
     length_mm: Size
     width_mm: Size
@@ -201,8 +201,8 @@ class Cylinder(TomlTable):
     """
 
     name: ObjectName = None
-    x_mm: Place
-    y_mm: Place
+    x_mm: Coordinate
+    y_mm: Coordinate
     radius_mm: Size
     height_mm: Height
     surface: Name = "white"
@@ -212,7 +212,7 @@ class Cylinder(TomlTable):
 
     @property
     def angle_deg(self) -> float:
-        """Angle of 0, as it looks the same from all sides."""
+        """Angle of 0, as a cylinder is rotationally symmetric."""
         return 0.0
 
     @property
@@ -227,17 +227,17 @@ class Lamp(TomlTable):
     Attributes:
         power_w: Power of the bulb.
         rgb: Colour, for rendering only.
-        on_s: Intervals in which it is on, such as [[0, 10], [30, 40]]; always, if empty.
-        dim: Fraction of its power that it is dimmed to.
+        on_s: Intervals in which it is on, e.g. [[0, 10], [30, 40]]; always, if empty.
+        dim: Dimming factor of its power.
         blink_period_s: Time from one flash to the next; 0 for a steady lamp.
-        blink_duty: Fraction of that time in which it is on.
-        fade_s: Time that it takes to go from dark to bright, and back.
-        flicker: Fraction of its light by which it swings with the mains (`Lighting.mains_hz`).
+        blink_duty: Fraction of the blink period in which it is on.
+        fade_s: Time from dark to bright, and from bright to dark.
+        flicker: Amplitude of its flicker, as a fraction of its light (`Lighting.mains_hz`).
     """
 
     name: ObjectName = None
-    x_mm: Place
-    y_mm: Place
+    x_mm: Coordinate
+    y_mm: Coordinate
     z_mm: Height = 15.0
     power_w: Annotated[float, Field(ge=0, le=1000)]
     rgb: Colour = (255, 217, 77)
@@ -260,18 +260,18 @@ LightingMode = Literal["all", "random", "sequenced"]
 
 
 class Lighting(TomlTable):
-    """Selection of the lamps that are on, and model of their light.
+    """Selection of the active lamps, and model of their light.
 
     Attributes:
-        mode: "all", or one at a time, the next when a robot comes near it or a wall of the arena: drawn at
-            "random", or "sequenced" in the file's order.
-        switch_distance_mm: Distance from robot's edge to bulb or wall to switch at (assumed: half a robot); 0
-            for never.
+        mode: "all", or one lamp at a time, "random" or "sequenced" in the file's order; the next one when a
+            robot comes near the active lamp or a wall of the arena.
+        switch_distance_mm: Distance from robot's edge to bulb or wall at which the lamps switch (assumed:
+            half a robot); 0 for never.
         law: "optics" as measured, or "toolbox" as in the Khepera Toolbox for Matlab, without shadows.
-        min_angle_deg: Toolbox angle, up to which a lamp off the sensor's axis loses nothing.
-        max_angle_deg: Toolbox angle, from which on nothing is left.
+        min_angle_deg: Angle from the sensor's axis up to which the toolbox's law attenuates no light.
+        max_angle_deg: Angle from the sensor's axis from which the toolbox's law passes no light.
         mains_hz: Frequency of the mains; lamps flicker twice in each of its periods.
-        room_lux: Illuminance by the room's own light, which a vision turret sees by [lx].
+        room_lux: Illuminance by the room's ambient light, for vision turrets [lx].
     """
 
     mode: LightingMode = "all"
@@ -291,7 +291,7 @@ class RadioChannel(TomlTable):
             largest arena's width).
         loss: Probability that a transmission is lost on its way to a receiver (none "in a good
             environment": K-Team's manual of the radio base).
-        air_time_ms: Time that a transmission takes, rounded up to control periods of 10 ms (assumed: 16
+        air_time_ms: Duration of a transmission, rounded up to control periods of 10 ms (assumed: 16
             bytes and as many as 12 around them at the 9600 baud of the radio base).
     """
 
@@ -312,21 +312,21 @@ class RobotEntry(TomlTable):
     """A robot at its start.
 
     Attributes:
-        model: Body; for "khepera2", calibration and rom default to "khepera2", too, and for "khepera4" to
-            "khepera4" and "kh4server".
+        model: Model; calibration and rom default to "khepera2" for "khepera2", and to "khepera4" and
+            "kh4server" for "khepera4".
         calibration: Calibration of its sensors: a name in assets/calibration, or the path of a file.
         mode: Running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
-            demonstration that drives by itself, 7 for the self-test, with rom khepera2 also 8 and 9 for
+            demonstration in which the robot drives, 7 for the self-test, and 8 and 9 with rom khepera2 for
             57600 and 115200 baud.
-        spots: Names of spots at one of which it starts, drawn by the seed; x, y and heading become optional.
+        spots: Names of spots; it starts at one that the seed selects, and needs no x, y and heading.
         rom: Version of its firmware.
         turrets: Turrets plugged on top.
-        battery_used_min: Minutes that it has run on its battery at the start; on the charger if not given.
+        battery_used_min: Minutes of operation on its battery before the start; on the charger if not given.
     """
 
     name: ObjectName = None
-    x_mm: Place
-    y_mm: Place
+    x_mm: Coordinate
+    y_mm: Coordinate
     heading_deg: Angle
     spots: Annotated[
         tuple[str, ...], Field(max_length=1000, description='names of spots, such as ["a", "b"]')
@@ -349,6 +349,6 @@ class RobotEntry(TomlTable):
     @property
     def footprint(self) -> Circle:
         """Area of the floor that it covers, with its turrets."""
-        known = installed()
-        reaches = [known[name].reach for name in self.turrets if name in known]
-        return Circle(self.x_mm, self.y_mm, max([self.body.radius, *reaches]) * 1000)
+        turrets = installed_turrets()
+        radii = [turrets[name].reach for name in self.turrets if name in turrets]
+        return Circle(self.x_mm, self.y_mm, max([self.body.radius, *radii]) * 1000)

@@ -11,9 +11,9 @@ Edge = tuple[Point, Point]
 
 
 def edges(points: Sequence[Point], *, closed: bool) -> list[Edge]:
-    """Return the edges from each point to the next; of a closed line from the last to the first, too."""
-    following = [*points[1:], points[0]] if closed else points[1:]
-    return list(zip(points, following, strict=False))
+    """Return the edges from each point to the next; in a closed line also from the last to the first."""
+    end_points = [*points[1:], points[0]] if closed else points[1:]
+    return list(zip(points, end_points, strict=False))
 
 
 def area(points: Sequence[Point]) -> float:
@@ -21,17 +21,15 @@ def area(points: Sequence[Point]) -> float:
     return sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in edges(points, closed=True)) / 2
 
 
-def crossing(points: Sequence[Point]) -> tuple[int, int] | None:
+def find_crossing(points: Sequence[Point]) -> tuple[int, int] | None:
     """Return the numbers from 1 of the first two edges of a polygon that meet outside its corners."""
     numbered = list(enumerate(edges(points, closed=True)))
     for (i, one), (k, other) in combinations(numbered, 2):
         if k - i in (1, len(points) - 1):
-            # Neighbours share a corner; they may not fold back onto each other.
+            # Adjacent edges share a corner, but must not fold back onto each other.
             corner, start, end = (one[1], one[0], other[1]) if k - i == 1 else (one[0], one[1], other[0])
-            back = (start[0] - corner[0]) * (end[0] - corner[0]) + (start[1] - corner[1]) * (
-                end[1] - corner[1]
-            )
-            if back > 0 and _side((corner, start), end) == 0:
+            dot_product = sum((start[axis] - corner[axis]) * (end[axis] - corner[axis]) for axis in (0, 1))
+            if dot_product > 0 and _side((corner, start), end) == 0:
                 return i + 1, k + 1
         elif _meet(one, other):
             return i + 1, k + 1
@@ -55,7 +53,7 @@ def contains(points: Sequence[Point], x: float, y: float) -> bool:
     """Return whether a point lies in a polygon or on its edge."""
     inside = False
     for (x0, y0), (x1, y1) in edges(points, closed=True):
-        if _on(((x0, y0), (x1, y1)), (x, y)):
+        if _is_on_edge(((x0, y0), (x1, y1)), (x, y)):
             return True
         if (y0 > y) != (y1 > y) and x < x0 + (y - y0) * (x1 - x0) / (y1 - y0):
             inside = not inside
@@ -64,7 +62,7 @@ def contains(points: Sequence[Point], x: float, y: float) -> bool:
 
 def distance(points: Sequence[Point], x: float, y: float) -> float:
     """Return the distance from a point to a polygon's nearest edge [mm]."""
-    return min(_away(edge, (x, y)) for edge in edges(points, closed=True))
+    return min(_edge_distance(edge, (x, y)) for edge in edges(points, closed=True))
 
 
 def walls_around(points: Sequence[Point], thickness_mm: float) -> list[Rectangle]:
@@ -75,16 +73,16 @@ def walls_around(points: Sequence[Point], thickness_mm: float) -> list[Rectangle
     for index, ((x0, y0), (x1, y1)) in enumerate(lines):
         length = math.hypot(x1 - x0, y1 - y0)
         along = (x1 - x0) / length, (y1 - y0) / length
-        before = _turn(lines[index - 1], lines[index])
-        after = _turn(lines[index], lines[(index + 1) % len(lines)])
-        # Where the polygon turns left, extend the walls of both edges to where their outer faces meet.
-        start, end = (thickness_mm * min(math.tan(max(turn, 0) / 2), 2.0) for turn in (before, after))
-        centre = (end - start) / 2
-        out = along[1], -along[0]
+        start_turn = _turn_angle(lines[index - 1], lines[index])
+        end_turn = _turn_angle(lines[index], lines[(index + 1) % len(lines)])
+        # At convex corners, extend both walls to where their outer faces meet.
+        start, end = (thickness_mm * min(math.tan(max(turn, 0) / 2), 2.0) for turn in (start_turn, end_turn))
+        shift = (end - start) / 2
+        normal = along[1], -along[0]
         walls.append(
             Rectangle(
-                (x0 + x1) / 2 + centre * along[0] + thickness_mm / 2 * out[0],
-                (y0 + y1) / 2 + centre * along[1] + thickness_mm / 2 * out[1],
+                (x0 + x1) / 2 + shift * along[0] + thickness_mm / 2 * normal[0],
+                (y0 + y1) / 2 + shift * along[1] + thickness_mm / 2 * normal[1],
                 length + start + end,
                 thickness_mm,
                 math.degrees(math.atan2(along[1], along[0])),
@@ -98,10 +96,10 @@ def corner_before(points: Sequence[Point], wall: int) -> int:
     return wall + 1 if area(points) > 0 else (len(points) - 1 - wall) or len(points)
 
 
-def reaching_in(points: Sequence[Point], thickness_mm: float) -> list[int]:
-    """Return the numbers from 1 of the edges whose walls (`walls_around`) reach into the polygon itself."""
+def find_inner_walls(points: Sequence[Point], thickness_mm: float) -> list[int]:
+    """Return the numbers from 1 of the edges whose walls (`walls_around`) overlap the polygon."""
     ring = list(points) if area(points) > 0 else list(reversed(points))
-    found: list[int] = []
+    corners: list[int] = []
     for index, wall in enumerate(walls_around(points, thickness_mm)):
         (ahead_x, ahead_y), (left_x, left_y) = wall.axes()
         for step, side in product(range(-9, 10), (-0.45, 0.0, 0.4)):
@@ -109,9 +107,9 @@ def reaching_in(points: Sequence[Point], thickness_mm: float) -> list[int]:
             x = wall.x_mm + along * ahead_x + across * left_x
             y = wall.y_mm + along * ahead_y + across * left_y
             if contains(ring, x, y) and distance(ring, x, y) > 1e-6:
-                found.append(corner_before(points, index))
+                corners.append(corner_before(points, index))
                 break
-    return sorted(found)
+    return sorted(corners)
 
 
 def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Iterator[Footprint]:
@@ -124,8 +122,8 @@ def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Ite
         yield Circle(x, y, thickness_mm / 2)
 
 
-def _turn(one: Edge, other: Edge) -> float:
-    """Return the angle by which an edge turns left from the one before [rad]."""
+def _turn_angle(one: Edge, other: Edge) -> float:
+    """Return the angle by which an edge turns left from the previous one [rad]."""
     first = one[1][0] - one[0][0], one[1][1] - one[0][1]
     second = other[1][0] - other[0][0], other[1][1] - other[0][1]
     return math.atan2(
@@ -139,23 +137,23 @@ def _side(edge: Edge, point: Point) -> float:
     return (x1 - x0) * (point[1] - y0) - (y1 - y0) * (point[0] - x0)
 
 
-def _on(edge: Edge, point: Point) -> bool:
+def _is_on_edge(edge: Edge, point: Point) -> bool:
     (x0, y0), (x1, y1) = edge
     within = min(x0, x1) <= point[0] <= max(x0, x1) and min(y0, y1) <= point[1] <= max(y0, y1)
     return within and _side(edge, point) == 0
 
 
 def _meet(one: Edge, other: Edge) -> bool:
-    """Return whether two edges have a point in common."""
-    if any(_on(one, point) for point in other) or any(_on(other, point) for point in one):
+    """Return whether two edges have a common point."""
+    if any(_is_on_edge(one, point) for point in other) or any(_is_on_edge(other, point) for point in one):
         return True
-    apart = _side(one, other[0]) * _side(one, other[1]), _side(other, one[0]) * _side(other, one[1])
-    return apart[0] < 0 and apart[1] < 0
+    sides = _side(one, other[0]) * _side(one, other[1]), _side(other, one[0]) * _side(other, one[1])
+    return sides[0] < 0 and sides[1] < 0
 
 
-def _away(edge: Edge, point: Point) -> float:
+def _edge_distance(edge: Edge, point: Point) -> float:
     (x0, y0), (x1, y1) = edge
     dx, dy = x1 - x0, y1 - y0
-    part = ((point[0] - x0) * dx + (point[1] - y0) * dy) / (dx * dx + dy * dy)
-    held = max(0.0, min(1.0, part))
-    return math.hypot(x0 + held * dx - point[0], y0 + held * dy - point[1])
+    fraction = ((point[0] - x0) * dx + (point[1] - y0) * dy) / (dx * dx + dy * dy)
+    clamped = max(0.0, min(1.0, fraction))
+    return math.hypot(x0 + clamped * dx - point[0], y0 + clamped * dy - point[1])

@@ -1,7 +1,7 @@
-"""Random obstacle fields: a playpen whose blocks and cylinders cover a given part of the floor.
+"""Random obstacle fields: playpens whose blocks and cylinders cover a given fraction of the floor.
 
-Obstacles are as far apart as a lane is wide, and as far from the walls, so that a robot fits between any two
-of them; the middle is left free for it.
+All gaps between obstacles, and to the walls, are at least a lane wide, so that a robot fits through. The
+middle of the arena is free for the robot.
 """
 
 import math
@@ -16,10 +16,10 @@ from khep_twin.playpen.parts import Arena, Block, Cylinder, RobotEntry
 from khep_twin.units import BODY_RADIUS
 
 LANE_MM = 70.0
-"""Gap between any two obstacles [mm]: a robot of 55 mm and some room."""
+"""Minimum gap between two obstacles [mm]: a robot of 55 mm and clearance."""
 
 HIGHEST_DENSITY = 0.1
-"""Highest part of the floor that obstacles with lanes between them can cover."""
+"""Highest fraction of the floor that obstacles with lanes between them can cover."""
 
 _TRIES = 20_000
 
@@ -33,37 +33,38 @@ def obstacle_field(
         name: Name of the playpen.
         width_mm: Width of the arena.
         height_mm: Height of the arena.
-        density: Part of the floor that obstacles cover, 0 to `HIGHEST_DENSITY`.
+        density: Fraction of the floor that obstacles cover, 0 to `HIGHEST_DENSITY`.
         rng: Random generator for kinds, sizes, positions and angles.
 
     Raises:
-        PlaypenError: The density is out of range, or there was not enough room for it.
+        PlaypenError: The density is out of range, or was not reached in the limit of tries.
     """
     if not 0 <= density <= HIGHEST_DENSITY:
-        wish = f"0 to {HIGHEST_DENSITY:g}"
-        raise PlaypenError(f"density = {density:g}", key="density", value=density, expected=wish)
+        expected = f"0 to {HIGHEST_DENSITY:g}"
+        raise PlaypenError(f"density = {density:g}", key="density", value=density, expected=expected)
     arena = Arena(width_mm=width_mm, height_mm=height_mm)
     middle = Circle(width_mm / 2, height_mm / 2, 1000 * BODY_RADIUS)
-    kept: list[Footprint] = [middle]
+    footprints: list[Footprint] = [middle]
     blocks: list[Block] = []
     cylinders: list[Cylinder] = []
-    wanted, covered = density * width_mm * height_mm, 0.0
+    target_area = density * width_mm * height_mm
+    covered_area = 0.0
     for _ in range(_TRIES):
-        if covered >= wanted:
+        if covered_area >= target_area:
             robot = RobotEntry(x_mm=middle.x_mm, y_mm=middle.y_mm, heading_deg=0)
-            things = {"block": tuple(blocks), "cylinder": tuple(cylinders), "robot": (robot,)}
-            return Playpen.model_validate({"version": 1, "name": name, "arena": arena, **things})
-        size, other, along, across, turn = rng.uniform(size=5).tolist()
+            tables = {"block": tuple(blocks), "cylinder": tuple(cylinders), "robot": (robot,)}
+            return Playpen.model_validate({"version": 1, "name": name, "arena": arena, **tables})
+        size, width, along, across, rotation = rng.uniform(size=5).tolist()
         item: Block | Cylinder
         if rng.uniform() < 0.5:
             radius_mm = round(12.5 + 45 * size, 1)
-            x_mm, y_mm = _place(arena, radius_mm + LANE_MM, along, across)
+            x_mm, y_mm = _draw_position(arena, radius_mm + LANE_MM, along, across)
             if x_mm < 0:
                 continue
             item = Cylinder(x_mm=x_mm, y_mm=y_mm, radius_mm=radius_mm, height_mm=50)
         else:
-            length_mm, thick_mm = round(60 + 140 * size, 1), round(20 + 50 * other, 1)
-            x_mm, y_mm = _place(arena, math.hypot(length_mm, thick_mm) / 2 + LANE_MM, along, across)
+            length_mm, thick_mm = round(60 + 140 * size, 1), round(20 + 50 * width, 1)
+            x_mm, y_mm = _draw_position(arena, math.hypot(length_mm, thick_mm) / 2 + LANE_MM, along, across)
             if x_mm < 0:
                 continue
             item = Block(
@@ -72,34 +73,34 @@ def obstacle_field(
                 length_mm=length_mm,
                 width_mm=thick_mm,
                 height_mm=50,
-                angle_deg=round(180 * turn, 1),
+                angle_deg=round(180 * rotation, 1),
             )
-        room = _grown(item.footprint, LANE_MM)
-        if any(overlap(room, shape) for shape in kept):
+        lane = _grow(item.footprint, LANE_MM)
+        if any(overlap(lane, shape) for shape in footprints):
             continue
-        kept.append(item.footprint)
+        footprints.append(item.footprint)
         if isinstance(item, Cylinder):
             cylinders.append(item)
-            covered += math.pi * item.radius_mm**2
+            covered_area += math.pi * item.radius_mm**2
         else:
             blocks.append(item)
-            covered += item.length_mm * item.width_mm
-    part = covered / (width_mm * height_mm)
+            covered_area += item.length_mm * item.width_mm
+    share = covered_area / (width_mm * height_mm)
     raise PlaypenError(
-        f"density = {density:g}: with lanes of {LANE_MM:g} mm there was room for {part:.3f} of the floor; "
+        f"density = {density:g}: with lanes of {LANE_MM:g} mm there was room for {share:.3f} of the floor; "
         "expected less, or another seed"
     )
 
 
-def _place(arena: Arena, margin_mm: float, along: float, across: float) -> tuple[float, float]:
-    """Return a random position with this distance to the walls; below 0 if there is none."""
+def _draw_position(arena: Arena, margin_mm: float, along: float, across: float) -> tuple[float, float]:
+    """Return a random position at least `margin_mm` from the walls; negative if there is none."""
     spans = arena.width_mm - 2 * margin_mm, arena.height_mm - 2 * margin_mm
     if min(spans) <= 0:
         return -1.0, -1.0
     return round(margin_mm + spans[0] * along, 1), round(margin_mm + spans[1] * across, 1)
 
 
-def _grown(shape: Footprint, by_mm: float) -> Footprint:
+def _grow(shape: Footprint, by_mm: float) -> Footprint:
     if isinstance(shape, Circle):
         return replace(shape, radius_mm=shape.radius_mm + by_mm)
     return replace(shape, length_mm=shape.length_mm + 2 * by_mm, width_mm=shape.width_mm + 2 * by_mm)

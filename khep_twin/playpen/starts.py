@@ -1,6 +1,6 @@
-"""Start poses of robots: where there is room, and random ones, at spots or anywhere.
+"""Start poses of robots: defined in the playpen, or random, at spots or anywhere.
 
-Random starts are drawn here alone: spots from the stream "spots", free poses from the stream "starts".
+Only this module draws random starts: spots from the stream "spots", free poses from the stream "starts".
 """
 
 from collections.abc import Iterator
@@ -9,32 +9,32 @@ from dataclasses import replace
 import numpy as np
 
 from khep_twin.errors import PlaypenError
-from khep_twin.playpen.checks import things
+from khep_twin.playpen.checks import placed_parts
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen.model import Playpen, place_robots
-from khep_twin.playpen.overlap import Thing, placement_problems
+from khep_twin.playpen.overlap import PlacedPart, placement_problems
 from khep_twin.randomness import stream
 
 TRIES = 1000
-"""Number of poses tried for a robot before it is reported to have no room."""
+"""Number of random poses that are tried for a robot."""
 
 Start = tuple[float, float, float]
 """x [mm], y [mm], heading [deg]."""
 
 
 def at_spots(playpen: Playpen, seed: int) -> Playpen:
-    """Return the playpen with its robots at their own poses, or at spots that the seed draws.
+    """Return the playpen with its robots at their poses, or at spots that the seed selects.
 
     Raises:
-        PlaypenError: The spots do not suffice.
+        PlaypenError: There are too few spots.
     """
     if not any(robot.spots for robot in playpen.robots):
         return playpen
     return place_robots(playpen, stream(seed, "spots"))
 
 
-def own_starts(playpen: Playpen, robot: int) -> list[Start]:
-    """Return the playpen's poses of a robot: its own, or each of its spots."""
+def defined_starts(playpen: Playpen, robot: int) -> list[Start]:
+    """Return a robot's start poses in the playpen: its pose, or its spots."""
     entry = playpen.robots[robot]
     spots = {spot.name: spot for spot in playpen.spots}
     positions = [spots[name] for name in entry.spots] or [entry]
@@ -45,20 +45,20 @@ def anywhere(playpen: Playpen, seed: int) -> Playpen:
     """Return the playpen with its robots at free poses drawn by the seed.
 
     Raises:
-        PlaypenError: No room was found.
+        PlaypenError: No free pose was found.
     """
     rng = starts_rng(seed)
-    standing = playpen.model_copy(update={"robots": ()})
+    partial = playpen.model_copy(update={"robots": ()})
     for index, robot in enumerate(playpen.robots):
-        standing = standing.model_copy(update={"robots": (*standing.robots, robot)})
-        start = free_pose(standing, index, rng)
+        partial = partial.model_copy(update={"robots": (*partial.robots, robot)})
+        start = draw_free_pose(partial, index, rng)
         if start is None:
             raise PlaypenError(
                 f"{playpen.name}: no room for robot {index + 1} was found in {TRIES} tries; "
                 "expected fewer robots"
             )
-        standing = at_start(standing, index, start)
-    return standing
+        partial = at_start(partial, index, start)
+    return partial
 
 
 def starts_rng(seed: int) -> np.random.Generator:
@@ -66,12 +66,12 @@ def starts_rng(seed: int) -> np.random.Generator:
     return stream(seed, "starts")
 
 
-def free_pose(playpen: Playpen, robot: int, rng: np.random.Generator) -> Start | None:
-    """Return a random pose at which a robot has room, to 0.1 mm and degrees; None if none was found."""
+def draw_free_pose(playpen: Playpen, robot: int, rng: np.random.Generator) -> Start | None:
+    """Return a random collision-free pose, rounded to 0.1 mm and degrees; None if none was found."""
     (left, right), (low, high) = extent(playpen)
     for _ in range(TRIES):
         x_mm, y_mm, heading_deg = rng.uniform((left, low, 0), (right, high, 360)).round(1).tolist()
-        if not no_room(playpen, robot, x_mm, y_mm):
+        if not find_obstruction(playpen, robot, x_mm, y_mm):
             return x_mm, y_mm, heading_deg
     return None
 
@@ -79,9 +79,9 @@ def free_pose(playpen: Playpen, robot: int, rng: np.random.Generator) -> Start |
 def at_start(playpen: Playpen, robot: int, start: Start) -> Playpen:
     """Return the playpen with a robot at a start pose."""
     x_mm, y_mm, heading_deg = start
-    place = {"x_mm": x_mm, "y_mm": y_mm, "heading_deg": heading_deg, "spots": ()}
+    pose = {"x_mm": x_mm, "y_mm": y_mm, "heading_deg": heading_deg, "spots": ()}
     robots = list(playpen.robots)
-    robots[robot] = robots[robot].model_copy(update=place)
+    robots[robot] = robots[robot].model_copy(update=pose)
     return playpen.model_copy(update={"robots": tuple(robots)})
 
 
@@ -91,23 +91,24 @@ def extent(playpen: Playpen) -> tuple[tuple[float, float], tuple[float, float]]:
     return (min(xs), max(xs)), (min(ys), max(ys))
 
 
-def no_room(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:
-    """Return the reason why a playpen's robot cannot stand at a position [mm]; empty if it can."""
+def find_obstruction(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:
+    """Return the reason why a robot cannot stand at a position [mm]; empty if it can."""
     entry = playpen.robots[index].model_copy(update={"x_mm": x_mm, "y_mm": y_mm, "spots": ()})
-    thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, entry.body.height * 1e3, True)
-    for problem in placement_problems([*near(playpen, index, entry.footprint), thing], playpen.arena):
-        if problem.location[:2] == thing.place:
+    robot = PlacedPart("robot", index + 1, entry.name, entry.footprint, 0, entry.body.height * 1e3, True)
+    parts = [*find_neighbours(playpen, index, entry.footprint), robot]
+    for problem in placement_problems(parts, playpen.arena):
+        if problem.location[:2] == robot.location:
             return problem.text
     return ""
 
 
-def near(playpen: Playpen, index: int, disc: Circle) -> Iterator[Thing]:
-    """Yield the objects in reach of a disc, except one robot, spots, and lamps, which robots pass."""
-    for thing in things(playpen):
-        at = thing.footprint
-        away = max(
-            abs(at.x_mm - disc.x_mm) - at.reach((1.0, 0.0)), abs(at.y_mm - disc.y_mm) - at.reach((0.0, 1.0))
-        )
-        own = (thing.kind, thing.number) == ("robot", index + 1)
-        if away <= disc.radius_mm and not own and thing.kind not in ("lamp", "spot"):
-            yield replace(thing, free=False)
+def find_neighbours(playpen: Playpen, index: int, disc: Circle) -> Iterator[PlacedPart]:
+    """Yield the objects near a disc, except one robot, spots, and lamps, which robots pass through."""
+    for part in placed_parts(playpen):
+        if part.kind in ("lamp", "spot") or (part.kind, part.number) == ("robot", index + 1):
+            continue
+        shape = part.footprint
+        x_gap_mm = abs(shape.x_mm - disc.x_mm) - shape.reach((1.0, 0.0))
+        y_gap_mm = abs(shape.y_mm - disc.y_mm) - shape.reach((0.0, 1.0))
+        if max(x_gap_mm, y_gap_mm) <= disc.radius_mm:
+            yield replace(part, is_free=False)

@@ -1,8 +1,8 @@
 """Stripes: upright panels of other surfaces on the sides of walls and objects. Lengths in mm.
 
-A pattern is a list of widths and surfaces, such as [[20, "black"], [20, "white"]]. It begins at the left end
-of each side, as seen by who stands in front of it, and repeats up to its right end; a cylinder has one side,
-which begins in the direction of x and runs counter-clockwise. Stripes are as high as what they are on.
+A pattern is a list of widths and surfaces, e.g. [[20, "black"], [20, "white"]]. It starts at the left end of
+each side, seen from the front, and repeats up to its right end. A cylinder has one side, which starts in the
+direction of x and runs counter-clockwise. Stripes are as high as their wall or object.
 """
 
 import math
@@ -20,7 +20,7 @@ PANEL_LIMIT = 5000
 """Most panels of a playpen's stripes."""
 
 FACET_DEG = 6.0
-"""Largest arc of a cylinder that one flat panel covers [deg]: at its edges it is 0.14 % of the radius off."""
+"""Largest arc of a cylinder that one flat panel covers [deg]; its edges deviate by 0.14 % of the radius."""
 
 _ROUNDING_MM = 1e-6
 
@@ -41,7 +41,7 @@ class Panel:
     Attributes:
         x_mm: Middle.
         y_mm: Middle.
-        angle_deg: Direction from its left to its right end, as seen from in front of it.
+        angle_deg: Direction from its left to its right end, seen from the front.
         width_mm: Width.
         surface: Name of its surface.
     """
@@ -61,25 +61,25 @@ class Panel:
 
 
 def panels(shape: Footprint, stripes: Sequence[Stripe]) -> Iterator[Panel]:
-    """Yield the panels on the sides of what has a footprint."""
+    """Yield the panels on the sides of an object."""
     if not stripes:
         return
     if isinstance(shape, Circle):
-        yield from _around(shape, stripes)
+        yield from _cylinder_panels(shape, stripes)
         return
     for side in edges(rectangle_corners(shape), closed=True):
-        yield from _along(*side, stripes)
+        yield from _side_panels(*side, stripes)
 
 
 def panels_within(corners: Sequence[Point], stripes: Sequence[Stripe]) -> Iterator[Panel]:
     """Yield the panels on the inner sides of the walls around a floor with these corners."""
-    ring = list(corners) if area(corners) < 0 else list(reversed(corners))
-    for start, end in edges(ring, closed=True) if stripes else ():
-        yield from _along(start, end, stripes)
+    clockwise = list(corners) if area(corners) < 0 else list(reversed(corners))
+    for start, end in edges(clockwise, closed=True) if stripes else ():
+        yield from _side_panels(start, end, stripes)
 
 
-def stretches(length_mm: float, stripes: Sequence[Stripe]) -> Iterator[tuple[float, float, str]]:
-    """Yield the start and the end of each stripe along a side, and its surface."""
+def stripe_intervals(length_mm: float, stripes: Sequence[Stripe]) -> Iterator[tuple[float, float, str]]:
+    """Yield start, end and surface of each stripe along a side."""
     start_mm = 0.0
     while start_mm < length_mm - _ROUNDING_MM:
         for width_mm, surface in stripes:
@@ -89,22 +89,22 @@ def stretches(length_mm: float, stripes: Sequence[Stripe]) -> Iterator[tuple[flo
             start_mm = end_mm
 
 
-def _along(start: Point, end: Point, stripes: Sequence[Stripe]) -> Iterator[Panel]:
+def _side_panels(start: Point, end: Point, stripes: Sequence[Stripe]) -> Iterator[Panel]:
     (x0, y0), (x1, y1) = start, end
     length_mm, angle_deg = math.hypot(x1 - x0, y1 - y0), math.degrees(math.atan2(y1 - y0, x1 - x0))
-    for first_mm, last_mm, surface in stretches(length_mm, stripes):
-        part = (first_mm + last_mm) / 2 / length_mm
-        x_mm, y_mm = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
+    for first_mm, last_mm, surface in stripe_intervals(length_mm, stripes):
+        fraction = (first_mm + last_mm) / 2 / length_mm
+        x_mm, y_mm = x0 + fraction * (x1 - x0), y0 + fraction * (y1 - y0)
         yield Panel(x_mm, y_mm, angle_deg, last_mm - first_mm, surface)
 
 
-def _around(shape: Circle, stripes: Sequence[Stripe]) -> Iterator[Panel]:
-    for first_mm, last_mm, surface in stretches(math.tau * shape.radius_mm, stripes):
-        start, turn = first_mm / shape.radius_mm, (last_mm - first_mm) / shape.radius_mm
-        facets = math.ceil(math.degrees(turn) / FACET_DEG)
-        width_mm = 2 * shape.radius_mm * math.tan(turn / facets / 2)
+def _cylinder_panels(shape: Circle, stripes: Sequence[Stripe]) -> Iterator[Panel]:
+    for first_mm, last_mm, surface in stripe_intervals(math.tau * shape.radius_mm, stripes):
+        start_angle, arc = first_mm / shape.radius_mm, (last_mm - first_mm) / shape.radius_mm
+        facets = math.ceil(math.degrees(arc) / FACET_DEG)
+        width_mm = 2 * shape.radius_mm * math.tan(arc / facets / 2)
         for facet in range(facets):
-            at = start + (facet + 0.5) * turn / facets
-            x_mm = shape.x_mm + shape.radius_mm * math.cos(at)
-            y_mm = shape.y_mm + shape.radius_mm * math.sin(at)
-            yield Panel(x_mm, y_mm, math.degrees(at) + 90, width_mm, surface)
+            angle = start_angle + (facet + 0.5) * arc / facets
+            x_mm = shape.x_mm + shape.radius_mm * math.cos(angle)
+            y_mm = shape.y_mm + shape.radius_mm * math.sin(angle)
+            yield Panel(x_mm, y_mm, math.degrees(angle) + 90, width_mm, surface)

@@ -1,4 +1,4 @@
-"""Surfaces: materials of walls and objects, as the infrared sensors and the eye see them."""
+"""Surfaces: infrared reflectance, colour and resistance of walls and objects."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -8,8 +8,8 @@ from pydantic import Field
 
 from khep_twin.files.toml_files import TomlTable
 
-_Part = Annotated[int, Field(ge=0, le=255)]
-Colour = Annotated[tuple[_Part, _Part, _Part], Field(description="three integers from 0 to 255")]
+_Channel = Annotated[int, Field(ge=0, le=255)]
+Colour = Annotated[tuple[_Channel, _Channel, _Channel], Field(description="three integers from 0 to 255")]
 
 
 class Surface(TomlTable):
@@ -18,7 +18,7 @@ class Surface(TomlTable):
     Attributes:
         reflectance: Infrared reflectance, relative to the calibration's reference wall.
         rgb: Colour, for rendering only.
-        resistance_ohm: Resistance between two fingers that grip it [ohm]; if not given, it does not conduct.
+        resistance_ohm: Resistance between two gripper fingers [ohm]; it does not conduct if not given.
     """
 
     reflectance: Annotated[float, Field(ge=0, le=2)]
@@ -44,6 +44,6 @@ BUILT_IN_SURFACES: Mapping[str, Surface] = MappingProxyType(
     }
 )
 """Built-in surfaces. White is the calibration's reference by definition. Grey and black plastic, wood, green
-styropor, pink sponge and copper, beside white plastic: fitted to the counts over distance in the manual's
-figure 11, all with one gain, to 7.7 counts rms (the manual's other wood is 0.82). Lego bricks of mixed
-colours: assumed. Copper conducts as well as a surface can."""
+styropor, pink sponge and copper: fitted to the counts over distance in the manual's figure 11, with one gain
+for all and for white plastic, to 7.7 counts rms (the manual's other wood is 0.82). Lego bricks of mixed
+colours: assumed. Copper has the lowest resistance allowed."""

@@ -1,4 +1,4 @@
-"""Tables of a playpen file: its parts by kind, each of them valid by itself."""
+"""Tables of a playpen file: its parts by kind, each validated separately."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated
@@ -23,7 +23,7 @@ from khep_twin.playpen.surfaces import BUILT_IN_SURFACES, Surface
 
 
 class PlaypenTables(TomlTable):
-    """Tables of a playpen file, each checked by itself."""
+    """Tables of a playpen file, each validated separately."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
@@ -65,16 +65,16 @@ class PlaypenTables(TomlTable):
         return {"radio": self.radio.model_dump()}
 
     def surface(self, name: str) -> Surface:
-        """Return the surface of a name, built-in or this playpen's own."""
+        """Return the surface of a name, built-in or defined in this playpen."""
         return BUILT_IN_SURFACES.get(name) or self.surfaces[name]
 
     def reflectance(self, part: Arena | Block | Cylinder | Wall) -> float:
-        """Return the infrared reflectance of a part: the mean over its stripes, if it has any."""
+        """Return the infrared reflectance of a part, or the mean over its stripes."""
         if not part.stripes:
             return self.surface(part.surface).reflectance
         widths_mm = [width_mm for width_mm, _ in part.stripes]
-        light = (width_mm * self.surface(name).reflectance for width_mm, name in part.stripes)
-        return sum(light) / sum(widths_mm)
+        weighted = (width_mm * self.surface(name).reflectance for width_mm, name in part.stripes)
+        return sum(weighted) / sum(widths_mm)
 
     @property
     def panels(self) -> Iterator[Panel]:

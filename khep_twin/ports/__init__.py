@@ -1,4 +1,4 @@
-"""Ports of a twin: khep:// in the host's own process, and a pseudo-terminal for every other program."""
+"""Ports of a twin: khep:// in the host's process; pseudo-terminals and TCP ports for other programs."""
 
 import sys
 from typing import TYPE_CHECKING

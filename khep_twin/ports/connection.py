@@ -1,4 +1,4 @@
-"""One robot of a served twin and the host at the far end of its cable."""
+"""Connection of one robot of a served twin to its host."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,7 +9,7 @@ from khep_twin.robot import Robot
 
 
 class Connection:
-    """Byte transfer between a robot's line and its cable, with a check of the host's line settings."""
+    """Byte transfer between a robot's line and its host port, with a check of the host's line settings."""
 
     def __init__(self, twin: Twin, robot: Robot, port: HostPort, notify: Callable[[str], None]) -> None:
         self._world = twin.world
@@ -20,7 +20,7 @@ class Connection:
 
     @property
     def has_room(self) -> bool:
-        """True if the robot's line takes more bytes of the host."""
+        """True if the robot's line accepts more bytes of the host."""
         uart = self._robot.uart
         return uart.rx.next_ns is None or uart.room > 0
 
@@ -38,60 +38,60 @@ class Connection:
         return command_ns if byte_ns is None else min(byte_ns, command_ns)
 
     def next_stop_ns(self) -> int:
-        """Return the time of the robot's next command, or else of the arrival of its last byte [ns].
+        """Return the time of the robot's next command; without one, of the arrival of its last byte [ns].
 
-        Without either, a line that is full of an unfinished command must have room again.
+        Without both, a line filled by an unfinished command must regain room: the arrival of its last byte.
         """
         if (command_ns := self._command_ns()) != NEVER_NS:
             return command_ns
         rx, tx = self._robot.uart.rx, self._robot.uart.tx
-        last_ns = tx.arrival(len(tx))
+        last_ns = tx.arrival_ns(len(tx))
         if last_ns is None and not self.has_room:
-            last_ns = rx.arrival(len(rx))
+            last_ns = rx.arrival_ns(len(rx))
         return NEVER_NS if last_ns is None else last_ns
 
-    def take(self, now: Callable[[], int] | None = None) -> int:
+    def receive(self, now: Callable[[], int] | None = None) -> int:
         """Pass the host's bytes to the robot; return the time at which they were sent, 0 without any [ns].
 
-        `now` is simulated time by the wall clock, which the world may lag behind a little [ns].
+        `now` returns the simulated time by the wall clock, which may be slightly ahead of the world [ns].
         """
         robot, port, uart = self._robot, self._cable, self._robot.uart
-        # Of an unfinished line no reply comes, even if its bytes are underway: the wire clock stands still.
-        answered = uart.tx.next_ns is None and self._command_ns() == NEVER_NS
+        # An unfinished line gets no reply, even with bytes in transit: the wire clock stands still.
+        is_answered = uart.tx.next_ns is None and self._command_ns() == NEVER_NS
         if self._baud != robot.firmware.baud:
             self._baud = robot.firmware.baud
             port.set_baud(self._baud)
-        received = port.receive(uart.room, answered)
+        received = port.receive(uart.room, is_answered)
         if received is NOTHING:
             return 0
         time_ns = 0 if now is None else now()
         for notice in received.notices:
-            self._note(notice)
-        if received.last:
-            robot.send(received.last, time_ns)
-        if received.left:
-            # What the host has sent still reaches the robot, as on a cable; the answers are dropped.
+            self._report(notice)
+        if received.last_data:
+            robot.send(received.last_data, time_ns)
+        if received.hosts_left:
+            # Bytes that the host has sent still reach the robot, as on a cable; the replies are dropped.
             robot.disconnect()
-            robot.compare_line(None)
+            robot.set_host_line(None)
         if received.data:
-            if notice := robot.compare_line(port.settings()):
-                self._note(notice)
+            if notice := robot.set_host_line(port.settings()):
+                self._report(notice)
             robot.send(received.data, time_ns)
         return time_ns
 
-    def give(self) -> None:
+    def deliver(self) -> None:
         """Pass the bytes that have arrived to the host."""
-        self._give(self._world.time_ns)
+        self._deliver(self._world.time_ns)
 
-    def give_early(self, time_ns: int) -> None:
+    def deliver_early(self, time_ns: int) -> None:
         """Pass the bytes that arrive by `time_ns` to the host, before the world has reached that time.
 
-        Commands that wait for room on the line keep its bytes there.
+        The line keeps its bytes while commands wait for room on it.
         """
         if self._robot.uart.rx.next_ns is None:
-            self._give(time_ns)
+            self._deliver(time_ns)
 
-    def _give(self, time_ns: int) -> None:
+    def _deliver(self, time_ns: int) -> None:
         tx = self._robot.uart.tx
         if tx.next_ns is not None and tx.next_ns <= time_ns:
             reply = tx.read(time_ns)
@@ -104,6 +104,6 @@ class Connection:
         command_ns = None if robot.uart.rx.next_ns is None else robot.next_command_ns()
         return NEVER_NS if command_ns is None else command_ns
 
-    def _note(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._world.log_event(self._robot.index, text)
         self._notify(f"{self._cable.path}: {text}")

@@ -1,7 +1,7 @@
 """Sources that wake the serving loop besides bytes: exact time-outs, and hosts that open or close a terminal.
 
-Both are of the Linux kernel. Where the system lacks the one, time-outs end 0.05 ms later; where it lacks
-inotify, which Python has no functions for, there is no `OpenEvents`.
+Both are interfaces of the Linux kernel: timer slack, without which time-outs end 0.05 ms later, and inotify,
+which reports the use of files; without it, `open_events` returns None.
 """
 
 import ctypes
@@ -19,20 +19,20 @@ _FLAGS = flags("O_NONBLOCK", "O_CLOEXEC")
 
 _IN_MODIFY, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE, _IN_OPEN, _IN_Q_OVERFLOW = 0x02, 0x08, 0x10, 0x20, 0x4000
 _IN_CLOSE = _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE
-_HEAD = struct.Struct("iIII")
-_BUFFER = 448
-_FULL = _BUFFER - _HEAD.size - 256
-"""Bytes of events above which more may wait: one with a name of 255 bytes may not have fitted."""
+_HEADER = struct.Struct("iIII")
+_BUFFER_SIZE = 448
+_FULL_SIZE = _BUFFER_SIZE - _HEADER.size - 256
+"""Bytes of events above which more may be pending: an event with a name of 255 bytes may not have fitted."""
 
 
-def exact_timeouts() -> None:
-    """Have this thread's time-outs end when they are due, not 0.05 ms later, as the kernel's default is."""
+def set_exact_timeouts() -> None:
+    """End this thread's time-outs when they are due, not 0.05 ms later as by the kernel's default."""
     with suppress(OSError):
         Path(f"/proc/{threading.get_native_id()}/timerslack_ns").write_text("1")
 
 
 class Event(Enum):
-    """Act of a host on a terminal."""
+    """Action of a host on a terminal."""
 
     OPENED = auto()
     WRITTEN = auto()
@@ -40,14 +40,14 @@ class Event(Enum):
 
 
 ONE_WRITE = (Event.WRITTEN,)
-"""One run of writes, which is what most polls find."""
+"""One run of writes, the result of most polls."""
 
 
 class OpenEvents:
     """Event source for one terminal.
 
-    The terminal's directory is watched beside the terminal: its events stand between two equal ones of the
-    terminal, which the kernel would merge. Those of two processors at the same moment may still be merged.
+    The kernel merges equal consecutive events. The terminal's directory is therefore also watched: its events
+    separate equal ones of the terminal. Simultaneous events on two processors may still be merged.
 
     Attributes:
         descriptor: Descriptor for `select`, readable when there are events.
@@ -56,23 +56,23 @@ class OpenEvents:
     def __init__(self, descriptor: int, watch: int) -> None:
         self.descriptor = descriptor
         self._watch = watch
-        self._one_write = _HEAD.pack(watch, _IN_MODIFY, 0, 0)
+        self._one_write = _HEADER.pack(watch, _IN_MODIFY, 0, 0)
 
     def drain(self) -> Sequence[Event]:
         """Return the events since the last call, the oldest first."""
         data = self._read()
         if data == self._one_write:
             return ONE_WRITE
-        found: list[Event] = []
+        events: list[Event] = []
         while data:
-            place = 0
-            while place < len(data):
-                watch, kind, _, name_size = _HEAD.unpack_from(data, place)
-                place += _HEAD.size + name_size
+            offset = 0
+            while offset < len(data):
+                watch, kind, _, name_size = _HEADER.unpack_from(data, offset)
+                offset += _HEADER.size + name_size
                 if watch == self._watch or kind & _IN_Q_OVERFLOW:
-                    found.append(_event(kind))
-            data = self._read() if len(data) > _FULL else b""
-        return found
+                    events.append(_event(kind))
+            data = self._read() if len(data) > _FULL_SIZE else b""
+        return events
 
     def close(self) -> None:
         """Release the descriptor."""
@@ -80,7 +80,7 @@ class OpenEvents:
 
     def _read(self) -> bytes:
         try:
-            return os.read(self.descriptor, _BUFFER)
+            return os.read(self.descriptor, _BUFFER_SIZE)
         except BlockingIOError:
             return b""
 
@@ -93,9 +93,9 @@ def open_events(path: str) -> OpenEvents | None:
     descriptor = int(libc.inotify_init1(_FLAGS))
     if descriptor < 0:
         return None
-    opens = _IN_OPEN | _IN_CLOSE
-    watch = int(libc.inotify_add_watch(descriptor, path.encode(), opens | _IN_MODIFY))
-    if watch < 0 or libc.inotify_add_watch(descriptor, os.path.dirname(path).encode(), opens) < 0:
+    open_mask = _IN_OPEN | _IN_CLOSE
+    watch = int(libc.inotify_add_watch(descriptor, path.encode(), open_mask | _IN_MODIFY))
+    if watch < 0 or libc.inotify_add_watch(descriptor, os.path.dirname(path).encode(), open_mask) < 0:
         os.close(descriptor)
         return None
     return OpenEvents(descriptor, watch)
@@ -104,5 +104,5 @@ def open_events(path: str) -> OpenEvents | None:
 def _event(kind: int) -> Event:
     if kind & _IN_OPEN:
         return Event.OPENED
-    # Of events that were lost, a closing is the one that must be looked into.
+    # Lost events are treated as a closing, which must be checked.
     return Event.WRITTEN if kind & _IN_MODIFY else Event.CLOSED

@@ -1,4 +1,4 @@
-"""Connection of one robot of a served twin to its host: a terminal or a network; a limit of its notices."""
+"""Interface of the ports that hosts open, as a terminal or over a network, and a rate limit of notices."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -8,27 +8,27 @@ from khep_twin.board.uart import LineSettings
 
 
 class Received(NamedTuple):
-    """Bytes from the hosts of a cable since the last call, and news about the hosts.
+    """Bytes from the hosts of a port since the last call, and changes among the hosts.
 
     Attributes:
-        data: Bytes sent by hosts that are here.
-        left: All hosts that were here have left, even if another came since; what they left is cleared.
-        last: Bytes sent by hosts that have left.
+        data: Bytes sent by connected hosts.
+        hosts_left: True if all earlier hosts have left and been cleared; another one may be connected.
+        last_data: Bytes sent by hosts that have left.
         notices: Lines for the user who runs the server.
     """
 
     data: bytes = b""
-    left: bool = False
-    last: bytes = b""
+    hosts_left: bool = False
+    last_data: bytes = b""
     notices: Sequence[str] = ()
 
 
 NOTHING = Received()
-"""No bytes and no news."""
+"""No bytes and no changes."""
 
 
 class HostPort(Protocol):
-    """The far end of one robot's line."""
+    """End of one robot's line that hosts open."""
 
     @property
     def path(self) -> str:
@@ -37,33 +37,32 @@ class HostPort(Protocol):
 
     @property
     def dropped(self) -> int:
-        """Number of bytes that no host took in time."""
+        """Number of reply bytes that were dropped because no host read them in time."""
         ...
 
     @property
     def occupied(self) -> bool:
-        """True if a host is there, as far as that can be known."""
+        """True if a host is connected, as far as the system reports it."""
         ...
 
     def set_baud(self, baud: int) -> None:
-        """Take the speed of the robot's line, which a host has that sets none [baud]."""
+        """Set the baud rate of the robot's line, which applies to a host that sets none."""
         ...
 
-    def descriptors(self, room: bool) -> Sequence[int]:
-        """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
+    def descriptors(self, has_room: bool) -> Sequence[int]:
+        """Return the descriptors that are readable when a host connects, leaves or, if `has_room`, writes."""
         ...
 
     def settings(self) -> LineSettings | None:
-        """Return the line settings of the host; None where it has set none, or where they cannot be seen."""
+        """Return the line settings of the host; None if it has set none, or they are not reported."""
         ...
 
-    def receive(self, limit: int, answered: bool = False) -> Received:
-        """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them.
+    def receive(self, limit: int, is_answered: bool = False) -> Received:
+        """Return the hosts' bytes, at most `limit` from connected ones, and changes among the hosts.
 
         Args:
-            limit: Most bytes that the robot's line takes now.
-            answered: All that was taken so far is carried out and answered: a host that has finished sending
-                and waits for its replies is let go.
+            limit: Most bytes that the robot's line accepts now.
+            is_answered: True if all earlier commands are answered; a host that has finished may be closed.
         """
         ...
 
@@ -72,37 +71,37 @@ class HostPort(Protocol):
         ...
 
     def close(self) -> None:
-        """Close the host's endpoint."""
+        """Close the port."""
         ...
 
 
-_AT_ONCE = 10
-"""Notices that may follow each other."""
+_BURST = 10
+"""Notices that are printed without a pause."""
 
-_INTERVAL = 10.0
+_INTERVAL_S = 10.0
 """Time per further notice [s]."""
 
 
 class NoticeLimit:
-    """Rate limit of notices, ten at once and six a minute: no host fills the log or blocks standard error."""
+    """Rate limit of notices, ten together and six per minute: no host fills the log or blocks stderr."""
 
     def __init__(self) -> None:
-        self._room = float(_AT_ONCE)
-        self._since = time.monotonic()
+        self._tokens = float(_BURST)
+        self._updated_s = time.monotonic()
         self._dropped = 0
 
     def admit(self, notices: Iterable[str]) -> list[str]:
-        """Return the notices to be printed; the next one gives the number of those that were not."""
+        """Return the notices to be printed; the next one has the number of suppressed ones."""
         now = time.monotonic()
-        self._room = min(self._room + (now - self._since) / _INTERVAL, _AT_ONCE)
-        self._since = now
+        self._tokens = min(self._tokens + (now - self._updated_s) / _INTERVAL_S, _BURST)
+        self._updated_s = now
         printed: list[str] = []
         for notice in notices:
-            if self._room < 1:
+            if self._tokens < 1:
                 self._dropped += 1
                 continue
-            self._room -= 1
-            rest = f" ({self._dropped} more notices were not printed)" if self._dropped else ""
-            printed.append(notice + rest)
+            self._tokens -= 1
+            suffix = f" ({self._dropped} more notices were not printed)" if self._dropped else ""
+            printed.append(notice + suffix)
             self._dropped = 0
         return printed

@@ -1,8 +1,8 @@
-"""Bytes on a terminal and the hosts that have written them.
+"""Assignment of the bytes on a terminal to the hosts that have written them.
 
-The kernel hands over bytes, and reports runs of writes, each by its own way: it keeps no boundary between the
-bytes of a host that leaves and those of the next one. What was read and what was reported are compared here;
-`terminal_hosts` has the reports, `pty` the bytes.
+The kernel passes bytes and reports runs of writes separately. It keeps no boundary between the bytes of a
+host that leaves and those of the next one. This module compares the bytes that `pty` has read with the
+writes that `terminal_hosts` reports.
 """
 
 import re
@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from enum import Enum
 
 _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
-"""Line with its end, or what there is of it."""
+"""Line with its end, or an unfinished line."""
 
 _TEXT = re.compile(rb"[\t\r\n -~]*")
-"""Bytes that the robot's protocol consists of."""
+"""Bytes of the robot's protocol."""
 
 _UNFINISHED = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
-"""Line that another one follows without an end between: commands begin with a capital letter."""
+"""Unfinished line directly before another one: commands start with a capital letter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,96 +24,98 @@ class Change:
     """Changes among the hosts since the last poll.
 
     Attributes:
-        left: All hosts that were here have left, even if others came since.
-        writes_before: Runs of writes of the hosts that have left; of those that are here, if none has.
+        hosts_left: True if all earlier hosts have left, even if others have opened the terminal since.
+        writes_before: Runs of writes of the hosts that have left; of the present hosts, if none has left.
         writes: Runs of writes of the hosts that came after the others left.
     """
 
-    left: bool = False
+    hosts_left: bool = False
     writes_before: int = 0
     writes: int = 0
 
 
-class Reading(Enum):
-    """Bytes that were read, compared with the writes that were reported.
+class ReadState(Enum):
+    """State of the bytes that were read, compared with the writes that were reported.
 
     Attributes:
-        EVEN: All that was read was reported, and all that was reported was read.
-        AHEAD: Bytes were read whose write is not reported yet.
-        BEHIND: Bytes of a reported write found no room here, or are underway.
-        SPLIT: Bytes were read whose write is not reported yet, and more of them are there.
+        MATCHED: All bytes that were read were reported, and all reported writes were read.
+        UNREPORTED: Bytes were read whose write is not reported yet.
+        UNREAD: Bytes of a reported write had no room in the last read, or are in transit.
+        SPLIT: Bytes were read whose write is not reported yet, and more bytes of it are pending.
     """
 
-    EVEN = (False, False)
-    AHEAD = (True, False)
-    BEHIND = (False, True)
+    MATCHED = (False, False)
+    UNREPORTED = (True, False)
+    UNREAD = (False, True)
     SPLIT = (True, True)
 
     @property
-    def is_ahead(self) -> bool:
+    def has_unreported(self) -> bool:
         """True if bytes were read whose write is not reported yet."""
         return self.value[0]
 
     @property
-    def is_behind(self) -> bool:
-        """True if bytes are still to be read."""
+    def has_unread(self) -> bool:
+        """True if bytes are pending."""
         return self.value[1]
 
-    def after(self, got_bytes: bool, writes: int, more: bool) -> "Reading":
+    def next_state(self, has_read: bool, writes: int, is_full: bool) -> "ReadState":
         """Return the next state, while no host leaves.
 
         Args:
-            got_bytes: Bytes were read.
+            has_read: True if bytes were read.
             writes: Runs of writes that were reported.
-            more: More is there to read than there was room for.
+            is_full: True if more bytes are pending than there was room for.
         """
-        # Bytes of an unfinished write are that write's, and no news.
-        ahead = (self.is_ahead or (got_bytes and not self.is_behind)) and not writes
-        return Reading((ahead, more or (writes > 0 and not got_bytes)))
+        # Bytes of a partly read write belong to that write.
+        is_unreported = (self.has_unreported or (has_read and not self.has_unread)) and not writes
+        return ReadState((is_unreported, is_full or (writes > 0 and not has_read)))
 
-    def unread(self, writes: int) -> int:
-        """Return the runs of writes to be read yet, of the reported ones and those before."""
-        return writes - self.is_ahead + self.is_behind
+    def count_unread(self, writes: int) -> int:
+        """Return the number of unread runs of writes, both newly reported and earlier ones."""
+        return writes - self.has_unreported + self.has_unread
 
 
-def divide_at_leaving(
-    reading: Reading, first: bytes, is_whole: bool, rest: bytes, change: Change, later: Change
+def split_at_departure(
+    state: ReadState, first: bytes, is_whole: bool, rest: bytes, change: Change, later: Change
 ) -> tuple[bytes, bytes]:
-    """Divide bytes into those of hosts that have left and those of hosts that are here.
+    """Split bytes into those of hosts that have left and those of present hosts.
 
     Args:
-        reading: State before the first read.
+        state: State before the first read.
         first: Bytes that were read before the hosts were polled.
-        is_whole: True if these are some and no limit has cut them off.
-        rest: Bytes that were read after that.
-        change: Result of the poll, after which hosts have left.
-        later: Result of another poll, after the rest.
+        is_whole: True if these are not empty and were not cut off by the limit.
+        rest: Bytes that were read after the poll.
+        change: Result of the poll, which reported that hosts have left.
+        later: Result of another poll after the rest was read.
     """
-    n_before = reading.unread(change.writes_before)
-    if not later.left:
-        return divide(first + rest, n_before, change.writes + later.writes_before)
-    # Whoever wrote what was read first has left, too, and with it that run of writes, unless cut off.
-    last, data = divide(rest, n_before + change.writes + later.writes_before - is_whole, later.writes)
-    return first + last, data
+    n_before = state.count_unread(change.writes_before)
+    if not later.hosts_left:
+        return split_by_host(first + rest, n_before, change.writes + later.writes_before)
+    # The host that wrote the first bytes has also left; its run of writes is complete unless cut off.
+    last_data, data = split_by_host(
+        rest, n_before + change.writes + later.writes_before - is_whole, later.writes
+    )
+    return first + last_data, data
 
 
-def divide(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
-    """Divide bytes into those of hosts that have left and those of hosts that are here.
+def split_by_host(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
+    """Split bytes into those of hosts that have left and those of present hosts.
 
-    Where both have written, a new host is assumed to have written a line at a time. Bytes that are not text
-    have no lines; all of them count as that host's, whose write may not have been reported yet.
+    If both have written, a new host is assumed to have written one line per write. Bytes that are not text
+    have no lines; all of them are assigned to the new host, whose write may not be reported yet.
 
     Args:
         data: Bytes of both.
         n_before: Runs of writes of hosts that have left.
-        n_writes: Runs of writes of hosts that are here.
+        n_writes: Runs of writes of present hosts.
     """
     if n_before <= 0 or not _TEXT.fullmatch(data):
         return b"", data
     if n_writes <= 0:
         return data, b""
     lines = _LINE.findall(data)
-    last, rest = b"".join(lines[:-n_writes]), b"".join(lines[-n_writes:])
+    last_data, rest = b"".join(lines[:-n_writes]), b"".join(lines[-n_writes:])
     if unfinished := _UNFINISHED.match(rest):
-        last, rest = last + unfinished[0], rest[unfinished.end() :]
-    return last, rest
+        last_data, rest = last_data + unfinished[0], rest[unfinished.end() :]
+    return last_data, rest

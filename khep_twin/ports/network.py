@@ -1,7 +1,7 @@
-"""TCP connections as the far end of a serial cable: plain bytes, or RFC 2217 with its line settings.
+"""TCP servers as host ports: with plain bytes, or with RFC 2217, which also transmits line settings.
 
-One host at a time, as on a cable: a second one is refused and reported. A host that has left, or has
-finished sending, is replaced by the next one at once.
+One host is connected at a time, as on a cable; a second one is refused and reported. The next host replaces
+one that has left or finished sending immediately.
 """
 
 import ipaddress
@@ -27,7 +27,7 @@ class TcpPort:
         host: Name or address to listen at.
         port: Port number; 0 for any free one.
         rfc2217: Negotiate line settings.
-        baud: Speed of the robot's line [baud].
+        baud: Baud rate of the robot's line.
 
     Attributes:
         path: URL that pyserial opens.
@@ -48,13 +48,13 @@ class TcpPort:
             reason = getattr(error, "strerror", None) or str(error)
             raise PortError(f"{host}:{port}: cannot listen here: {reason}") from error
         self._server.setblocking(False)
-        # Connections inherit these. What a host has sent waits here or, beyond that, at the host.
+        # Connections inherit these options. Unread bytes of a host wait here; beyond the limit, at the host.
         self._server.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 * WAITING_LIMIT)
-        _ask_silent_hosts(self._server)
-        shown = f"[{host}]" if ":" in host else host
+        _enable_keepalive(self._server)
+        address = f"[{host}]" if ":" in host else host
         scheme = "rfc2217" if rfc2217 else "socket"
-        self.path = f"{scheme}://{shown}:{self._server.getsockname()[1]}"
+        self.path = f"{scheme}://{address}:{self._server.getsockname()[1]}"
 
     @property
     def occupied(self) -> bool:
@@ -63,53 +63,53 @@ class TcpPort:
 
     @property
     def dropped(self) -> int:
-        """Number of bytes that no host took in time."""
+        """Number of reply bytes that were dropped because no host read them in time."""
         return self._dropped + (0 if self._host is None else self._host.dropped)
 
-    def descriptors(self, room: bool) -> Sequence[int]:
-        """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
-        host = self._host.descriptor if self._host is not None and room else None
+    def descriptors(self, has_room: bool) -> Sequence[int]:
+        """Return the descriptors that are readable when a host connects, leaves or, if `has_room`, writes."""
+        host = self._host.descriptor if self._host is not None and has_room else None
         return [self._server.fileno(), *([] if host is None else [host])]
 
     def set_baud(self, baud: int) -> None:
-        """Take the speed of the robot's line, from which the next host's negotiation begins [baud]."""
+        """Set the baud rate of the robot's line, the first value of the next host's negotiation."""
         self._baud = self._baud and baud
 
     def settings(self) -> LineSettings | None:
         """Return the line settings of the host; None without RFC 2217."""
         return None if self._host is None else self._host.settings()
 
-    def receive(self, limit: int, answered: bool = False) -> Received:
-        """Take what the host has sent, and news about hosts; at most one host follows another in a call."""
+    def receive(self, limit: int, is_answered: bool = False) -> Received:
+        """Return the host's bytes and changes among hosts; at most one host replaces another per call."""
         notices: list[str] = []
-        last = None
+        last_data = None
         if self._host is not None:
-            self._host.look()
-            if self._host.lost or (answered and self._host.done):
-                last = self._disconnect(notices)
+            self._host.update()
+            if self._host.is_lost or (is_answered and self._host.is_done):
+                last_data = self._disconnect(notices)
         for _ in range(_BACKLOG):
-            came = self._accept(notices)
-            if came is None:
+            accepted = self._accept(notices)
+            if accepted is None:
                 break
-            client, address = came
-            if self._host is not None and self._host.stays():
+            client, address = accepted
+            if self._host is not None and self._host.keeps_port():
                 client.close()
                 notices.append(f"a second host, {address}, was refused: the port is taken")
                 continue
             if self._host is not None:
-                if self._host.overfull:
+                if self._host.is_overfull:
                     notices.append(
                         f"a host, {self._host.address}, gave way to the next, {address}: "
                         f"{WAITING_LIMIT} bytes or more of it were waiting"
                     )
-                last = self._disconnect(notices)
+                last_data = self._disconnect(notices)
             self._host = NetworkHost(client, address, self._baud)
             break
-        data = b"" if self._host is None else self._host.take(limit)
-        return Received(data, last is not None, last or b"", self._notice_limit.admit(notices))
+        data = b"" if self._host is None else self._host.receive(limit)
+        return Received(data, last_data is not None, last_data or b"", self._notice_limit.admit(notices))
 
     def write(self, data: bytes) -> None:
-        """Send whole lines to the host; what it leaves no room for is dropped and counted."""
+        """Send complete lines to the host; bytes without room are dropped and counted."""
         if self._host is not None:
             self._host.write(data)
 
@@ -125,26 +125,26 @@ class TcpPort:
             client, address = self._server.accept()
         except BlockingIOError:
             return None
-        except OSError as error:  # it has left again, or there is no descriptor to spare
+        except OSError as error:  # it has left again, or no descriptor is free
             notices.append(f"a host could not be let in: {error.strerror}")
             return None
         return client, address[0]
 
     def _disconnect(self, notices: list[str]) -> bytes:
-        """End the connection of a host that has left; return what it had still sent."""
+        """End the connection of a host that has left; return its last bytes."""
         host, self._host = self._host, None
         if host is None:
             return b""
-        last = host.take(LAST_LIMIT)
+        last_data = host.receive(LAST_LIMIT)
         if host.fault:
             notices.append(f"a host, {host.address}, was cut off: {host.fault}")
         self._dropped += host.dropped
         host.close()
-        return last
+        return last_data
 
 
 def address_fault(url: str) -> str:
-    """Return the fault of the address in a URL of pyserial's network ports; empty for none or another URL."""
+    """Return the error in the address of a pyserial network URL; empty for a valid one or another URL."""
     kind, _, rest = url.partition("://")
     if kind in ("socket", "rfc2217"):
         try:
@@ -173,9 +173,9 @@ def listening_address(
 
     Args:
         text: Address as typed.
-        act: What other machines could do there, for the error.
+        act: Action that other machines could perform there, for the error message.
         allow_remote: Allow connections from other machines.
-        option: Option that allows them, for the error.
+        option: Option that allows them, for the error message.
 
     Raises:
         PortError: The text has another form, or other machines could reach the address.
@@ -197,8 +197,8 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def _ask_silent_hosts(server: socket.socket) -> None:
-    """Let the system detect a host that vanished without closing, as by a cable pulled out."""
+def _enable_keepalive(server: socket.socket) -> None:
+    """Let the system detect a host that vanished without closing, such as one with its cable pulled out."""
     server.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in (("IDLE", _SILENT_S), ("INTVL", _PROBE_S), ("CNT", _PROBES)):
         if option := getattr(socket, f"TCP_KEEP{name}", None):

@@ -1,9 +1,9 @@
-"""Processes that have a port open, as the kernel reports them: no port is opened, so sessions continue.
+"""Processes that have a port open, by the kernel's reports: the port is not opened, so sessions continue.
 
-A process holds a device that it has open (/proc/PID/fd), that is its controlling terminal (/proc/PID/stat,
-which every user may read), or for which it has left a lock file, as terminal programs do. A program at the
-far end of a pseudo-terminal, such as `khep-twin serve`, may keep one descriptor of the host's side open
-without being a host. A TCP port has a host when a connection to it is established.
+A process uses a device if it has it open (/proc/PID/fd), if it is its controlling terminal (/proc/PID/stat,
+which every user may read), or if it has written a lock file, as terminal programs do. A program at the other
+end of a pseudo-terminal, such as `khep-twin serve`, may keep one descriptor of the host's side open without
+being a host. A TCP port has a host when a connection to it is established.
 
 Other users' processes that have a device open without a lock cannot be detected; without /proc, none can.
 """
@@ -22,17 +22,17 @@ _PROCESSES, _LOCKS = Path("/proc"), Path("/run/lock")
 _TCP_TABLES = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
 _ESTABLISHED = "01"
 _UNIX98_PTS = range(136, 144)
-"""Major numbers of pseudo-terminals, whose minor numbers are their names in /dev/pts."""
+"""Major numbers of pseudo-terminals; their minor numbers are their names in /dev/pts."""
 
 
 def port_user(url: str) -> str:
-    """Name the user of a port: "process 1234 (picocom)", "a connection"; empty if none is found.
+    """Return the user of a port, as "process 1234 (picocom)" or "a connection"; empty without one.
 
-    The port is a device, a link to one, or a URL of pyserial's.
+    The port is a device, a link to one, or a URL of pyserial.
     """
     try:
         parts = urlsplit(url)
-    except ValueError:  # such as brackets that are not closed
+    except ValueError:  # for example unclosed brackets
         return ""
     if parts.scheme in ("socket", "rfc2217"):
         with suppress(OSError, ValueError):
@@ -43,15 +43,15 @@ def port_user(url: str) -> str:
         return ""
     if not stat.S_ISCHR(device.st_mode):
         return ""
-    number = next(_processes(url, device), None)
-    return "" if number is None else f"process {number}{_name(number)}"
+    pid = next(_processes(url, device), None)
+    return "" if pid is None else f"process {pid}{_process_name(pid)}"
 
 
 def count_descriptors(path: str) -> int:
-    """Count the descriptors that processes have open of a device, as far as /proc shows them."""
+    """Count the open descriptors of a device in all processes that /proc shows."""
     device, count = os.stat(path), 0
     for process in _PROCESSES.glob("[0-9]*"):
-        # Processes end while they are looked at, and those of others are closed to us.
+        # Processes may end meanwhile, and those of other users are not readable.
         with suppress(OSError):
             count += _count(process, device)
     return count
@@ -64,64 +64,64 @@ def _processes(path: str, device: os.stat_result) -> Iterator[int]:
     major, minor = os.major(device.st_rdev), os.minor(device.st_rdev)
     terminal = (major - _UNIX98_PTS.start) * 256 + minor if major in _UNIX98_PTS else None
     for process in _PROCESSES.glob("[0-9]*"):
-        # Processes end while they are looked at, and those of others are closed to us.
+        # Processes may end meanwhile, and those of other users are not readable.
         with suppress(OSError, ValueError, IndexError):
             if _controls(process, major, minor):
                 yield int(process.name)
                 continue
-            kept = 1 if terminal is not None and _has_master(process, terminal) else 0
-            if _count(process, device) > kept:
+            n_expected = 1 if terminal is not None and _has_master(process, terminal) else 0
+            if _count(process, device) > n_expected:
                 yield int(process.name)
     for name in {os.path.basename(path), os.path.basename(os.path.realpath(path))}:
         with suppress(OSError, ValueError, IndexError):
-            number = int((_LOCKS / f"LCK..{name}").read_text(encoding="ascii").split()[0])
-            if (_PROCESSES / str(number)).exists():
-                yield number
+            pid = int((_LOCKS / f"LCK..{name}").read_text(encoding="ascii").split()[0])
+            if (_PROCESSES / str(pid)).exists():
+                yield pid
 
 
 def _count(process: Path, device: os.stat_result) -> int:
-    """Count the descriptors that a process has open of a device."""
-    return sum(_is_same(each, device) for each in (process / "fd").iterdir())
+    """Count the open descriptors of a device in a process."""
+    return sum(_is_same(descriptor, device) for descriptor in (process / "fd").iterdir())
 
 
 def _is_same(descriptor: Path, device: os.stat_result) -> bool:
-    """Return whether a descriptor is of a device; of pseudo-terminals, each container numbers its own."""
+    """Return whether a descriptor refers to a device; containers number pseudo-terminals separately."""
     if sys.platform == "win32":
         return False
     with suppress(OSError):
         if os.readlink(descriptor).startswith("/dev/"):
-            found = descriptor.stat()
+            status = descriptor.stat()
             is_terminal = os.major(device.st_rdev) in _UNIX98_PTS
-            same_number = stat.S_ISCHR(found.st_mode) and found.st_rdev == device.st_rdev
-            return os.path.samestat(found, device) or (same_number and not is_terminal)
+            same_number = stat.S_ISCHR(status.st_mode) and status.st_rdev == device.st_rdev
+            return os.path.samestat(status, device) or (same_number and not is_terminal)
     return False
 
 
 def _controls(process: Path, major: int, minor: int) -> bool:
     """Return whether a device that is no pseudo-terminal is the controlling terminal of a process."""
-    # Behind the name in brackets: state, parent, group, session, terminal.
-    about = (process / "stat").read_text(encoding="utf-8", errors="replace")
-    terminal = int(about.rpartition(")")[2].split()[4])
+    # After the name in brackets: state, parent, group, session, terminal.
+    text = (process / "stat").read_text(encoding="utf-8", errors="replace")
+    terminal = int(text.rpartition(")")[2].split()[4])
     number = ((terminal >> 8) & 0xFFF, (terminal & 0xFF) | ((terminal >> 12) & 0xFFF00))
     return major not in _UNIX98_PTS and number == (major, minor)
 
 
 def _has_master(process: Path, terminal: int) -> bool:
-    """Return whether a process has the far end of a pseudo-terminal open."""
+    """Return whether a process has the master side of a pseudo-terminal open."""
     for descriptor in (process / "fd").iterdir():
         with suppress(OSError):
             if os.readlink(descriptor).endswith("ptmx"):
-                about = (process / "fdinfo" / descriptor.name).read_text(encoding="ascii")
-                found = re.search(r"^tty-index:\s*(\d+)$", about, re.MULTILINE)
-                if found is not None and int(found[1]) == terminal:
+                text = (process / "fdinfo" / descriptor.name).read_text(encoding="ascii")
+                match = re.search(r"^tty-index:\s*(\d+)$", text, re.MULTILINE)
+                if match is not None and int(match[1]) == terminal:
                     return True
     return False
 
 
-def _name(number: int) -> str:
-    """Return a process's name in brackets; nothing if it has ended."""
+def _process_name(pid: int) -> str:
+    """Return the name of a process in brackets; empty if it has ended."""
     with suppress(OSError):
-        name = (_PROCESSES / str(number) / "comm").read_text(encoding="utf-8", errors="replace")
+        name = (_PROCESSES / str(pid) / "comm").read_text(encoding="utf-8", errors="replace")
         return f" ({name.strip()})"
     return ""
 
@@ -130,20 +130,20 @@ def _is_connected(host: str, port: int) -> bool:
     """Return whether this machine serves a TCP port that has an established connection."""
     infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     addresses = {_address(info[4][0]) for info in infos if isinstance(info[4][0], str)}
-    anywhere = any(not int(address, 16) for address in addresses)
+    is_any = any(not int(address, 16) for address in addresses)
     for table in _TCP_TABLES:
         with suppress(FileNotFoundError):
             for row in table.read_text(encoding="ascii").splitlines()[1:]:
                 _, local, _, state, *_ = row.split()
                 address, _, number = local.partition(":")
-                if state == _ESTABLISHED and int(number, 16) == port and (anywhere or address in addresses):
+                if state == _ESTABLISHED and int(number, 16) == port and (is_any or address in addresses):
                     return True
     return False
 
 
 def _address(text: str) -> str:
-    """Write an address as the kernel's tables do: in words of 32 bits in this machine's order."""
+    """Return an address in the form of the kernel's tables: 32-bit words in this machine's byte order."""
     family = socket.AF_INET6 if ":" in text else socket.AF_INET
     packed = socket.inet_pton(family, text.partition("%")[0])
-    words = [packed[place : place + 4] for place in range(0, len(packed), 4)]
+    words = [packed[start : start + 4] for start in range(0, len(packed), 4)]
     return "".join(f"{int.from_bytes(word, sys.byteorder):08X}" for word in words)

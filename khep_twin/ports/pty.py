@@ -1,9 +1,13 @@
-"""A pseudo-terminal as the far end of a serial cable.
+"""A pseudo-terminal as a host port: a pair of devices by which a program is a serial port for others.
 
-The terminal is raw before its name is printed: a fresh one would echo the robot's replies back to it as
-commands. One descriptor of the host's side stays open here, so that the terminal outlives its hosts.
-Settings, a lock and unread replies of a host are removed when the last one closes it, which `terminal_hosts`
-detects.
+The terminal is raw before its name is printed: in its initial mode it would echo the robot's replies back as
+commands. One descriptor of the host's side stays open here, so that the terminal exists without hosts.
+
+    vacant --opened--> occupied --a second host for 0.1 s--> shared, which is reported once
+       ^                  |                                     |
+       +------------------+-----------last one closed-----------+
+
+The change to vacant, which `terminal_hosts` detects, removes a lock and unread replies, after 10 ms settings.
 """
 
 import errno
@@ -28,52 +32,51 @@ from khep_twin.errors import PortError
 from khep_twin.files.paths import StrPath
 from khep_twin.ports.event_sources import open_events
 from khep_twin.ports.host_port import NOTHING, Received
-from khep_twin.ports.host_writes import Change, Reading, divide_at_leaving
+from khep_twin.ports.host_writes import Change, ReadState, split_at_departure
 from khep_twin.ports.link import Link
 from khep_twin.ports.terminal_hosts import TerminalHosts
 
 _SPEEDS: dict[int, int] = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
 }
-"""Bits per second of each of the system's own constants for them."""
+"""Baud rate by the system's constant for it."""
 
 _BOTHER, _TCGETS2 = 0o10000, 0x802C542A
-"""Constant of any other speed, and request for the speed itself: Linux's, which Python does not name."""
+"""Linux's constant for other baud rates, and request for the rate; Python does not name them."""
 
 _INPUT, _OUTPUT, _CONTROL, _LOCAL, _IN_SPEED, _OUT_SPEED = range(6)
 
-_MOST_KEPT = 65536
-"""Most bytes that are read of a host that has left; the kernel keeps some 20 kB at most."""
+_READ_LIMIT = 65536
+"""Most bytes that are read from a host that has left; the kernel buffers at most about 20 kB."""
 
-_CROWDED_S = 0.1
-"""Time that several hosts must be there before it is reported, as tools such as stty come and go [s]."""
+_SHARED_S = 0.1
+"""Time after which several hosts are reported; tools such as stty open the port only briefly [s]."""
 
 _TRANSIT_S = 0.02
-"""Time after which a reply is at the host's side, where it can be seen until it is read (assumed) [s]."""
+"""Time after which a reply is in the host's buffer, where it is counted until it is read (assumed) [s]."""
 
 _RESTORE_S = 0.01
-"""Time after which the settings of a host that has left are restored; the next one may set its own [s]."""
+"""Time after which the settings are restored without a host; the next one may set others first [s]."""
 
-_IN_A_MOMENT = "a host came in the moment another left: it may have got replies meant for that one"
+_MIXED_NOTICE = "a host came in the moment another left: it may have got replies meant for that one"
 
 
 class PtyPort:
-    """A `HostPort` that is a pseudo-terminal, under its own name and, if wanted, a link.
+    """A `HostPort` that is a pseudo-terminal, with an optional link to it.
 
     Args:
-        link: Path of a symbolic link to the terminal; our own leftovers are replaced, anything else is left
-            alone.
-        baud: Speed that the terminal has before a host sets its own [baud].
+        link: Path of a symbolic link to the terminal; only stale links of khep_twin are replaced.
+        baud: Baud rate of the terminal before a host sets another.
 
     Attributes:
-        name: Name of the terminal, such as /dev/pts/7.
+        name: Name of the terminal, for example /dev/pts/7.
         descriptor: Descriptor of this side, for `select`.
-        path: Path that a host opens: the link, or the terminal's own name.
-        dropped: Number of bytes that no host took in time.
+        path: Path that a host opens: the link, or the terminal's name.
+        dropped: Number of reply bytes that were dropped because no host read them in time.
         occupied: True if a host has it open.
 
     Raises:
-        PortError: There is no terminal, or the link cannot be made.
+        PortError: No terminal is free, or the link cannot be made.
     """
 
     def __init__(self, link: StrPath | None = None, baud: int = 9600) -> None:
@@ -81,9 +84,9 @@ class PtyPort:
             self.descriptor, host_side = os.openpty()
         except OSError as error:
             raise PortError(
-                f"no pseudo-terminal can be had: {error.strerror}; expected a free one, or --tcp HOST:PORT"
+                f"no pseudo-terminal is available: {error.strerror}; expected a free one, or --tcp HOST:PORT"
             ) from error
-        self._raw = self._make_raw(host_side, baud)
+        self._raw_settings = self._make_raw(host_side, baud)
         os.set_blocking(self.descriptor, False)
         self.name = self.path = os.ttyname(host_side)
         self.dropped = 0
@@ -91,11 +94,11 @@ class PtyPort:
         self._readable = select.poll()
         self._readable.register(self.descriptor, select.POLLIN)
         self._descriptors = [self.descriptor, *self._hosts.descriptors]
-        self._crowded_since: float | None = None
-        self._left_s: float | None = None  # when the last host left, until its settings are restored
-        self._given_s: float | None = None  # when bytes were written that may be unread
-        self._reading = Reading.EVEN
-        self._seen: tuple[object, object] | None = None
+        self._shared_since_s: float | None = None
+        self._vacant_s: float | None = None  # from the last host's closing to the restoration
+        self._unread_write_s: float | None = None  # last write that may be unread
+        self._read_state = ReadState.MATCHED
+        self._line_state: tuple[object, object] | None = None
         self._settings: LineSettings | None = None
         self._link = None
         if link is not None:
@@ -118,79 +121,80 @@ class PtyPort:
         return self._hosts.hosts > 0
 
     def set_baud(self, baud: int) -> None:
-        """Take the speed of the robot's line, which a host has that sets none [baud]."""
-        if self._raw[_OUT_SPEED] != (speed := _constant(baud)):
-            self._raw[_IN_SPEED] = self._raw[_OUT_SPEED] = speed
-            # Also where no host is there to leave.
-            self._left_s = time.monotonic() if self._left_s is None else self._left_s
+        """Set the baud rate of the robot's line, which applies to a host that sets none."""
+        if self._raw_settings[_OUT_SPEED] != (speed := _speed_constant(baud)):
+            self._raw_settings[_IN_SPEED] = self._raw_settings[_OUT_SPEED] = speed
+            # Restores the settings even without a host that leaves.
+            self._vacant_s = time.monotonic() if self._vacant_s is None else self._vacant_s
 
-    def descriptors(self, room: bool) -> Sequence[int]:
-        """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
-        return self._descriptors[0 if room else 1 :]
+    def descriptors(self, has_room: bool) -> Sequence[int]:
+        """Return the descriptors that are readable when a host connects, leaves or, if `has_room`, writes."""
+        return self._descriptors[0 if has_room else 1 :]
 
     def settings(self) -> LineSettings | None:
-        """Return the line settings of the host; a pseudo-terminal does not show parity and data bits."""
+        """Return the line settings of the host; a pseudo-terminal does not report parity and data bits."""
         flags = termios.tcgetattr(self.descriptor)
         speed = int(flags[_OUT_SPEED])
         baud = _SPEEDS.get(speed, speed)
         if speed == _BOTHER:
             with suppress(OSError):
                 baud = struct.unpack_from("I", fcntl.ioctl(self.descriptor, _TCGETS2, bytes(44)), 40)[0]
-        seen = (baud, flags[_CONTROL])
-        if seen != self._seen:
+        line_state = (baud, flags[_CONTROL])
+        if line_state != self._line_state:
             stop_bits = 2 if flags[_CONTROL] & termios.CSTOPB else 1
-            self._seen, self._settings = seen, LineSettings(baud, stop_bits)
+            self._line_state = line_state
+            self._settings = LineSettings(baud, stop_bits)
         return self._settings
 
-    def receive(self, limit: int, answered: bool = False) -> Received:
-        """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
-        if self._left_s is not None:
-            self._restore(self._left_s)
-        # Bytes before events: the opening by their sender is then known.
-        data, had_given = self._read(limit), self._given_s is not None
+    def receive(self, limit: int, is_answered: bool = False) -> Received:
+        """Return the hosts' bytes, at most `limit` from connected ones, and changes among the hosts."""
+        if self._vacant_s is not None:
+            self._restore(self._vacant_s)
+        # Bytes are read before events, so that the opening by their sender is known.
+        data, had_unread = self._read(limit), self._unread_write_s is not None
         self._forget_read_replies()
         is_full = self._is_full(data, limit)
         change = self._hosts.poll(bool(data))
-        if change.left:
-            return self._receive_at_leaving(data, 0 < len(data) < limit, change, had_given)
-        # The writes that were just reported are counted with this call, so their bytes come with it, too.
+        if change.hosts_left:
+            return self._receive_last(data, 0 < len(data) < limit, change, had_unread)
+        # The writes that were just reported count for this call, so their bytes are also read now.
         if change.writes_before and not is_full and self._readable.poll(0):
             data += self._read(limit - len(data))
             is_full = self._is_full(data, limit)
-        self._reading = self._reading.after(bool(data), change.writes_before, is_full)
-        notices = self._crowd()
+        self._read_state = self._read_state.next_state(bool(data), change.writes_before, is_full)
+        notices = self._sharing_notices()
         return Received(data, notices=notices) if data or notices else NOTHING
 
-    def _receive_at_leaving(self, first: bytes, is_whole: bool, change: Change, had_given: bool) -> Received:
-        """Take the rest of what hosts that have left have sent, and what others have sent since.
+    def _receive_last(self, first: bytes, is_whole: bool, change: Change, had_unread: bool) -> Received:
+        """Return the last bytes of hosts that have left, and the bytes of the next ones.
 
-        Of what was read first, `is_whole` tells that these are some bytes and no limit has cut them off;
-        `had_given` that bytes were written here that may have been unread.
+        `first` are the bytes read so far; `is_whole` is True if they are not empty and not cut off by the
+        limit, and `had_unread` if replies may have been unread.
         """
-        self._crowded_since = None
-        reading, self._reading = self._reading, Reading.EVEN
+        self._shared_since_s = None
+        state, self._read_state = self._read_state, ReadState.MATCHED
         rest = self._read_all()
-        last, data = divide_at_leaving(reading, first, is_whole, rest, change, self._hosts.poll(False))
+        last_data, data = split_at_departure(state, first, is_whole, rest, change, self._hosts.poll(False))
         if not self.occupied:
             self._clear()
-            # One that came since that poll may have read them before they were flushed.
-            crossed = had_given and not self._hosts.is_quiet()
-            return Received(left=True, last=first + rest, notices=[_IN_A_MOMENT] if crossed else ())
+            # A host that has connected since that poll may have read them before they were flushed.
+            is_mixed = had_unread and not self._hosts.is_quiet()
+            return Received(b"", True, first + rest, [_MIXED_NOTICE] if is_mixed else ())
         # The next host is already connected, and may have received unread replies.
         unread = self._drop_replies()
         # Writes that were read early may have been reported with later ones, in one run.
-        crossed = unread or had_given or (data and (last or reading.is_ahead))
-        return Received(data, left=True, last=last, notices=[_IN_A_MOMENT] if crossed else [])
+        is_mixed = unread or had_unread or (data and (last_data or state.has_unreported))
+        return Received(data, True, last_data, [_MIXED_NOTICE] if is_mixed else [])
 
     def write(self, data: bytes) -> None:
-        """Send to the host; drop and count what a host that never reads leaves no room for."""
+        """Send to the host; bytes without room are dropped and counted."""
         try:
             sent = os.write(self.descriptor, data)
         except BlockingIOError:
             sent = 0
         self.dropped += len(data) - sent
         if sent:
-            self._given_s = time.monotonic()
+            self._unread_write_s = time.monotonic()
 
     def close(self) -> None:
         """Close the terminal, and remove the link if it is still ours."""
@@ -206,71 +210,71 @@ class PtyPort:
         except BlockingIOError:
             return b""
         except OSError as error:
-            if error.errno != errno.EIO:  # hung up, with nothing left to read
+            if error.errno != errno.EIO:  # hung up, without unread bytes
                 raise
             return b""
 
     def _is_full(self, data: bytes, limit: int) -> bool:
-        """Return whether more is there to read than there was room for."""
+        """Return whether more bytes are pending than there was room for."""
         return len(data) == limit and bool(self._readable.poll(0))
 
     def _read_all(self) -> bytes:
-        """Read what hosts that have left can have written; one that keeps writing does not block this."""
+        """Read the bytes of hosts that have left, at most _READ_LIMIT even if another host keeps writing."""
         data = b""
-        # A read returns what is ready; bytes in transit come with the next one.
-        while more := self._read(_MOST_KEPT - len(data)):
-            data += more
+        # A read returns the available bytes; the next one returns bytes in transit.
+        while chunk := self._read(_READ_LIMIT - len(data)):
+            data += chunk
         return data
 
     def _clear(self) -> None:
-        """Unlock the terminal and flush its replies; `_restore` puts the settings back later."""
+        """Unlock the terminal and flush its replies; `_restore` restores the settings later."""
         host_side = self._hosts.host_side
         if self._hosts.is_quiet():
             fcntl.ioctl(host_side, termios.TIOCNXCL)
         termios.tcflow(host_side, termios.TCOON)
         self._drop_replies()
-        self._left_s = time.monotonic()
+        self._vacant_s = time.monotonic()
 
-    def _restore(self, left_s: float) -> None:
-        """Restore the settings after a while without a host; one that connects at once sets its own."""
-        if self.occupied or time.monotonic() - left_s >= _RESTORE_S:
+    def _restore(self, vacant_s: float) -> None:
+        """Restore the settings _RESTORE_S after the last host has left, unless another one has connected."""
+        if self.occupied or time.monotonic() - vacant_s >= _RESTORE_S:
             if not self.occupied and self._hosts.is_quiet():
-                termios.tcsetattr(self._hosts.host_side, termios.TCSANOW, self._raw)
-            self._left_s = None
+                termios.tcsetattr(self._hosts.host_side, termios.TCSANOW, self._raw_settings)
+            self._vacant_s = None
 
     def _drop_replies(self) -> int:
         """Flush replies that no host has read; return the number of bytes."""
-        unread = self._unread()
+        unread = self._count_unread()
         # They may be in transit to the host side's buffer, or in it.
         termios.tcflush(self.descriptor, termios.TCOFLUSH)
         termios.tcflush(self._hosts.host_side, termios.TCIFLUSH)
-        self._given_s = None
+        self._unread_write_s = None
         return unread
 
     def _forget_read_replies(self) -> None:
-        """Note that the host has read all that was written, once it can be seen."""
+        """Note that the host has read all replies, once the kernel reports it."""
         if (
-            self._given_s is not None
-            and time.monotonic() - self._given_s >= _TRANSIT_S
-            and not self._unread()
+            self._unread_write_s is not None
+            and time.monotonic() - self._unread_write_s >= _TRANSIT_S
+            and not self._count_unread()
         ):
-            self._given_s = None
+            self._unread_write_s = None
 
-    def _unread(self) -> int:
-        """Return the number of bytes that have reached the host's side, and that no host has read."""
+    def _count_unread(self) -> int:
+        """Return the number of unread bytes in the host side's buffer."""
         return struct.unpack("i", fcntl.ioctl(self._hosts.host_side, termios.FIONREAD, bytes(4)))[0]
 
-    def _crowd(self) -> Sequence[str]:
-        """Return a notice, once, if several hosts are here for a while."""
+    def _sharing_notices(self) -> Sequence[str]:
+        """Return a notice, once, if several hosts are connected for _SHARED_S."""
         if self._hosts.hosts < 2:
-            self._crowded_since = None
+            self._shared_since_s = None
             return ()
         now = time.monotonic()
-        if self._crowded_since is None:
-            self._crowded_since = now
-        if now - self._crowded_since < _CROWDED_S:
+        if self._shared_since_s is None:
+            self._shared_since_s = now
+        if now - self._shared_since_s < _SHARED_S:
             return ()
-        self._crowded_since = math.inf
+        self._shared_since_s = math.inf
         if self._hosts.recount() < 2:
             return ()
         return (
@@ -278,15 +282,15 @@ class PtyPort:
         )
 
     def _make_raw(self, host_side: int, baud: int) -> list[int | list[bytes | int]]:
-        """Make it raw, at the robot's own speed: a host that sets none counts as matching."""
+        """Make it raw, at the robot's baud rate: a host that sets none counts as matching."""
         tty.setraw(host_side)
         flags = termios.tcgetattr(host_side)
         flags[_CONTROL] |= termios.CSTOPB
-        flags[_IN_SPEED] = flags[_OUT_SPEED] = _constant(baud)
+        flags[_IN_SPEED] = flags[_OUT_SPEED] = _speed_constant(baud)
         termios.tcsetattr(host_side, termios.TCSANOW, flags)
         return termios.tcgetattr(host_side)
 
 
-def _constant(baud: int) -> int:
-    """Return the system's constant for a speed [baud]."""
+def _speed_constant(baud: int) -> int:
+    """Return the system's constant for a baud rate."""
     return getattr(termios, f"B{baud}", termios.B9600)

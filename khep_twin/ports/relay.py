@@ -1,7 +1,9 @@
-"""A relay to a real robot: a cable with a recorder.
+"""A relay between a host and a real robot, which passes and records all bytes with their times.
 
-Host and robot communicate as if the relay were not there, at the speed that the host sets; the bytes of
-both are passed on as they come, and recorded with their times.
+The relay forwards bytes as they arrive, at the host's baud rate. In the state draining, replies to a host
+that has left are only recorded, and the next host's bytes wait; it starts in it after an earlier program.
+
+    forwarding --host leaves, replies are due--> draining --all answered, silence or time-out--> forwarding
 """
 
 # pyserial is not typed.
@@ -22,66 +24,66 @@ from khep_twin.errors import PORT_FAILURES, PortError
 from khep_twin.ports.host_port import HostPort, NoticeLimit
 from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.network import address_fault
-from khep_twin.ports.serve import LONGEST_WAIT, Flush
+from khep_twin.ports.serve import LONGEST_WAIT_S, PeriodicFlush
 from khep_twin.units import BITS_PER_BYTE
 
 _CHUNK = 1024
-"""Most bytes passed on at once."""
+"""Most bytes that are forwarded together."""
 
-_POLL = 0.001
+_POLL_INTERVAL_S = 0.001
 """Interval at which a port that cannot wake the loop is polled [s]."""
 
 _PAUSE_S = 0.02
-"""Silence after the last reply that was due, before the next host may speak [s]."""
+"""Silence after the last due reply before the next host's bytes are sent [s]."""
 
 _SILENCE_S = 0.5
-"""Silence after which a robot that owes replies is taken not to send them (assumed) [s]."""
+"""Silence after which due replies count as lost (assumed) [s]."""
 
-_BEGIN_S = 2.0
-"""Longest time for which what a robot says is taken for replies to an earlier relay (assumed) [s]."""
+_STARTUP_S = 2.0
+"""Longest time for which a robot's bytes count as replies to an earlier program (assumed) [s]."""
 
-_LONGEST = 2048
+_LONGEST_REPLY = 2048
 """Bytes of the longest reply, that of `list` [bytes]."""
 
 _UNDERWAY_S = 1.0
 """Longest transit of sent bytes through an adapter's buffer (assumed) [s]."""
 
-_SPOIL = b"?\n"
-"""End of a line that a host has left unfinished: the robot answers with an error and obeys no half of it."""
+_INVALIDATION = b"?\n"
+"""End of a line that a host has left unfinished: the robot answers with an error and does not execute it."""
 
-_KEPT = _CHUNK - len(_SPOIL)
-"""Bytes of a host that has left for which the next one waits; a second's worth at 9600 baud."""
+_LAST_LIMIT = _CHUNK - len(_INVALIDATION)
+"""Most bytes of a host that has left for which the next one waits: one second at 9600 baud."""
 
 
 class LineListener(Protocol):
-    """A listener on a line, such as a log's `LineRecorder`; none may delay the line."""
+    """A listener on a line, for example a log's `LineRecorder`; it must not delay the line."""
 
     def on_bytes(self, to_robot: bool, data: bytes) -> None:
-        """Take bytes that cross the line now."""
+        """Handle bytes that cross the line now."""
         ...
 
     def on_event(self, text: str) -> None:
-        """Take an event of the line."""
+        """Handle an event of the line."""
         ...
 
     def flush(self) -> None:
-        """Pass on everything so far; called twice a second."""
+        """Write all buffered records; called twice a second."""
         ...
 
 
 class Device:
-    """A robot's own port, as pyserial opens it.
+    """Serial port of a robot, opened by pyserial.
 
     Args:
-        url: Device such as /dev/ttyUSB0, or URL of pyserial's.
-        baud: Speed of the robot's line [baud].
+        url: Device, for example /dev/ttyUSB0, or URL of pyserial.
+        baud: Baud rate of the robot's line.
 
     Attributes:
         url: URL that was opened.
         descriptor: Descriptor for `select`; None where the port has none.
 
     Raises:
-        PortError: The port cannot be opened, or is no robot's; here and in each method: it has gone.
+        PortError: The port cannot be opened or is a twin's; also in each method if the port fails.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -100,10 +102,10 @@ class Device:
             self.descriptor: int | None = self._port.fileno()
             self._port.write_timeout = 0
         except OSError:
-            # Its writes return when all is sent.
+            # Writes return after sending.
             self.descriptor = None
 
-    def follow(self, host: LineSettings) -> str:
+    def apply_settings(self, host: LineSettings) -> str:
         """Apply the host's line settings to the line; return the notice about it, empty if there is none."""
         stop_bits = serial.STOPBITS_TWO if host.stop_bits == 2 else serial.STOPBITS_ONE
         if not host.baud or (host.baud, stop_bits) == (self._port.baudrate, self._port.stopbits):
@@ -116,25 +118,25 @@ class Device:
 
     @property
     def baud(self) -> int:
-        """Speed of the robot's line [baud]."""
+        """Baud rate of the robot's line."""
         return self._port.baudrate
 
     def read(self) -> bytes:
-        """Return the bytes that have come from the robot."""
+        """Return the bytes that have arrived from the robot."""
         with self._checked():
             return self._port.read(_CHUNK if self.descriptor is not None else self._port.in_waiting)
 
     def write(self, data: bytes) -> int:
-        """Send to the robot; return how many bytes the port took."""
+        """Send to the robot; return the number of bytes that the port accepted."""
         with self._checked():
-            # pyserial tries again without end while there is no room.
+            # pyserial retries for ever while there is no room.
             if self.descriptor is not None and not select.select([], [self.descriptor], [], 0)[1]:
                 return 0
             return self._port.write(data) or 0
 
     @property
     def unsent(self) -> int:
-        """Return the number of bytes that the port has taken and not sent yet, where it reports that."""
+        """Number of accepted bytes that the port has not sent yet; 0 if it does not report it."""
         with self._checked():
             return self._port.out_waiting if isinstance(self._port, serial.Serial) else 0
 
@@ -144,7 +146,7 @@ class Device:
 
     @contextmanager
     def _checked(self) -> Generator[None]:
-        """Turn the failure of the port into a `PortError`."""
+        """Convert failures of the port to a `PortError`."""
         try:
             yield
         except PORT_FAILURES as error:
@@ -164,11 +166,11 @@ def relay(
 
     Args:
         device: Port of the robot.
-        port: Cable to the host.
-        listeners: Listeners on the bytes of both, such as a log.
-        polls: Polls of the relay's own; None for none.
-        stop: Callback that is called once per cycle; True ends it.
-        notify: Callback that takes notices for the user.
+        port: Port for the host.
+        listeners: Listeners on the bytes in both directions, for example a log.
+        polls: Polls that the relay sends; None for none.
+        stop: Callback that is called once per cycle; True stops the relay.
+        notify: Callback for notices to the user.
 
     Raises:
         PortError: The robot's port failed.
@@ -176,153 +178,156 @@ def relay(
 
     def note(text: str) -> None:
         notify(f"{port.path}: {text}")
-        for each in listeners:
-            each.on_event(text)
+        for listener in listeners:
+            listener.on_event(text)
 
     def on_bytes(to_robot: bool, data: bytes) -> None:
-        for each in listeners if data else ():
-            each.on_bytes(to_robot, data)
+        for listener in listeners if data else ():
+            listener.on_bytes(to_robot, data)
 
-    flushes = [Flush(each) for each in listeners]
+    flushes = [PeriodicFlush(listener) for listener in listeners]
     dialogue, limit = _Dialogue(device), NoticeLimit()
-    waiting, next_host = b"", b""
+    pending, next_data = b"", b""
     held_s = 0.0
     while not stop():
-        # The next host is heard while one that has left still speaks, to know that it waits.
-        room = not next_host and (not waiting or dialogue.ended)
-        _wait(device, port, room, bool(waiting), held_s)
-        # Replies before hosts: silence counts up to a read that found nothing, however late this turn is.
+        # The next host's bytes are read while draining, to know that it waits.
+        has_room = not next_data and (not pending or dialogue.is_draining)
+        _wait(device, port, has_room, bool(pending), held_s)
+        # Replies are read before hosts: silence is measured at an empty read, even if this cycle is late.
         reply = dialogue.read()
         on_bytes(False, reply)
-        passed = polls.passed(reply) if polls is not None and reply else reply
-        received = port.receive(_CHUNK if room else 0, room and not waiting and dialogue.answered)
+        host_output = polls.filter_replies(reply) if polls is not None and reply else reply
+        received = port.receive(_CHUNK if has_room else 0, has_room and not pending and dialogue.is_answered)
         for notice in received.notices:
             note(notice)
-        if received.left:
-            passed = b""
-            # What was held back is of a host that has left, too.
-            on_bytes(True, received.last)
-            unsent = waiting + next_host + received.last
-            waiting, next_host = dialogue.end(unsent), b""
-            on_bytes(True, waiting[len(unsent) :])
+        if received.hosts_left:
+            host_output = b""
+            # The pending bytes are also those of the host that has left.
+            on_bytes(True, received.last_data)
+            remaining = pending + next_data + received.last_data
+            pending, next_data = dialogue.drop_host(remaining), b""
+            on_bytes(True, pending[len(remaining) :])
         if received.data:
             on_bytes(True, received.data)
-            next_host = received.data
-        if next_host and dialogue.ended and len(waiting) > _CHUNK:
-            note(f"{len(waiting) - _KEPT} bytes of a host that has left were dropped: the next one waits")
-            waiting = dialogue.end(waiting[:_KEPT])
-        if not dialogue.settling(waiting) and next_host:
+            next_data = received.data
+        if next_data and dialogue.is_draining and len(pending) > _CHUNK:
+            n_dropped = len(pending) - _LAST_LIMIT
+            note(f"{n_dropped} bytes of a host that has left were dropped: the next one waits")
+            pending = dialogue.drop_host(pending[:_LAST_LIMIT])
+        if not dialogue.check_draining(pending) and next_data:
             settings = port.settings()
-            if settings is not None and (notice := device.follow(settings)):
+            if settings is not None and (notice := device.apply_settings(settings)):
                 for text in limit.admit([notice]):
                     note(text)
-            waiting, next_host = waiting + next_host, b""
+            pending, next_data = pending + next_data, b""
         if polls is not None:
-            held_s = polls.hold_s(waiting)
-            if not next_host and not waiting and dialogue.idle:
-                on_bytes(True, waiting := polls.due(device.baud))
-        if waiting and not held_s:
-            waiting = dialogue.send(waiting)
-        if passed and port.occupied and not dialogue.ended:
-            port.write(passed)
+            held_s = polls.remaining_hold_s(pending)
+            if not next_data and not pending and dialogue.is_idle:
+                on_bytes(True, pending := polls.next_command(device.baud))
+        if pending and not held_s:
+            pending = dialogue.send(pending)
+        if host_output and port.occupied and not dialogue.is_draining:
+            port.write(host_output)
         for flush in flushes:
             flush()
 
 
 class _Dialogue:
-    """Lines sent to the robot and replies due, so that no host gets a reply meant for an earlier one."""
+    """State of the line: commands sent and replies due, so that no host gets replies to an earlier one."""
 
     def __init__(self, device: Device) -> None:
-        self.ended = True  # a host has left, maybe one of an earlier relay, and replies to it may still come
+        self.is_draining = True
         self._device = device
-        self._due = 0
-        self._asked, self._replied = _Lines(), _Lines()
-        self._read_s = self._quiet_since = time.monotonic()
-        self._end_s = self._quiet_since + _BEGIN_S  # a robot may also speak without being asked
+        self._n_due = 0
+        self._commands, self._replies = _LineCounter(), _LineCounter()
+        self._read_s = self._last_traffic_s = time.monotonic()
+        self._deadline_s = self._last_traffic_s + _STARTUP_S  # a robot may also send bytes unasked
 
     def send(self, data: bytes) -> bytes:
-        """Send to the robot; return what is still to be sent."""
+        """Send to the robot; return the bytes that are still to be sent."""
         count = self._device.write(data[:_CHUNK])
-        self._due += self._asked.count(data[:count])
+        self._n_due += self._commands.count(data[:count])
         busy_s = count * BITS_PER_BYTE / self._device.baud
         now = time.monotonic()
-        self._quiet_since = min(max(self._quiet_since, now) + busy_s, now + _UNDERWAY_S)
-        self._expect(self._quiet_since)
+        self._last_traffic_s = min(max(self._last_traffic_s, now) + busy_s, now + _UNDERWAY_S)
+        self._extend_deadline(self._last_traffic_s)
         return data[count:]
 
     def read(self) -> bytes:
-        """Return the bytes that have come from the robot, with their replies counted."""
+        """Return the bytes that have arrived from the robot, and count their replies."""
         self._read_s = time.monotonic()
         if reply := self._device.read():
-            count = self._replied.count(reply)
-            if self._due and count:
-                self._due = max(self._due - count, 0)
-                self._expect(self._read_s)
-            self._quiet_since = max(self._quiet_since, time.monotonic())
-        elif self._due and self.answered:
-            self._due = 0  # they were lost
+            count = self._replies.count(reply)
+            if self._n_due and count:
+                self._n_due = max(self._n_due - count, 0)
+                self._extend_deadline(self._read_s)
+            self._last_traffic_s = max(self._last_traffic_s, time.monotonic())
+        elif self._n_due and self.is_answered:
+            self._n_due = 0  # lost replies
         return reply
 
-    def end(self, waiting: bytes) -> bytes:
-        """Note that the host has left; return what must be sent of it, after the bytes that wait already."""
-        begun = (self._asked.begun + waiting)[-1:]
-        if begun and begun not in b"\r\n":
-            waiting += _SPOIL
-        # Of a reply of several lines, only the first one was due.
-        if waiting or self._due or not self.answered:
-            self.ended = True
-            self._expect(self._read_s)
-        return waiting
+    def drop_host(self, pending: bytes) -> bytes:
+        """Start draining after a host has left; return its unsent bytes, with an end for a partial line."""
+        last_byte = (self._commands.partial + pending)[-1:]
+        if last_byte and last_byte not in b"\r\n":
+            pending += _INVALIDATION
+        # Only the first line of a reply of several lines was due.
+        if pending or self._n_due or not self.is_answered:
+            self.is_draining = True
+            self._extend_deadline(self._read_s)
+        return pending
 
-    def _expect(self, since_s: float) -> None:
-        """Take what the robot says for replies for as long as the longest one takes."""
-        since_s += _LONGEST * BITS_PER_BYTE / self._device.baud
-        self._end_s = max(self._end_s, since_s + _BEGIN_S)
+    def _extend_deadline(self, since_s: float) -> None:
+        """Set the end of draining to a time at which the longest reply would have arrived."""
+        since_s += _LONGEST_REPLY * BITS_PER_BYTE / self._device.baud
+        self._deadline_s = max(self._deadline_s, since_s + _STARTUP_S)
 
     @property
-    def answered(self) -> bool:
-        """Return whether all is answered, or will not be: the robot had long been silent at the last read."""
+    def is_answered(self) -> bool:
+        """True if all commands are answered or replies are lost, by the silence before the last read."""
         if self._device.unsent:
-            self._quiet_since = max(self._quiet_since, time.monotonic())
-        more = self._due or self._replied.begun
-        return self._read_s - self._quiet_since > (_SILENCE_S if more else _PAUSE_S)
+            self._last_traffic_s = max(self._last_traffic_s, time.monotonic())
+        is_expecting = self._n_due or self._replies.partial
+        return self._read_s - self._last_traffic_s > (_SILENCE_S if is_expecting else _PAUSE_S)
 
     @property
-    def idle(self) -> bool:
-        """Return whether no command is begun or waits for its reply."""
-        return not self.ended and not self._due and not self._asked.begun and self.answered
+    def is_idle(self) -> bool:
+        """True if no command is unfinished or awaits its reply."""
+        return not self.is_draining and not self._n_due and not self._commands.partial and self.is_answered
 
-    def settling(self, waiting: bytes) -> bool:
-        """Return whether replies to a host that has left may still come; `waiting` was not sent yet."""
-        if self.ended and not waiting and (self.answered or self._read_s > self._end_s):
-            self.ended, self._due = False, 0
-        return self.ended
+    def check_draining(self, pending: bytes) -> bool:
+        """Return whether replies to an earlier host may still arrive; `pending` are its unsent bytes."""
+        if self.is_draining and not pending and (self.is_answered or self._read_s > self._deadline_s):
+            self.is_draining = False
+            self._n_due = 0
+        return self.is_draining
 
 
-class _Lines:
-    """Lines of one direction, without empty ones."""
+class _LineCounter:
+    """Counter of the lines of one direction, without empty ones."""
 
     def __init__(self) -> None:
-        self.begun = b""  # first byte of a line that has not ended
+        self.partial = b""  # first byte of an unfinished line
 
     def count(self, data: bytes) -> int:
-        """Return the number of lines that end in `data`."""
-        *lines, begun = re.split(rb"[\r\n]", self.begun + data)
-        self.begun = begun[:1]
+        """Count the lines that end in `data`."""
+        *lines, remainder = re.split(rb"[\r\n]", self.partial + data)
+        self.partial = remainder[:1]
         return sum(map(bool, lines))
 
 
-def _wait(device: Device, port: HostPort, room: bool, waiting: bool, held_s: float) -> None:
-    """Wait until there is something to pass on, and room for it; what waits is held for a while."""
-    descriptors = list(port.descriptors(room))
+def _wait(device: Device, port: HostPort, has_room: bool, has_pending: bool, held_s: float) -> None:
+    """Wait for bytes to forward and room for them, at most `held_s` while pending bytes are held [s]."""
+    descriptors = list(port.descriptors(has_room))
     if device.descriptor is None:
-        select.select(descriptors, [], [], _POLL)
+        select.select(descriptors, [], [], _POLL_INTERVAL_S)
     else:
-        full = [device.descriptor] if waiting and not held_s else []
-        select.select([*descriptors, device.descriptor], full, [], min(held_s or LONGEST_WAIT, LONGEST_WAIT))
+        writable = [device.descriptor] if has_pending and not held_s else []
+        timeout_s = min(held_s or LONGEST_WAIT_S, LONGEST_WAIT_S)
+        select.select([*descriptors, device.descriptor], writable, [], timeout_s)
 
 
-def since_now() -> Callable[[], int]:
+def start_wall_clock() -> Callable[[], int]:
     """Return a clock of wall time that starts at 0 [ns]."""
     start_ns = time.monotonic_ns()
     return lambda: time.monotonic_ns() - start_ns

@@ -1,4 +1,4 @@
-"""The twin of a log, opened from its attachments, and its hosts, whose recorded events are repeated."""
+"""Replay of a log: its twin, opened from its attachments, and its hosts, whose events are repeated."""
 
 import json
 import tempfile
@@ -23,9 +23,14 @@ from khep_twin.playpen import Playpen
 from khep_twin.playpen.changes import set_values
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
+_WORLD_KINDS = (HostEventKind.SWITCH_LAMP, HostEventKind.SET_LAMPS, HostEventKind.SCAN)
+"""Kinds of actions on the world, not on one robot."""
+
+_OPTIONS_ADAPTER = TypeAdapter(TwinOptions)
+
 
 class Setup(NamedTuple):
-    """Description of a twin in its log."""
+    """Description of a twin in its log, with its attachments."""
 
     path: Path
     label: Label
@@ -36,10 +41,10 @@ class Setup(NamedTuple):
         return cls(path, read_label(path))
 
     def open(self, changes: Iterable[BranchPoint] = ()) -> Twin:
-        """Open the twin of the log at its start, from its attachments alone, as it is after some changes.
+        """Open the twin of the log at its start, from its attachments only, with some changes applied.
 
         Raises:
-            LogError: The log lacks what that needs.
+            LogError: The log lacks a necessary attachment.
         """
         path, changes = self.path, tuple(changes)
         for name in ("playpen.toml", "configuration.json"):
@@ -51,34 +56,35 @@ class Setup(NamedTuple):
             with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
                 twin = open_twin(self._calibrated(self.playpen(changes), changes, Path(folder)), options)
         except OSError as error:
-            reason = f"no calibration can be kept in a temporary folder: {error.strerror}"
+            reason = f"no calibration can be saved in a temporary folder: {error.strerror}"
             raise LogError(f"{path}: cannot be repeated: {reason}") from error
-        there = tuple(robot.name for robot in twin.world.robots)
-        if there != self.label.robots:
-            found = f"robots = {printable(','.join(self.label.robots))}"
-            raise DecodeError(found, f"{','.join(there)}, those of its playpen.toml").to_log_error(path, "metadata")
+        robot_names = tuple(robot.name for robot in twin.world.robots)
+        if robot_names != self.label.robots:
+            problem = f"robots = {printable(','.join(self.label.robots))}"
+            error = DecodeError(problem, f"{','.join(robot_names)}, those of its playpen.toml")
+            raise error.to_log_error(path, "metadata")
         return twin
 
     @property
     def options(self) -> TwinOptions:
         """Options of the twin."""
-        known = [each.name for each in fields(TwinOptions)]
+        names = [field.name for field in fields(TwinOptions)]
         text = self.label.attachments.get("configuration.json", "")
         try:
             settings: object = json.loads(text)
             if not isinstance(settings, dict):
-                raise DecodeError(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
-            if unknown := [key for key in cast(dict[str, object], settings) if key not in known]:
-                raise DecodeError(f"key {printable(unknown[0])}", f"one of {', '.join(known)}")
+                raise DecodeError(f"{type(settings).__name__}", f"an object with {', '.join(names)}")
+            if unknown := [key for key in cast(dict[str, object], settings) if key not in names]:
+                raise DecodeError(f"key {printable(unknown[0])}", f"one of {', '.join(names)}")
             # A repeated run must not write the log named in the options.
-            wanted: Mapping[str, object] = {**cast(dict[str, object], settings), "log": None}
-            return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
+            run_settings: Mapping[str, object] = {**cast(dict[str, object], settings), "log": None}
+            return _OPTIONS_ADAPTER.validate_json(json.dumps(run_settings), strict=True)
         except DecodeError as error:
             invalid = error
         except ValidationError as error:
             first = error.errors()[0]
-            found = f"{'.'.join(map(str, first['loc']))} = {printable(first['input'])}"
-            invalid = DecodeError(found, first["msg"].removeprefix("Input should be "))
+            problem = f"{'.'.join(map(str, first['loc']))} = {printable(first['input'])}"
+            invalid = DecodeError(problem, first["msg"].removeprefix("Input should be "))
         except KhepTwinError as error:
             raise LogError(f"{self.path}: configuration.json: {error}") from None
         except (ValueError, RecursionError) as error:
@@ -86,17 +92,17 @@ class Setup(NamedTuple):
         raise invalid.to_log_error(self.path, "configuration.json")
 
     def playpen(self, changes: Iterable[BranchPoint] = ()) -> Playpen:
-        """Return the playpen of the log at its start, as it is after some changes."""
-        found = playpen_of(self.label.attachments, self.path)
-        return set_values(found, chain(*(change.edits for change in changes)))
+        """Return the playpen of the log at its start, with some changes applied."""
+        playpen = playpen_of(self.label.attachments, self.path)
+        return set_values(playpen, chain(*(change.edits for change in changes)))
 
     def _calibrated(self, playpen: Playpen, changes: Iterable[BranchPoint], folder: Path) -> Playpen:
-        """Return the playpen with its robots' calibrations from the log instead of this machine."""
-        others = {name: text for each in changes for name, text in (each.calibrations or {}).items()}
+        """Return the playpen with its robots' calibrations from the log, not from this machine."""
+        texts = {name: text for change in changes for name, text in (change.calibrations or {}).items()}
         robots = list(playpen.robots)
         for index, robot in enumerate(robots):
             name = f"khepera{index}.toml"
-            text = others.get(f"khepera{index}", self.label.attachments.get(f"calibration/{name}"))
+            text = texts.get(f"khepera{index}", self.label.attachments.get(f"calibration/{name}"))
             if text is None:
                 raise LogError(f"{self.path}: cannot be repeated: its calibration/{name} is missing")
             (folder / name).write_text(text, encoding="utf-8")
@@ -105,46 +111,42 @@ class Setup(NamedTuple):
 
 
 class RecordedHosts:
-    """Recorded hosts that go on in a twin, a `TimeSource`: as time passes, their events are repeated."""
+    """Recorded hosts of a twin, a `TimeSource` that repeats their events as time passes."""
 
     def __init__(self, twin: Twin, events: Iterator[RecordedEvent]) -> None:
         self.twin = twin
         self._events = events
-        self._next = next(events, None)
+        self._next_entry = next(events, None)
 
     def advance_to(self, time_ns: int) -> None:
-        """Advance the world to `time_ns`, with what was done up to then."""
+        """Advance the world to `time_ns`, and repeat the events up to that time."""
         self.repeat(lambda event_ns: event_ns < time_ns)
         self.twin.world.advance_to(max(time_ns, self.twin.world.time_ns))
         self.repeat(lambda event_ns: event_ns <= time_ns)
 
     def attend(self) -> None:
-        """Do nothing: what is due is done as time passes."""
+        """Do nothing: events are repeated as time passes."""
 
-    def repeat(self, due: Callable[[int], bool]) -> None:
-        """Repeat the events at times that are due."""
-        while self._next is not None and due(self._next[0]):
-            (time_ns, index, event), self._next = self._next, next(self._events, None)
+    def repeat(self, is_due: Callable[[int], bool]) -> None:
+        """Repeat the next events while `is_due` returns True for their time [ns]."""
+        while self._next_entry is not None and is_due(self._next_entry[0]):
+            (time_ns, index, event), self._next_entry = self._next_entry, next(self._events, None)
             world = self.twin.world
-            # Without time on the line, what was sent at this time would already be read.
+            # On a line without delay, bytes sent at this time would already be read.
             if time_ns > world.time_ns:
                 world.advance_to(time_ns)
             try:
                 repeat_event(self.twin, index, event)
-            except PlaypenError as error:  # in another playpen there may be no room
+            except PlaypenError as error:  # a changed playpen may have no room
                 world.log_event(index, f"left out, as it was recorded: {first_line(error)}")
 
-    def replace(self, index: int) -> None:
-        """Let another host take over a robot: the recorded one leaves its line."""
-        before = self._next
-        rest = self._events if before is None else chain([before], self._events)
-        self._events = (each for each in rest if each[1] != index or each[2].kind in _OF_THE_WORLD)
-        self._next = next(self._events, None)
+    def drop_host(self, index: int) -> None:
+        """Remove the recorded host of a robot, so that another one can connect."""
+        next_entry = self._next_entry
+        entries = self._events if next_entry is None else chain([next_entry], self._events)
+        self._events = (entry for entry in entries if entry[1] != index or entry[2].kind in _WORLD_KINDS)
+        self._next_entry = next(self._events, None)
         self.twin.world.robots[index].disconnect()
-
-
-_OF_THE_WORLD = (HostEventKind.SWITCH, HostEventKind.SET_LAMPS, HostEventKind.SCAN)
-"""What was done to the world, and not to a robot."""
 
 
 def repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
@@ -159,11 +161,11 @@ def repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
             robot.disconnect()
         case HostEventKind.FLUSH:
             robot.flush()
-        case HostEventKind.SET:
-            robot.compare_line(event.host)
-        case HostEventKind.PUT:
+        case HostEventKind.LINE_SETTINGS:
+            robot.set_host_line(event.host)
+        case HostEventKind.MOVE_ROBOT:
             repeat_move(twin.world, index, event)
-        case HostEventKind.SWITCH:
+        case HostEventKind.SWITCH_LAMP:
             repeat_switch(twin.world, event)
         case HostEventKind.SCAN:
             scan(twin.world)
@@ -173,6 +175,3 @@ def repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
             twin.world.log_event(
                 None if event.data[:1] == b"\1" else index, event.data[1:].decode("utf-8", "replace")
             )
-
-
-_OPTIONS = TypeAdapter(TwinOptions)

@@ -1,8 +1,8 @@
-"""Runs of logs resumed at any moment, to go on with something changed.
+"""Resumption of logged runs at any time, optionally with changes.
 
-A run is resumed from the last snapshot before the moment, or from its start, and what its hosts did is
-repeated up to there. Then seed, faults, calibrations or playpen may change; what was edited stands where the
-edit says, all else as it was. See `branching` for other hosts.
+A run is resumed from the last snapshot before that time, or from its start, and the recorded actions of its
+hosts are repeated up to that time. Then seed, faults, calibrations or playpen may change; edited objects move
+to their new poses, all others stay. See `branching` for other hosts.
 """
 
 import math
@@ -19,37 +19,37 @@ from khep_twin.interventions.move_robot import current_playpen
 from khep_twin.log.decoding import LATEST_NS, DecodeError, first_line
 from khep_twin.log.entries import Entry, Label
 from khep_twin.log.reader import read_label, read_since, read_until
-from khep_twin.log.recorded import BranchPoint, read_changes, require_line, order_events
+from khep_twin.log.recorded import BranchPoint, order_events, read_changes, require_line
 from khep_twin.log.recorder import WorldRecorder
 from khep_twin.log.run_description import LogPrefix
 from khep_twin.log.snapshots import SNAPSHOT_TOPIC, LoggedState, read_snapshot, read_states
 from khep_twin.playpen import Block, Cylinder, Playpen, RobotEntry
-from khep_twin.playpen.changes import changed_tables, no_room_for, posed, set_values
+from khep_twin.playpen.changes import changed_tables, copy_poses, find_new_problem, set_values
 from khep_twin.ports.replay import RecordedHosts, Setup
 from khep_twin.ports.twin import Twin
 from khep_twin.simulation.physics_state import physics_state
-from khep_twin.simulation.scene_transfer import place, transfer_state
+from khep_twin.simulation.scene_transfer import place_body, transfer_state
 from khep_twin.units import metres
 from khep_twin.world import SAMPLE_NS, World
 
 
 @dataclass(slots=True)
 class ResumedRun:
-    """Run that was resumed.
+    """Resumed run.
 
     Attributes:
-        setup: What the log says of its twin.
+        setup: Description of its twin in the log.
         changes: Changes of the run so far.
-        twin: Twin at the moment.
-        hosts: Recorded hosts, which go on with it.
-        later: Changes of the recorded run that are still to come.
+        twin: Twin at the present time.
+        hosts: Recorded hosts.
+        upcoming: Later changes of the recorded run.
     """
 
     setup: Setup
     changes: tuple[BranchPoint, ...]
     twin: Twin
     hosts: RecordedHosts
-    later: list[BranchPoint]
+    upcoming: list[BranchPoint]
 
     def run_to(
         self,
@@ -57,20 +57,20 @@ class ResumedRun:
         progress: Callable[[float], None] | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
-        """Let the run go on as recorded to a time [ns], before what was done at that very time.
+        """Continue the run as recorded to a time [ns], before the actions at exactly that time.
 
-        `progress` takes the part of the way that is done, 0 to 1.
+        `progress` is called with the completed fraction, 0 to 1.
         """
         start_ns = self.twin.world.time_ns
         while True:
             now_ns = self.twin.world.time_ns
-            while self.later and (self.later[0].at_ns <= now_ns or not self.later[0].text):
-                self.change(self.later.pop(0))
+            while self.upcoming and (self.upcoming[0].at_ns <= now_ns or not self.upcoming[0].text):
+                self.change(self.upcoming.pop(0))
             if now_ns >= end_ns or (stop is not None and stop()):
                 return
-            # A stop at a whole second, between two steps, leaves no trace; amid a step, in times of events.
-            moments = [each.at_ns for each in self.later]
-            goal_ns = min((now_ns // NS_PER_S + 1) * NS_PER_S, end_ns, *moments)
+            # A stop at a whole second, between steps, has no effect; within a step it changes event times.
+            change_times_ns = [change.at_ns for change in self.upcoming]
+            goal_ns = min((now_ns // NS_PER_S + 1) * NS_PER_S, end_ns, *change_times_ns)
             self.hosts.repeat(lambda time_ns, goal_ns=goal_ns: time_ns < goal_ns)
             if goal_ns > self.twin.world.time_ns:
                 self.twin.world.advance_to(goal_ns)
@@ -78,18 +78,18 @@ class ResumedRun:
                 progress((self.twin.world.time_ns - start_ns) / (end_ns - start_ns))
 
     def change(self, change: BranchPoint) -> None:
-        """Change the run from now on."""
+        """Apply a change to the run."""
         self.changes = (*self.changes, change)
-        before = self.twin
+        old = self.twin
         if change.faults or change.edits or change.calibrations:
             self.twin = self.setup.open(self.changes)
-            # What the compiled scene does not hold, such as a lamp's dimming, is edited as well.
-            if not change.edits and self.twin.world.scene == before.world.scene:
-                self.twin.world.set_state(before.world.state())
+            # Edits also change values that are not in the compiled scene, for example a lamp's dimming.
+            if not change.edits and self.twin.world.scene == old.world.scene:
+                self.twin.world.set_state(old.world.state())
             else:
-                take_over_state(self.twin.world, before.world, self.setup.playpen(self.changes[:-1]), change)
-            self.twin.world.observers = before.world.observers
-            self.twin.recorder = before.recorder
+                transfer_world(self.twin.world, old.world, self.setup.playpen(self.changes[:-1]), change)
+            self.twin.world.observers = old.world.observers
+            self.twin.recorder = old.recorder
             for observer in self.twin.world.observers:
                 if isinstance(observer, WorldRecorder):
                     observer.move_to(self.twin.world)
@@ -103,37 +103,38 @@ class ResumedRun:
 def resume_run(
     path: Path,
     at_ns: int,
-    start: Callable[[Twin, Label, LogPrefix], None] | None = None,
+    start_log: Callable[[Twin, Label, LogPrefix], None] | None = None,
 ) -> ResumedRun:
-    """Take up the run of a log at a moment, before what was done at that very moment.
+    """Resume the run of a log at a time, before the actions at exactly that time.
 
     Args:
         path: Path of the log.
-        at_ns: Moment [ns].
-        start: Function called with the twin before the rest up to the moment, to record it.
+        at_ns: Time at which it is resumed [ns].
+        start_log: Function called with the twin at the snapshot, to record the run from there.
 
     Raises:
-        LogError: The log lacks what that needs, or ends before.
+        LogError: The log lacks necessary records, or ends before.
     """
     label = read_label(path)
     require_line(path, label)
-    # A log's last snapshot may lie at the very moment, after what was done at it.
-    setup, pieces = Setup(path, label), read_since(path, SNAPSHOT_TOPIC, at_ns - 1)
-    changes, last = read_changes(path, label), next(iter(next(pieces)), None)
+    # A snapshot at exactly that time may be after the actions at that time.
+    setup, entry_groups = Setup(path, label), read_since(path, SNAPSHOT_TOPIC, at_ns - 1)
+    changes, snapshot = read_changes(path, label), next(iter(next(entry_groups)), None)
     try:
-        state = None if last is None else _logged(path, last, None)
+        state = None if snapshot is None else _read_state(path, snapshot, None)
         from_ns = 0 if state is None else state.world.time_ns
-        if last is not None and last.time_ns != from_ns:
-            raise DecodeError(f"a state at {from_ns} ns", "its message's time").to_log_error(path, SNAPSHOT_TOPIC, last.time_ns)
-        done = tuple(change for change in changes if last is not None and change.at_ns < from_ns)
-        twin = setup.open(done)
-        if state is not None and last is not None:
-            twin.world.set_state(_logged(path, last, twin.world.scene).world)
-        if start is not None:
-            begun = () if last is None else read_until(path, last)
-            start(twin, label, LogPrefix(begun, state and state.recorder))
-        hosts = RecordedHosts(twin, order_events(path, pieces, label.robots))
-        resumed = ResumedRun(setup, done, twin, hosts, [*changes[len(done) :]])
+        if snapshot is not None and snapshot.time_ns != from_ns:
+            error = DecodeError(f"a state at {from_ns} ns", "its message's time")
+            raise error.to_log_error(path, SNAPSHOT_TOPIC, snapshot.time_ns)
+        past_changes = tuple(change for change in changes if snapshot is not None and change.at_ns < from_ns)
+        twin = setup.open(past_changes)
+        if state is not None and snapshot is not None:
+            twin.world.set_state(_read_state(path, snapshot, twin.world.scene).world)
+        if start_log is not None:
+            entries = () if snapshot is None else read_until(path, snapshot)
+            start_log(twin, label, LogPrefix(entries, state and state.recorder))
+        hosts = RecordedHosts(twin, order_events(path, entry_groups, label.robots))
+        resumed = ResumedRun(setup, past_changes, twin, hosts, [*changes[len(past_changes) :]])
         resumed.run_to(at_ns)
         return resumed
     except LogError:
@@ -143,7 +144,7 @@ def resume_run(
 
 
 def run_end_ns(path: Path) -> int:
-    """Return the time at which a logged run ended [ns]: that of its last snapshot, or of its last message."""
+    """Return the end of a logged run [ns]: the time of its last snapshot or of its last message."""
     last, *rest = read_since(path, SNAPSHOT_TOPIC, LATEST_NS)
     end_ns = max((entry.time_ns for entry in last), default=0)
     try:
@@ -156,8 +157,8 @@ def run_end_ns(path: Path) -> int:
     return max([end_ns, *(time_ns for time_ns, _, _ in events)])
 
 
-def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
-    """Return the state of a message."""
+def _read_state(path: Path, entry: Entry, scene: str | None) -> LoggedState:
+    """Decode the state in a snapshot message."""
     try:
         return read_snapshot(entry.data, scene)
     except DecodeError as error:
@@ -166,35 +167,35 @@ def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
         raise LogError(f"{path}: {entry.topic} at {entry.time_ns / NS_PER_S:.4f} s: {error}") from None
 
 
-def take_over_state(new: World, old: World, before: Playpen, change: BranchPoint) -> None:
-    """Take over the state of a world in another scene, at its start; what is edited is where the edit says.
+def transfer_world(new: World, old: World, old_playpen: Playpen, change: BranchPoint) -> None:
+    """Transfer the state of a world to one in another scene, with edited objects at their new poses.
 
     Raises:
-        PlaypenError: What was changed has no room.
+        PlaypenError: A changed object has no room.
     """
-    stands = current_playpen(old)
-    # The poses of now may be outside the arena, where no file may put a thing.
-    edited = posed(set_values(old.playpen, change.edits), stands, change.edits)
-    if problem := no_room_for(edited, stands):
+    current = current_playpen(old)
+    # Present poses may be outside the arena, which is invalid in a playpen file.
+    edited = copy_poses(set_values(old.playpen, change.edits), current, change.edits)
+    if problem := find_new_problem(edited, current):
         raise PlaypenError(f"{', '.join(change.edits)}: {problem}")
-    moved = changed_tables(set_values(before, change.edits), before)
-    scene, placed = (new.model, new.data), dict[str, tuple[float, float, float]]()
-    for index in moved.pop("robot"):
+    changed_indices = changed_tables(set_values(old_playpen, change.edits), old_playpen)
+    scene, new_poses = (new.model, new.data), dict[str, tuple[float, float, float]]()
+    for index in changed_indices.pop("robot"):
         entry = edited.robots[index]
-        if _pose(entry) != _pose(stands.robots[index]):
-            placed[f"khepera{index}/base"] = _pose(entry)
-    for kind, indices in moved.items():
+        if _pose(entry) != _pose(current.robots[index]):
+            new_poses[f"khepera{index}/base"] = _pose(entry)
+    for kind, indices in changed_indices.items():
         for index in indices:
             if (entry := edited.objects[kind][index]).movable:
-                placed[f"{kind}{index}"] = _pose(entry)
+                new_poses[f"{kind}{index}"] = _pose(entry)
     mujoco.mj_resetData(new.model, new.data)
-    transfer_state((old.model, old.data), scene, list(placed))
-    for body, (x_mm, y_mm, heading_deg) in placed.items():
-        place(scene, body, metres(x_mm), metres(y_mm), math.radians(heading_deg))
+    transfer_state((old.model, old.data), scene, list(new_poses))
+    for body, (x_mm, y_mm, heading_deg) in new_poses.items():
+        place_body(scene, body, metres(x_mm), metres(y_mm), math.radians(heading_deg))
     state = old.state()._replace(physics=physics_state(*scene))
-    relit = set_values(before, change.edits)
+    changed = set_values(old_playpen, change.edits)
     new.set_state(state)
-    if (relit.lamps, relit.lighting) != (before.lamps, before.lighting):
+    if (changed.lamps, changed.lighting) != (old_playpen.lamps, old_playpen.lighting):
         new.set_lamps(edited.lamps, edited.lighting, keep_switched=True)
 
 

@@ -1,4 +1,4 @@
-"""Serving a twin: one loop between a clock, the world and the cables of its robots' hosts."""
+"""Server of a twin: a loop that advances its world by a clock and exchanges bytes with its host ports."""
 
 import math
 import select
@@ -9,25 +9,25 @@ from typing import Protocol
 
 from khep_twin.clock import NEVER_NS, NS_PER_S, Pacer
 from khep_twin.ports.connection import Connection
-from khep_twin.ports.event_sources import exact_timeouts
+from khep_twin.ports.event_sources import set_exact_timeouts
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
 from khep_twin.units import TICK_NS
 
-LONGEST_WAIT = 0.02
-"""Longest wall time between two turns of the loop, as some hosts cannot wake it [s]."""
+LONGEST_WAIT_S = 0.02
+"""Longest wall time of one cycle of the loop, as some hosts cannot wake it [s]."""
 
-LOOK_NS = NS_PER_S // 200
-"""Wall time after which hosts that have not woken the loop are looked after, too [ns]."""
+CHECK_INTERVAL_WALL_NS = NS_PER_S // 200
+"""Wall time after which hosts that have not woken the loop are also checked [ns]."""
 
-FLUSH_NS = NS_PER_S // 2
-"""Wall time after which the log is on disk at the latest [ns]."""
+FLUSH_INTERVAL_WALL_NS = NS_PER_S // 2
+"""Wall time after which the log is written to disk [ns]."""
 
 WIRE = 0.0
 """Speed of the wire clock: only the bytes on the line take time."""
 
-MANY = 4
-"""Robots from which on plain code takes more of a processor in real time than their lines."""
+MANY_ROBOTS = 4
+"""Number of robots from which plain code needs more processor time than their lines in real time."""
 
 
 def serve(
@@ -45,27 +45,26 @@ def serve(
 
     Args:
         twin: Twin to serve.
-        ports: Cables to the hosts of its robots, one for each.
-        speed: Simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
-        stop: Callback that is called once per cycle; True ends it.
-        notify: Callback that takes notices for the user, such as a wrong speed of the line; by default they
-            are warnings.
+        ports: Ports for the hosts of its robots, one for each.
+        speed: Simulated seconds per second of wall time; inf without pacing, WIRE for the wire clock.
+        stop: Callback that is called once per cycle; True stops the server.
+        notify: Callback for notices to the user, such as a wrong baud rate; by default they are warnings.
 
     Returns:
-        The pacer, with the number and sum of the times that had to be given up.
+        The pacer, with the number and sum of the delays that could not be caught up.
     """
     connections = [
         Connection(twin, robot, port, notify) for robot, port in zip(twin.robots, ports, strict=True)
     ]
-    # Loading compiled code takes half a second, for which no host should have to wait.
+    # Loading compiled code later would make hosts wait for half a second.
     twin.world.code.switch_at = None
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
     if speed == WIRE:
         _serve_by_wire(twin, connections, stop)
     elif math.isinf(speed):
-        _serve_at_once(twin, connections, stop)
+        _serve_unpaced(twin, connections, stop)
     else:
-        exact_timeouts()
+        set_exact_timeouts()
         _serve_by_clock(twin, connections, pacer, stop)
     return pacer
 
@@ -73,60 +72,60 @@ def serve(
 def _serve_by_clock(
     twin: Twin, connections: Sequence[Connection], pacer: Pacer, stop: Callable[[], bool]
 ) -> None:
-    """Advance with the wall clock."""
+    """Advance by the wall clock."""
     world, advance_to = twin.world, twin.time_source.advance_to
-    flush, wait = Flush(twin), _Waiting(connections)
+    flush, wait = PeriodicFlush(twin), _HostWait(connections)
 
     def now() -> int:
-        """Return the time that is due; what has to be given up is, before a host's bytes are given a time."""
+        """Return the time that is due, after dropping a delay that is too long to catch up."""
         if late_ns := pacer.slip(world.time_ns):
             world.log_event(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
         return pacer.due_ns()
 
     while not stop():
-        # On to the next command, the robots' next byte or the next control tick, whatever is first.
+        # Wait for the next command, the robots' next byte or the next control tick, whichever is first.
         tick_ns, event_ns = world.time_ns + TICK_NS, _next_ns(connections)
-        callers, due_ns = wait(pacer.wait(min(tick_ns, event_ns))), 0
-        if not callers or event_ns != NEVER_NS:
+        active, due_ns = wait(pacer.wait(min(tick_ns, event_ns))), 0
+        if not active or event_ns != NEVER_NS:
             due_ns = now()
-            # The simulation of what is due takes time, for which bytes that are due do not wait.
+            # Bytes that are due are not delayed by the duration of the simulation.
             for connection in connections:
-                connection.give_early(due_ns)
-        for connection in callers:
-            # Without time on the line, a command that has just come is due already.
-            due_ns = max(connection.take(now), due_ns)
+                connection.deliver_early(due_ns)
+        for connection in active:
+            # On a line without delay, a command that has just arrived is already due.
+            due_ns = max(connection.receive(now), due_ns)
         due_ns = due_ns or now()
         advance_to(max(min(due_ns, tick_ns), world.time_ns))
         for connection in connections:
-            connection.give()
+            connection.deliver()
         flush()
 
 
-def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
+def _serve_unpaced(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Advance as fast as possible."""
     world, advance_to = twin.world, twin.time_source.advance_to
-    flush, wait = Flush(twin), _Waiting(connections)
+    flush, wait = PeriodicFlush(twin), _HostWait(connections)
     while not stop():
         for connection in wait(0.0):
-            connection.take()
+            connection.receive()
         advance_to(max(min(world.time_ns + TICK_NS, _next_ns(connections)), world.time_ns))
         for connection in connections:
-            connection.give()
+            connection.deliver()
         flush()
 
 
 def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
-    """Advance only for bytes: those of a command, and those of its reply, which comes at once."""
+    """Advance only for the bytes of commands and replies; a reply follows its command immediately."""
     world, advance_to = twin.world, twin.time_source.advance_to
-    flush, wait = Flush(twin), _Waiting(connections)
+    flush, wait = PeriodicFlush(twin), _HostWait(connections)
     while not stop():
-        if callers := wait(LONGEST_WAIT):
-            for connection in callers:
-                connection.take()
-            while (next_ns := min([each.next_stop_ns() for each in connections])) != NEVER_NS:
+        if active := wait(LONGEST_WAIT_S):
+            for connection in active:
+                connection.receive()
+            while (next_ns := min([connection.next_stop_ns() for connection in connections])) != NEVER_NS:
                 advance_to(max(next_ns, world.time_ns))
                 for connection in connections:
-                    connection.give()
+                    connection.deliver()
         flush()
 
 
@@ -135,52 +134,53 @@ def _next_ns(connections: Sequence[Connection]) -> int:
     return min([connection.next_ns() for connection in connections])
 
 
-class _Waiting:
-    """Wait for bytes, for hosts that come or go, or until a duration is over."""
+class _HostWait:
+    """Wait for bytes, for hosts that connect or leave, or for a time-out."""
 
     def __init__(self, connections: Sequence[Connection]) -> None:
         self._connections = connections
-        self._callers: dict[int, Connection] | None = None
-        self._looked_ns = 0
+        self._sources: dict[int, Connection] | None = None
+        self._last_check_ns = 0
 
     def __call__(self, duration: float) -> Sequence[Connection]:
-        """Wait at most `duration` [s]; return the connections whose hosts are to be looked after.
+        """Wait at most `duration` [s]; return the connections to be checked.
 
-        Some hosts cannot wake the loop, so all are looked after regularly.
+        Some hosts cannot wake the loop, so all are checked regularly.
         """
         connections = self._connections
-        if (callers := self._callers) is None:
-            callers = {each: connection for connection in connections for each in connection.descriptors()}
-            # What wakes the loop changes when a host is looked after, and when a line has room again.
-            self._callers = callers if all(each.has_room for each in connections) else None
-        ready = select.select(callers, [], [], min(max(duration, 0.0), LONGEST_WAIT))[0]
+        if (sources := self._sources) is None:
+            sources = {fd: connection for connection in connections for fd in connection.descriptors()}
+            # The descriptors change when a connection is checked, and when a line has room again.
+            self._sources = sources if all(connection.has_room for connection in connections) else None
+        ready = select.select(sources, [], [], min(max(duration, 0.0), LONGEST_WAIT_S))[0]
         time_ns = time.monotonic_ns()
-        if time_ns - self._looked_ns >= LOOK_NS:
-            self._looked_ns, called = time_ns, connections
+        if time_ns - self._last_check_ns >= CHECK_INTERVAL_WALL_NS:
+            self._last_check_ns = time_ns
+            active = connections
         else:
-            called = tuple({callers[each]: None for each in ready})
-        if called:
-            self._callers = None
-        return called
+            active = tuple({sources[fd]: None for fd in ready})
+        if active:
+            self._sources = None
+        return active
 
 
-class Flushed(Protocol):
-    """Interface of a log, or of a listener on a line, to be flushed."""
+class Flushable(Protocol):
+    """A log, or a listener on a line, that can be flushed."""
 
     def flush(self) -> None:
-        """Pass on everything so far."""
+        """Write all buffered records."""
         ...
 
 
-class Flush:
-    """Flush of a log to the file system each FLUSH_NS of wall time."""
+class PeriodicFlush:
+    """Flush of a log to the file system every FLUSH_INTERVAL_WALL_NS."""
 
-    def __init__(self, log: Flushed) -> None:
+    def __init__(self, log: Flushable) -> None:
         self._log = log
-        self._flushed_ns = time.monotonic_ns()
+        self._last_flush_wall_ns = time.monotonic_ns()
 
     def __call__(self) -> None:
-        """Flush if it is time to."""
-        if time.monotonic_ns() - self._flushed_ns > FLUSH_NS:
+        """Flush if the interval has passed."""
+        if time.monotonic_ns() - self._last_flush_wall_ns > FLUSH_INTERVAL_WALL_NS:
             self._log.flush()
-            self._flushed_ns = time.monotonic_ns()
+            self._last_flush_wall_ns = time.monotonic_ns()

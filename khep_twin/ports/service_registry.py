@@ -1,4 +1,4 @@
-"""Registry of servers on this machine: a note of each in the user's own directory, locked while it runs."""
+"""Registry of this user's servers: a note file for each in a private directory, locked while it runs."""
 
 import os
 import stat
@@ -14,34 +14,34 @@ from khep_twin.errors import PortError
 from khep_twin.machine import lock
 from khep_twin.signals import clear_at_end
 
-_ENDING = ".served"
+_SUFFIX = ".served"
 
 
 @contextmanager
-def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
-    """Register these ports for `served` within the context.
+def registered_ports(paths: Sequence[str], subject: str) -> Generator[None, None, None]:
+    """Register ports within the context, for `served_ports`.
 
     Args:
         paths: Paths or URLs that hosts open, one for each robot.
-        what: Name of what is served: a playpen or a device.
+        subject: Name of the served playpen or device.
 
     Raises:
-        PortError: There is no directory for the note, or it cannot be written.
+        PortError: The directory or the note cannot be written.
     """
     folder = private_folder()
-    for note in folder.glob(f"*{_ENDING}"):
+    for note in folder.glob(f"*{_SUFFIX}"):
         if not _is_held(note):
             note.unlink(missing_ok=True)
-    # By its thread: a page whose last twin still hangs serves the next one, too.
-    note = folder / f"{threading.get_native_id()}{_ENDING}"
+    # Named by thread: a web page may serve the next twin while its last one still hangs.
+    note = folder / f"{threading.get_native_id()}{_SUFFIX}"
     lines = [path if "://" in path else os.path.abspath(path) for path in paths]
     with ExitStack() as stack:
         remove = partial(note.unlink, missing_ok=True)
         stack.callback(clear_at_end(remove))
         stack.callback(remove)
-        text = "\n".join([" ".join(what.split()), *lines])
+        text = "\n".join([" ".join(subject.split()), *lines])
         try:
-            # Without a buffer: what does not fit on a full disk would be written again at its end.
+            # Without a buffer, which would be written again on closing if the disk is full.
             file = stack.enter_context(note.open("wb", buffering=0))
             lock(file, waits=True)
             rest = text.encode("utf-8", "surrogateescape")
@@ -52,15 +52,15 @@ def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
         yield
 
 
-def served() -> list[tuple[str, str]]:
-    """Return the ports that running servers of this user offer: path, and name of what is served there."""
-    found: list[tuple[str, str]] = []
-    for note in sorted(private_folder().glob(f"*{_ENDING}")):
-        with suppress(FileNotFoundError):  # it may end meanwhile
+def served_ports() -> list[tuple[str, str]]:
+    """Return the ports of this user's running servers: path and name of the served playpen or device."""
+    ports: list[tuple[str, str]] = []
+    for note in sorted(private_folder().glob(f"*{_SUFFIX}")):
+        with suppress(FileNotFoundError):  # the server may end meanwhile
             if _is_held(note):
-                what, *paths = note.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
-                found += [(path, what) for path in paths]
-    return found
+                subject, *paths = note.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+                ports += [(path, subject) for path in paths]
+    return ports
 
 
 def _is_held(note: Path) -> bool:
@@ -76,22 +76,22 @@ def _is_held(note: Path) -> bool:
 
 
 def private_folder() -> Path:
-    """Return the directory that only this user can write to; make it if necessary.
+    """Return the directory that only this user can write to; create it if necessary.
 
     Raises:
-        PortError: It cannot be made, or is not this user's alone.
+        PortError: It cannot be created, or other users can write to it.
     """
-    # On Windows, the folder for temporary files is the user's own.
+    # On Windows, the folder for temporary files is private.
     user = os.getuid() if sys.platform != "win32" else 0
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     name = "khep_twin" if runtime else f"khep_twin-{user}"
     folder = Path(runtime or tempfile.gettempdir()) / name
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
+        status = folder.lstat()
     except OSError as error:
         raise PortError(f"{folder}: cannot make a directory for links: {error.strerror}") from error
-    is_private = sys.platform == "win32" or not found.st_mode & 0o022
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or not is_private:
+    is_private = sys.platform == "win32" or not status.st_mode & 0o022
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != user or not is_private:
         raise PortError(f"{folder}: not a directory of this user's alone; expected a path with --link")
     return folder

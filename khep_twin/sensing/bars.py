@@ -1,7 +1,7 @@
-"""Bars for a robot's sensors and speeds, as the toolbox's khepbase draws them.
+"""Bars for a robot's sensors and speeds, as `khepbase` of the Khepera Toolbox for Matlab draws them.
 
-A bar of ambient light shows the robot's count, which falls where it is brighter: full in the dark, empty in
-bright light.
+A bar of ambient light shows the sensor's count, which decreases with the light: it is full in the dark, and
+empty in bright light.
 """
 
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ class Bar:
     """A kind of bar.
 
     Attributes:
-        full: Value that fills it.
+        full: Value that fills the bar.
         legend: Entry in the legend.
-        lowest: Smallest part; below 0 where negative values fill it downwards.
+        lowest: Smallest part; below 0 if negative values fill the bar downwards.
     """
 
     full: int
@@ -39,7 +39,7 @@ BARS4 = BARS | {
     "light": Bar(980, "light, 980 dark to 0 bright"),
     "speed": Bar(500, "speed, -500 to 500", lowest=-1.0),
 }
-"""Those of a Khepera IV; its speed has other pulses."""
+"""Kinds of bars of a Khepera IV, whose pulses have another length."""
 
 
 def bars_of(body: Body) -> dict[str, Bar]:

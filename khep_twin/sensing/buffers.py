@@ -1,4 +1,4 @@
-"""Numbers of a simulation: named tuples in plain code, records of the same fields in compiled code."""
+"""State of a simulation: named tuples in plain code, NumPy records with the same fields in compiled code."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
@@ -10,11 +10,11 @@ Value = TypeVar("Value", int, float)
 Numbers = TypeVar("Numbers", bound=NamedTuple)
 
 _RECORD_TYPES: dict[np.dtype[np.void], np.dtype[np.void]] = {}
-"""Types of records, one object for each: numba compares other objects field by field at every call."""
+"""Record types, one object for each: numba compares different objects field by field at every call."""
 
 
 class Vector(Protocol[Value]):
-    """Numbers in a row (n,): an array, a memoryview of one, or a list."""
+    """One-dimensional sequence of numbers (n,): an array, its memoryview, or a list."""
 
     def __len__(self) -> int: ...
 
@@ -24,7 +24,7 @@ class Vector(Protocol[Value]):
 
 
 class Matrix(Protocol):
-    """Numbers in a table (n, m): an array, or a memoryview of one."""
+    """Two-dimensional table of numbers (n, m): an array, or its memoryview."""
 
     def __len__(self) -> int: ...
 
@@ -34,18 +34,18 @@ class Matrix(Protocol):
 
 
 def view(array: NDArray[np.float64]) -> "memoryview[float]":
-    """Return an array's memory, which is faster to index in plain Python."""
+    """Return a memoryview of an array, which plain Python indexes faster."""
     return cast("memoryview[float]", array.data)
 
 
-def as_records(values: Sequence[NamedTuple], like: NamedTuple) -> NDArray[np.void]:
-    """Return named tuples as records of the same fields (n,): one address each to pass in compiled code.
+def as_records(values: Sequence[NamedTuple], template: NamedTuple) -> NDArray[np.void]:
+    """Return named tuples as records with the same fields (n,), which compiled code passes by address.
 
     Args:
-        values: Named tuples of numbers, lists, arrays and such tuples, all of the same shapes.
-        like: A named tuple of these shapes.
+        values: Named tuples of numbers, lists, arrays and named tuples, all of the same shapes.
+        template: A named tuple of these shapes.
     """
-    records = np.zeros(len(values), _record_type(like))
+    records = np.zeros(len(values), _record_type(template))
     for record, value in zip(records, values, strict=True):
         fill_record(record, value)
     return records
@@ -54,17 +54,17 @@ def as_records(values: Sequence[NamedTuple], like: NamedTuple) -> NDArray[np.voi
 def as_plain(values: Numbers, record: Any) -> Numbers:
     """Return the named tuple of a record for plain code.
 
-    Its numbers and lists stay, as they are fastest in Python and do not change; its arrays become memoryviews
-    of the record's own memory, so that plain and compiled code work on the same state.
+    Numbers and lists remain, as they are fastest in Python and do not change. Arrays become memoryviews of
+    the record's memory, so that plain and compiled code share the same state.
     """
-    parts: list[Any] = []
+    plain_values: list[Any] = []
     for name, value in zip(values._fields, values, strict=True):
         if isinstance(value, np.ndarray):
             value = record[name].data
         elif isinstance(value, tuple) and hasattr(cast(Any, value), "_fields"):
             value = as_plain(cast(Any, value), record[name])
-        parts.append(value)
-    return values._make(parts)
+        plain_values.append(value)
+    return values._make(plain_values)
 
 
 def _record_type(values: NamedTuple) -> np.dtype[np.void]:
@@ -76,8 +76,8 @@ def _record_type(values: NamedTuple) -> np.dtype[np.void]:
         else:
             array: NDArray[Any] = np.asarray(cast(Any, value))
             fields.append((name, np.int64 if array.dtype.kind == "i" else array.dtype, array.shape))
-    made = np.dtype(fields, align=True)
-    return _RECORD_TYPES.setdefault(made, made)
+    dtype = np.dtype(fields, align=True)
+    return _RECORD_TYPES.setdefault(dtype, dtype)
 
 
 def fill_record(record: Any, values: NamedTuple) -> None:

@@ -1,7 +1,7 @@
-"""Calibrations: sensors, wheels and motors of one named robot, as numbers in a TOML file.
+"""Calibrations: parameters of the sensors, wheels and motors of one named robot, in a TOML file.
 
 Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and names its source. The files in
-assets/calibration are used by bare name, others by path. `sensors` explains the numbers.
+assets/calibration are used by bare name, others by path. `khep_twin.sensors` explains the parameters.
 """
 
 from typing import Annotated, Self
@@ -49,26 +49,26 @@ GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
 their gain for lamps (4 to 7 % measured); that of the threshold where a calibration gives no other."""
 
 
-def _for_each(value: object) -> object:
-    """Return counts eight times, for eight sensors; all else as it is."""
-    fits = isinstance(value, int | float) and 0 <= value <= COUNTS_LIMIT
-    return (value,) * N_SENSORS if fits else value
+def _one_per_sensor(value: object) -> object:
+    """Return a number of counts as eight equal ones, one per sensor; other values unchanged."""
+    is_count = isinstance(value, int | float) and 0 <= value <= COUNTS_LIMIT
+    return (value,) * N_SENSORS if is_count else value
 
 
 class ProximityCalibration(TomlTable):
-    """Reflected light; per-sensor values in the order of N.
+    """Reflected light; per-sensor values in the order of the command N.
 
     Attributes:
-        gain_counts_mm2: Counts at 1 mm before an endless white wall, face to face.
-        threshold_counts: Counts that are subtracted; below 0 the reading with nothing in reach.
-        threshold_spread: Relative standard deviation of the thresholds among robots of the same make.
+        gain_counts_mm2: Counts at 1 mm in front of an infinite white wall, perpendicular to it.
+        threshold_counts: Subtracted counts; if negative, minus the reading with nothing in range.
+        threshold_spread: Relative standard deviation of the thresholds among robots of the same model.
         offset_mm: Offset of the chip behind the sensor's face.
         lobe_exponent: Exponent of the cosine off the sensor's axis, in azimuth.
         limit_counts: Highest reading.
         floor_counts: Lowest reading, also where ambient light saturates the sensor.
         quantum_counts: Step between readings.
-        noise_counts: Standard deviation of one reading; one number stands for all sensors.
-        idle_counts: Mean of the noise with nothing in reach.
+        noise_counts: Standard deviation of one reading; one number applies to all sensors.
+        idle_counts: Mean of the noise with nothing in range.
     """
 
     gain_counts_mm2: Annotated[tuple[_Gain, ...], _Eight]
@@ -79,15 +79,15 @@ class ProximityCalibration(TomlTable):
     limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
     floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1
-    noise_counts: Annotated[tuple[_Counts, ...], _EightOrOne, BeforeValidator(_for_each)]
+    noise_counts: Annotated[tuple[_Counts, ...], _EightOrOne, BeforeValidator(_one_per_sensor)]
     idle_counts: _Counts
 
 
 class AmbientCalibration(TomlTable):
-    """Light of lamps; per-sensor values in the order of O.
+    """Light of lamps; per-sensor values in the order of the command O.
 
     Attributes:
-        heading_deg: Heading of each receiver, counter-clockwise from ahead.
+        heading_deg: Heading of each receiver, counter-clockwise from the front.
         gain_counts_mm2_per_w: Counts per light of a lamp.
         lobe_exponent: Exponent of the cosine off the receiver's axis.
         diffuse: Diffuse part of the sensitivity.
@@ -96,7 +96,7 @@ class AmbientCalibration(TomlTable):
         floor_counts: Reading in the brightest light.
         ceiling_counts: Highest reading, noise included.
         noise_counts: Standard deviation of one reading.
-        rises_with_light: Whether a robot reads the rest to the converter's largest count instead.
+        rises_with_light: Whether readings are subtracted from the converter's largest count.
     """
 
     heading_deg: Annotated[tuple[_Heading, ...], _Eight]
@@ -112,11 +112,11 @@ class AmbientCalibration(TomlTable):
 
 
 class GroundCalibration(TomlTable):
-    """Sensors that look at the floor; per-sensor values in the order of the robot's registers.
+    """Sensors that face the floor; per-sensor values in the order of the robot's registers.
 
     Attributes:
         white_counts: Reading above a white floor.
-        nothing_counts: Reading where nothing is below.
+        nothing_counts: Reading with no floor below.
         spot_mm: Radius of the spot that a sensor sees.
         noise_counts: Standard deviation of one reading.
     """
@@ -131,7 +131,7 @@ class GroundCalibration(TomlTable):
 
 
 class WheelCalibration(TomlTable):
-    """Both wheels; the robot's own firmware knows only their pulses.
+    """Both wheels; the firmware only counts their pulses.
 
     Attributes:
         radius_mm: Mean radius of the wheels.
@@ -153,13 +153,13 @@ class WheelCalibration(TomlTable):
 
 
 class MotorCalibration(TomlTable):
-    """Both motors, as seen at the wheels.
+    """Both motors, referred to the wheels.
 
     Attributes:
         supply_v: Supply voltage at which the figures hold.
         no_load_speed_rad_s: Speed of an unloaded wheel at full duty.
         stall_torque_n_m: Torque at a blocked wheel at full duty.
-        friction_torque_n_m: Dry friction of motor and gear; full duty overcomes it in both figures above.
+        friction_torque_n_m: Dry friction of motor and gear, already deducted from both figures above.
     """
 
     supply_v: Annotated[float, Field(ge=1, le=24)] = SUPPLY_VOLTAGE
@@ -170,8 +170,8 @@ class MotorCalibration(TomlTable):
     @property
     def constant(self) -> float:
         """Torque at the wheel per current [N m/A], which is also voltage per speed [V s/rad]."""
-        used = self.stall_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
-        return self.supply_v / self.no_load_speed_rad_s * used
+        share = self.stall_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
+        return self.supply_v / self.no_load_speed_rad_s * share
 
     @property
     def resistance(self) -> float:
@@ -180,7 +180,7 @@ class MotorCalibration(TomlTable):
 
 
 class Calibration(TomlTable):
-    """One robot's sensors, wheels and motors; headings [deg] counter-clockwise from ahead, in N's order."""
+    """Sensors, wheels and motors of one robot; headings [deg] counter-clockwise from the front, as for N."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
@@ -193,18 +193,18 @@ class Calibration(TomlTable):
     ground: GroundCalibration | None = None
 
     @model_validator(mode="after")
-    def _levels_are_in_order(self) -> Self:
-        light, near = self.ambient, self.proximity
+    def _check_order(self) -> Self:
+        ambient, proximity = self.ambient, self.proximity
         levels = (
-            ("ambient", "floor_counts", light.floor_counts, "dark_counts", light.dark_counts),
-            ("ambient", "dark_counts", light.dark_counts, "ceiling_counts", light.ceiling_counts),
-            ("proximity", "idle_counts", near.idle_counts, "limit_counts", near.limit_counts),
-            ("proximity", "floor_counts", near.floor_counts, "limit_counts", near.limit_counts),
-            ("proximity", "quantum_counts", near.quantum_counts, "limit_counts", near.limit_counts),
+            ("ambient", "floor_counts", ambient.floor_counts, "dark_counts", ambient.dark_counts),
+            ("ambient", "dark_counts", ambient.dark_counts, "ceiling_counts", ambient.ceiling_counts),
+            ("proximity", "idle_counts", proximity.idle_counts, "limit_counts", proximity.limit_counts),
+            ("proximity", "floor_counts", proximity.floor_counts, "limit_counts", proximity.limit_counts),
+            ("proximity", "quantum_counts", proximity.quantum_counts, "limit_counts", proximity.limit_counts),
         )
         problems = [
-            Problem.of((table, key), f"{table}: {key} = {value:g}", f"below {other} = {limit:g}", value)
-            for table, key, value, other, limit in levels
+            Problem.of((table, key), f"{table}: {key} = {value:g}", f"below {limit_key} = {limit:g}", value)
+            for table, key, value, limit_key, limit in levels
             if value > limit - (key == "floor_counts")
         ]
         if problems:
@@ -214,7 +214,7 @@ class Calibration(TomlTable):
 
 COMMON_GAIN_SPREAD = 0.3
 """Standard deviation of the logarithm of a gain common to a robot's sensors (assumed: the two Kheperas known,
-with half the scale at 24 and 33 mm, give 0.4; no robot is known to see farther than 33 mm)."""
+with half the scale at 24 and 33 mm, give 0.4; no known robot has a range above 33 mm)."""
 
 HEADING_SPREAD_DEG = 3.4
 """Standard deviation of a heading [deg]: of the sampled robot's headings from left-right symmetry, which is
@@ -222,50 +222,50 @@ HEADING_SPREAD_DEG = 3.4
 
 RADIUS_SPREAD, BASE_SPREAD = 0.015, 0.015
 """Relative standard deviations of the wheels' mean radius and of the wheel base: half of the ranges 7.5 to
-7.96 mm and 52 to 54 mm in which simulators and users find them."""
+7.96 mm and 52 to 54 mm that simulators use and users measure."""
 
 INEQUALITY_SPREAD = 0.004
-"""Standard deviation of `right_over_left` (assumed: so that after 30 s of driving robots miss home by the
+"""Standard deviation of `right_over_left` (assumed: after 30 s of driving, robots then miss home by the
 published 50 to 100 mm, and 8 in 10 by less than 100 mm; `studies.home_test`)."""
 
 FRICTION_SPREAD, NO_LOAD_SPREAD, STALL_SPREAD, GEAR_SPREAD = 0.1, 0.05, 0.1, 0.2
 """Relative standard deviations of the tyres' friction, the motors' no-load speed and stall torque, and the
 gears' friction (assumed; simulators' tyres differ by 0.9 to 1.2)."""
 
-_MOST = 4.0
-"""Standard deviations at which draws of wheels and motors are cut off."""
+_MAX_DEVIATIONS = 4.0
+"""Standard deviations at which the random deviations of wheels and motors are clipped."""
 
 
-def varied(calibration: Calibration, rng: np.random.Generator) -> Calibration:
-    """Return a robot of the same make: sensors, wheels and motors drawn around a calibration."""
+def vary(calibration: Calibration, rng: np.random.Generator) -> Calibration:
+    """Return a robot of the same model: sensors, wheels and motors drawn around a calibration."""
     spreads = np.array([[GAIN_SPREAD], [calibration.proximity.threshold_spread]])
     gains, thresholds = 1 + spreads * rng.standard_normal((2, N_SENSORS))
-    lamps = 1 + LAMP_SPREAD * rng.standard_normal(N_SENSORS)
-    turns = HEADING_SPREAD_DEG * rng.standard_normal((2, N_SENSORS))
-    common = np.exp(COMMON_GAIN_SPREAD * rng.standard_normal())
-    drawn = np.clip(rng.standard_normal(7), -_MOST, _MOST).tolist()
-    radius, base, ratio, friction, no_load, stall, gear = drawn
+    lamp_gains = 1 + LAMP_SPREAD * rng.standard_normal(N_SENSORS)
+    heading_errors = HEADING_SPREAD_DEG * rng.standard_normal((2, N_SENSORS))
+    common_gain = np.exp(COMMON_GAIN_SPREAD * rng.standard_normal())
+    deviations = np.clip(rng.standard_normal(7), -_MAX_DEVIATIONS, _MAX_DEVIATIONS).tolist()
+    radius, base, inequality, friction, no_load, stall, gear = deviations
     proximity, ambient = calibration.proximity, calibration.ambient
     wheels, motors = calibration.wheels, calibration.motors
     return calibration.model_copy(
         update={
-            "heading_deg": _shifted(calibration.heading_deg, turns[0]),
+            "heading_deg": _shift(calibration.heading_deg, heading_errors[0]),
             "proximity": proximity.model_copy(
                 update={
-                    "gain_counts_mm2": _scaled(proximity.gain_counts_mm2, gains, common),
-                    "threshold_counts": _scaled(proximity.threshold_counts, thresholds),
+                    "gain_counts_mm2": _scale(proximity.gain_counts_mm2, gains, common_gain),
+                    "threshold_counts": _scale(proximity.threshold_counts, thresholds),
                 }
             ),
             "ambient": ambient.model_copy(
                 update={
-                    "heading_deg": _shifted(ambient.heading_deg, turns[1]),
-                    "gain_counts_mm2_per_w": _scaled(ambient.gain_counts_mm2_per_w, lamps),
+                    "heading_deg": _shift(ambient.heading_deg, heading_errors[1]),
+                    "gain_counts_mm2_per_w": _scale(ambient.gain_counts_mm2_per_w, lamp_gains),
                 }
             ),
             "wheels": wheels.model_copy(
                 update={
                     "radius_mm": wheels.radius_mm * (1 + RADIUS_SPREAD * radius),
-                    "right_over_left": wheels.right_over_left + INEQUALITY_SPREAD * ratio,
+                    "right_over_left": wheels.right_over_left + INEQUALITY_SPREAD * inequality,
                     "base_mm": wheels.base_mm * (1 + BASE_SPREAD * base),
                     "friction": wheels.friction * (1 + FRICTION_SPREAD * friction),
                 }
@@ -281,19 +281,17 @@ def varied(calibration: Calibration, rng: np.random.Generator) -> Calibration:
     )
 
 
-def _scaled(
-    values: tuple[float, ...], factors: NDArray[np.float64], common: float = 1.0
-) -> tuple[float, ...]:
-    """Return values by factors that are cut off far below 1, and by a common one."""
+def _scale(values: tuple[float, ...], factors: NDArray[np.float64], common: float = 1.0) -> tuple[float, ...]:
+    """Return values times factors of at least 0.2, and times a common factor."""
     return tuple((np.array(values) * np.maximum(factors, 0.2) * common).tolist())
 
 
-def _shifted(values: tuple[float, ...], shifts: NDArray[np.float64]) -> tuple[float, ...]:
+def _shift(values: tuple[float, ...], shifts: NDArray[np.float64]) -> tuple[float, ...]:
     return tuple((np.array(values) + shifts).tolist())
 
 
 def names() -> list[str]:
-    """Return the names of the calibrations that ship with the package."""
+    """Return the names of the built-in calibrations."""
     return toml_files.names("calibration")
 
 

@@ -1,4 +1,4 @@
-"""Colours of sensors and wheels in curves over time, in rerun and on the page: made for a dark background."""
+"""Colours of sensors and wheels in plots over time, in rerun and on the page, for a dark background."""
 
 from khep_twin.units import SENSOR_LABELS
 
@@ -9,9 +9,9 @@ COLD: list[Colour] = [(64, 224, 208), (77, 171, 247), (92, 124, 250)]
 _VIOLET: list[Colour] = [(177, 151, 252), (230, 153, 247)]
 
 SENSORS = {label: colour for label, colour in zip(SENSOR_LABELS, [*_WARM, *COLD, *_VIOLET], strict=True)}
-"""Colours of the sensors: left ones warm, right ones cold, those at the back violet."""
+"""Colours of the sensors: warm on the left, cold on the right, violet at the back."""
 
-OF_SENSORS: dict[str, Colour] = SENSORS | {
+ALL_SENSORS: dict[str, Colour] = SENSORS | {
     **dict(zip(("left", "front left", "front"), _WARM, strict=True)),
     **dict(zip(("front right", "right"), COLD, strict=False)),
     **{"back": (200, 200, 200), "ground left": (148, 216, 45), "ground front left": (200, 230, 110)},

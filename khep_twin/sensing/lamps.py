@@ -1,18 +1,17 @@
 """Lamps: their positions, and their brightness over time.
 
-A lamp shines with its power times its dim. It can blink, `on_s` gives the times when it is on, and with
-`fade_s` it fades in and out, as a filament does. The playpen's lighting selects which of them are on:
-all, or one at a time. Then the next one, at random or in the file's order, is lit when a robot comes near
-the lit one or near a wall of the arena; with a distance of 0 the first one stays. Robots have to leave before
-they can come near again. The user can switch a lamp off and on again, whatever else switches it.
+The maximum power of a lamp is its power times its dimming factor `dim`. It can blink, `on_s` lists the
+intervals when it is on, and with `fade_s` it fades in and out like a filament. The lamps of a playpen are on
+all together or one at a time. Then the next one, at random or in the file's order, is switched on when a
+robot comes near the current one or a wall of the arena; with a switch distance of 0 the first one stays on.
+A robot must leave before it can come near again. The user can also switch lamps off and on.
 
-A lamp with `flicker` swings about that power twice in each period of the mains, all lamps alike and at any
-time the same function of time; only the phase at time 0 is drawn by the seed, as no robot knows it.
+A lamp with `flicker` oscillates around that power twice in each period of the mains, in phase with all other
+lamps. The phase at time 0 is drawn from the random stream, as no robot knows it.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import zip_longest
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -29,124 +28,143 @@ class LampsState(NamedTuple):
 
     Attributes:
         powers: Current powers (n,) [W].
-        lit: Index of the lamp that is on, if they are on one at a time.
-        off: Indices of the lamps that the user has switched off.
-        near_lamp: Whether a robot is near the lit lamp.
-        near_wall: Whether a robot is near a wall.
+        lit_index: Index of the lamp that is on, if they are on one at a time.
+        switched_off: Indices of the lamps that the user has switched off.
+        was_near_lamp: Whether a robot was near the lamp that is on, at the last update.
+        was_near_wall: Whether a robot was near a wall, at the last update.
         time_ns: Time of the last update [ns].
-        steady: Whether the powers never change.
-        phase: Phase of the mains; None if no lamp flickers.
+        are_constant: Whether the powers never change.
+        flicker_phase: Phase of the flicker at time 0, in periods; None if no lamp flickers.
     """
 
     powers: tuple[FiniteFloat, ...]
-    lit: Annotated[int, Field(ge=0)] | None
-    off: tuple[int, ...]
-    near_lamp: bool
-    near_wall: bool
+    lit_index: Annotated[int, Field(ge=0)] | None
+    switched_off: tuple[int, ...]
+    was_near_lamp: bool
+    was_near_wall: bool
     time_ns: Annotated[int, Field(ge=0, lt=2**62)]
-    steady: bool
-    phase: FiniteFloat | None
+    are_constant: bool
+    flicker_phase: FiniteFloat | None
 
 
-def are_steady(lamps: Sequence[Lamp], lighting: Lighting) -> bool:
+def are_constant(lamps: Sequence[Lamp], lighting: Lighting) -> bool:
     """Return whether the powers of lamps never change."""
-    one_by_one = lighting.mode != "all" and bool(lamps)
-    return not one_by_one and not any(lamp.blink_period_s or lamp.on_s for lamp in lamps)
+    one_at_a_time = lighting.mode != "all" and bool(lamps)
+    return not one_at_a_time and not any(lamp.blink_period_s or lamp.on_s for lamp in lamps)
 
 
 class Lamps:
-    """The lamps of one world.
+    """Lamps of one world.
 
     Args:
         playpen: Playpen with the lamps and the lighting.
-        rng: Factory of the random stream for the next lamp, called in mode "random" only.
+        make_rng: Function that returns the random stream: for the next lamp in mode "random", and for the
+            phase of lamps that flicker.
         time_ns: Current time [ns].
-        phase: Phase of the mains, as in `light.LightLaw`; drawn where a lamp flickers if not given.
+        flicker_phase: Phase as in `light.LightLaw`; by default it is drawn if a lamp flickers.
 
     Attributes:
-        rng: The same factory.
-        names: Names in the playpen, else in the scene.
+        make_rng: The same function.
+        names: Names in the playpen, or by default in the scene.
         positions: Positions of the bulbs' centres (n, 3) [m].
         powers: Current powers (n,), without their flicker [W].
-        steady: True if the powers never change.
-        lit: Index of the lamp that is on, if they are on one at a time; else None.
-        phase: Phase of the mains; None if no lamp flickers.
+        are_constant: True if the powers never change.
+        lit_index: Index of the lamp that is on, if they are on one at a time; otherwise None.
+        flicker_phase: Phase of the flicker at time 0, in periods; None if no lamp flickers.
     """
 
     def __init__(
         self,
         playpen: Playpen,
-        rng: Callable[[], np.random.Generator],
+        make_rng: Callable[[], np.random.Generator],
         time_ns: int = 0,
-        phase: float | None = None,
+        flicker_phase: float | None = None,
     ) -> None:
         self._lamps, self._lighting = playpen.lamps, playpen.lighting
         self._corners = [(metres(x_mm), metres(y_mm)) for x_mm, y_mm in playpen.arena.corners]
-        self.rng = rng
-        self._near_lamp = self._near_wall = True
+        self.make_rng = make_rng
+        self._was_near_lamp = self._was_near_wall = True
         self.names = [lamp.name or f"lamp{index}" for index, lamp in enumerate(self._lamps)]
         self.positions = [(metres(lamp.x_mm), metres(lamp.y_mm), metres(lamp.z_mm)) for lamp in self._lamps]
-        self._full = [lamp.power_w * lamp.dim for lamp in self._lamps]
-        one_by_one = self._lighting.mode != "all" and bool(self._lamps)
-        self.steady = are_steady(self._lamps, self._lighting)
-        self._off: set[int] = set()
-        self.lit: int | None = None
-        if one_by_one:
-            self.lit = 0
+        self._max_powers_w = [lamp.power_w * lamp.dim for lamp in self._lamps]
+        one_at_a_time = self._lighting.mode != "all" and bool(self._lamps)
+        self.are_constant = are_constant(self._lamps, self._lighting)
+        self._switched_off: set[int] = set()
+        self.lit_index: int | None = None
+        if one_at_a_time:
+            self.lit_index = 0
             if self._lighting.mode == "random":
-                self.lit = int(rng().integers(len(self._lamps)))
-        self.phase = phase
-        if phase is None and any(lamp.flicker for lamp in self._lamps):
-            self.phase = float(rng().random())
+                self.lit_index = int(make_rng().integers(len(self._lamps)))
+        self.flicker_phase = flicker_phase
+        if flicker_phase is None and any(lamp.flicker for lamp in self._lamps):
+            self.flicker_phase = float(make_rng().random())
         self._time_ns = time_ns
-        self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
+        self.powers = [self._max_powers_w[index] * self._is_on(index) for index in range(len(self._lamps))]
 
     def state(self) -> LampsState:
         """Return the state."""
-        off, near = tuple(sorted(self._off)), (self._near_lamp, self._near_wall)
-        return LampsState(tuple(self.powers), self.lit, off, *near, self._time_ns, self.steady, self.phase)
+        return LampsState(
+            tuple(self.powers),
+            self.lit_index,
+            tuple(sorted(self._switched_off)),
+            self._was_near_lamp,
+            self._was_near_wall,
+            self._time_ns,
+            self.are_constant,
+            self.flicker_phase,
+        )
 
     def set_state(self, state: LampsState) -> None:
-        """Take over a state.
+        """Restore a state.
 
         Raises:
-            ValueError: It is of other lamps.
+            ValueError: The state is of other lamps.
         """
-        count, off = len(self.powers), set(state.off)
-        if len(state.powers) != count or not {state.lit or 0, *off} <= {0, *range(count)}:
+        count, switched_off = len(self.powers), set(state.switched_off)
+        if len(state.powers) != count or not {state.lit_index or 0, *switched_off} <= {0, *range(count)}:
             raise ValueError(f"a state of {len(state.powers)} lamps; expected one of {count}")
-        if (state.lit is None) != (self.lit is None):
+        if (state.lit_index is None) != (self.lit_index is None):
             raise ValueError("a state of lamps with another lighting")
-        self.powers, self.lit, self._off = list(state.powers), state.lit, off
-        self._near_lamp, self._near_wall = state.near_lamp, state.near_wall
-        self._time_ns, self.steady, self.phase = state.time_ns, state.steady, state.phase
+        self.powers = list(state.powers)
+        self.lit_index = state.lit_index
+        self._switched_off = switched_off
+        self._was_near_lamp = state.was_near_lamp
+        self._was_near_wall = state.was_near_wall
+        self._time_ns = state.time_ns
+        self.are_constant = state.are_constant
+        self.flicker_phase = state.flicker_phase
 
-    def take_over(self, before: "Lamps") -> None:
-        """Go on as other lamps: those off by hand stay off, and the one that is on in its turn stays on."""
+    def continue_from(self, previous: "Lamps") -> None:
+        """Continue from other lamps: lamps that the user switched off stay off, and `lit_index` is kept."""
         count = len(self.powers)
-        for index in sorted(before._off & {*range(count)}):
-            self.turn(index, False, self._time_ns)
-        if self.lit is not None and before.lit is not None and before.lit < count:
-            self.lit, self._near_lamp, self._near_wall = before.lit, before._near_lamp, before._near_wall
-        for index, (full, other) in enumerate(zip_longest(self._full, before._full[:count])):
-            self.powers[index] = before.powers[index] if full == other else full * self._wanted(index)
+        for index in sorted(previous._switched_off & {*range(count)}):
+            self.switch(index, False, self._time_ns)
+        if self.lit_index is not None and previous.lit_index is not None and previous.lit_index < count:
+            self.lit_index = previous.lit_index
+            self._was_near_lamp = previous._was_near_lamp
+            self._was_near_wall = previous._was_near_wall
+        for index, max_power_w in enumerate(self._max_powers_w):
+            if previous._max_powers_w[index : index + 1] == [max_power_w]:
+                self.powers[index] = previous.powers[index]
+            else:
+                self.powers[index] = max_power_w * self._is_on(index)
 
-    def turn(self, index: int, on: bool, time_ns: int) -> None:
-        """Switch a lamp by hand at a time [ns]: off, or back to its own schedule."""
-        (self._off.discard if on else self._off.add)(index)
-        if self.steady:  # `update` has not been called so far
+    def switch(self, index: int, is_on: bool, time_ns: int) -> None:
+        """Switch a lamp manually at a time [ns]: off, or back to its schedule."""
+        (self._switched_off.discard if is_on else self._switched_off.add)(index)
+        if self.are_constant:  # `update` has not been called so far
             self._time_ns = time_ns
-        self.steady = False
+        self.are_constant = False
 
-    def turned_off(self, index: int) -> bool:
+    def is_switched_off(self, index: int) -> bool:
         """Return whether the user has switched a lamp off."""
-        return index in self._off
+        return index in self._switched_off
 
-    def flickering(self, light: Light) -> Light:
+    def add_flicker(self, light: Light) -> Light:
         """Return a scene's light with the flicker of these lamps."""
-        if self.phase is None:
+        if self.flicker_phase is None:
             return light
-        law = light.law._replace(phase=self.phase)
+        law = light.law._replace(flicker_phase=self.flicker_phase)
         pairs = zip(light.bulbs, self._lamps, strict=True)
         return light._replace(law=law, bulbs=[bulb._replace(flicker=lamp.flicker) for bulb, lamp in pairs])
 
@@ -158,61 +176,61 @@ class Lamps:
             robots: Centres and radii of the robots: x, y, radius [m].
 
         Returns:
-            True if another lamp is on now.
+            True if another lamp has been switched on.
         """
         elapsed_s, self._time_ns = (time_ns - self._time_ns) * 1e-9, time_ns
-        switched = self.lit is not None and self._switch(self.lit, robots)
+        has_switched = self.lit_index is not None and self._switch_to_next(self.lit_index, robots)
         for index, lamp in enumerate(self._lamps):
-            wanted, power = self._full[index] * self._wanted(index), self.powers[index]
-            step = self._full[index] * elapsed_s / lamp.fade_s if lamp.fade_s else math.inf
-            self.powers[index] = min(max(wanted, power - step), power + step)
-        return switched
+            target, power = self._max_powers_w[index] * self._is_on(index), self.powers[index]
+            max_change = self._max_powers_w[index] * elapsed_s / lamp.fade_s if lamp.fade_s else math.inf
+            self.powers[index] = min(max(target, power - max_change), power + max_change)
+        return has_switched
 
-    def rows(self, first: int, end: int, step_ns: int = STEP_NS) -> list[list[float]]:
-        """Advance lamps that take no turns by some steps; return the powers after each of them [W]."""
-        found: list[list[float]] = []
+    def advance_steps(self, first: int, end: int, step_ns: int = STEP_NS) -> list[list[float]]:
+        """Advance lamps without `lit_index` to the step `end`; return the powers after each step [W]."""
+        rows: list[list[float]] = []
         for step in range(first + 1, end + 1):
             self.update(step * step_ns, ())
-            found.append(self.powers.copy())
-        return found
+            rows.append(self.powers.copy())
+        return rows
 
     def possible_powers(self, time_ns: int) -> list[float]:
-        """Return the powers of all lamps, each as if it were the one that is on, at a time [ns]."""
-        pairs = zip(self._full, self._lamps, strict=True)
-        return [full * _in_its_turn(lamp, time_ns) for full, lamp in pairs]
+        """Return the powers of the lamps at a time [ns], each as if `lit_index` were its index."""
+        pairs = zip(self._max_powers_w, self._lamps, strict=True)
+        return [power_w * _is_scheduled_on(lamp, time_ns) for power_w, lamp in pairs]
 
-    def _wanted(self, index: int) -> bool:
+    def _is_on(self, index: int) -> bool:
         """Return whether a lamp is on."""
-        if self.lit not in (None, index) or index in self._off:
+        if self.lit_index not in (None, index) or index in self._switched_off:
             return False
-        return _in_its_turn(self._lamps[index], self._time_ns)
+        return _is_scheduled_on(self._lamps[index], self._time_ns)
 
-    def _switch(self, lit: int, robots: Sequence[tuple[float, float, float]]) -> bool:
-        """Advance to the next lamp if a robot has just come near this one or a wall; return True then."""
-        reach = metres(self._lighting.switch_distance_mm)
-        if not reach:
+    def _switch_to_next(self, lit_index: int, robots: Sequence[tuple[float, float, float]]) -> bool:
+        """Switch to the next lamp if a robot has just come near this one or a wall; return whether it has."""
+        max_distance = metres(self._lighting.switch_distance_mm)
+        if not max_distance:
             return False
-        near_wall = any(distance(self._corners, x, y) < reach + radius for x, y, radius in robots)
-        near_lamp = self._near(lit, reach, robots)
-        came = (near_wall and not self._near_wall) or (near_lamp and not self._near_lamp)
-        self._near_wall, self._near_lamp = near_wall, near_lamp
-        if not came or len(self._lamps) == 1:
+        is_near_wall = any(distance(self._corners, x, y) < max_distance + radius for x, y, radius in robots)
+        is_near_lamp = self._is_near(lit_index, max_distance, robots)
+        has_entered = (is_near_wall and not self._was_near_wall) or (is_near_lamp and not self._was_near_lamp)
+        self._was_near_wall, self._was_near_lamp = is_near_wall, is_near_lamp
+        if not has_entered or len(self._lamps) == 1:
             return False
-        step = 1
+        offset = 1
         if self._lighting.mode == "random":
-            step = 1 + int(self.rng().integers(len(self._lamps) - 1))
-        self.lit = (lit + step) % len(self._lamps)
-        self._near_lamp = self._near(self.lit, reach, robots)
+            offset = 1 + int(self.make_rng().integers(len(self._lamps) - 1))
+        self.lit_index = (lit_index + offset) % len(self._lamps)
+        self._was_near_lamp = self._is_near(self.lit_index, max_distance, robots)
         return True
 
-    def _near(self, index: int, reach: float, robots: Sequence[tuple[float, float, float]]) -> bool:
+    def _is_near(self, index: int, limit: float, robots: Sequence[tuple[float, float, float]]) -> bool:
         x, y, _ = self.positions[index]
-        reach += metres(BULB_RADIUS_MM)
-        return any(math.hypot(x - at_x, y - at_y) < reach + radius for at_x, at_y, radius in robots)
+        limit += metres(BULB_RADIUS_MM)
+        return any(math.hypot(x - robot[0], y - robot[1]) < limit + robot[2] for robot in robots)
 
 
-def _in_its_turn(lamp: Lamp, time_ns: int) -> bool:
-    """Return whether a lamp is on by its times and its blinking; each period begins with it on."""
+def _is_scheduled_on(lamp: Lamp, time_ns: int) -> bool:
+    """Return whether a lamp is on by its intervals and its blinking; each period starts with it on."""
     if lamp.on_s and not any(round(on * 1e9) <= time_ns < round(off * 1e9) for on, off in lamp.on_s):
         return False
     if not lamp.blink_period_s:

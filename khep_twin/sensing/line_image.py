@@ -1,13 +1,12 @@
-"""The image of a line camera: what a horizontal line of sight sees, and its light.
+"""The image of a line camera: luminance along a horizontal line, with blur, exposure and noise.
 
-The camera looks ahead with a flat field, so that equal ways along a wall face to face are equal numbers of
-pixels. Faces and cylinders that reach the camera's height are drawn on 4 rays for each pixel, the nearest one
-on each. Their luminance is reflectance / pi times the light on them (`line_light`); a lamp that is on glows,
-one that is off is clear glass. The lens spreads each ray's light over the width of its blur,
-aperture |1 / depth - 1 / focus|, and weakens it towards the edges by the fourth power of the cosine. A pixel
-is luminance times exposure, with noise.
+The camera has the rectilinear projection of a pinhole camera. Faces and cylinders at the camera's height are
+ray-cast with 4 rays per pixel. Their luminance is reflectance / pi times their illuminance (`line_light`). A
+lamp that is on glows; one that is off is clear glass. The lens blurs each ray's light over the width
+aperture |1 / depth - 1 / focus|, and weakens it towards the edges by the fourth power of the cosine. The grey
+of a pixel is luminance times exposure, with noise.
 
-This source runs interpreted and compiled, and takes square roots as its only functions, for the same bits.
+The only mathematical function is the square root, so that plain and compiled code give the same bits.
 """
 
 import math
@@ -29,19 +28,19 @@ from khep_twin.sensing.line_scene import (
     RAYS_PER_PIXEL,
     REFLECTANCE,
     ROLE,
-    SEEN,
     TOP,
+    VISIBLE,
     Eye,
     LineScene,
     X,
     Y,
-    place_of_ray,
-    slope_of_ray,
+    ray_position,
+    ray_slope,
 )
 from khep_twin.sensing.noise import Tables, draws
 from khep_twin.units import K213_PIXELS, ROOM_LUX
 
-BEYOND = 0.3
+BACKGROUND = 0.3
 """Reflectance of the room around the arena (assumed)."""
 
 FOCUS = 1 / 11
@@ -51,17 +50,17 @@ APERTURE = 2 * HALF_FIELD / K213_PIXELS / 9
 """Diameter of the lens's aperture [m]: the image is blurred by just a pixel at 50 and at 500 mm."""
 
 WHITE_GREY, WHITE, LIGHT_AT_ROOM = 200, 0.9, 200
-"""Grey in the middle of the image of a white surface, of this reflectance, in the light that the exposure is
-set by; and the reading of the light sensor in the room's own light (simulators: 175 to 225)."""
+"""Grey of a white surface in the middle of an image whose exposure is set by the light sensor; reflectance of
+that surface; reading of the light sensor in the room's lighting (simulators: 175 to 225)."""
 
 NOISE = 0.1 * 255 / math.sqrt(12)
-"""Standard deviation of a pixel [greys]: that of 10 % of a grey drawn evenly (simulators)."""
+"""Standard deviation of a pixel [greys]: uniform noise of 10 % of the range (simulators)."""
 
 LIGHT_NOISE = 0.01
 """Standard deviation of the light sensor, relative to its reading (assumed)."""
 
-_NEAREST = 1e-3
-_PER_LUMINANCE = WHITE_GREY / (WHITE * ROOM_LUX / math.pi) / LIGHT_AT_ROOM
+_MIN_DEPTH = 1e-3
+_GAIN_PER_MS = WHITE_GREY / (WHITE * ROOM_LUX / math.pi) / LIGHT_AT_ROOM
 
 
 @compilable
@@ -78,43 +77,43 @@ def take_image(
 
     Args:
         scene: Surroundings of the camera.
-        eye: Place of the camera.
-        exposure_ms: Duration of the scan [ms]; 0 for that by the light of now.
+        eye: Pose of the camera.
+        exposure_ms: Duration of the scan [ms]; 0 to choose it by the current light.
         tables: Quantiles of the random draws.
         key: Words of the key of the random draws (2,).
         number: Number of the image.
-        pixels: Greys, 0 to 255, from the left to the right (64,).
+        pixels: Buffer for the greys, 0 to 255, from left to right (64,).
     """
-    look(scene, eye)
+    cast_rays(scene, eye)
     shade(scene, eye)
     blur(scene)
-    first, half = number * (K213_PIXELS // 2 + 1), K213_PIXELS // 2
+    first, n_pairs = number * (K213_PIXELS // 2 + 1), K213_PIXELS // 2
     reading = LIGHT_AT_ROOM * ROOM_LUX / max(illuminance(scene, eye), 1e-9)
-    reading = min(reading, 1e6) * (1 + LIGHT_NOISE * draws(tables, key, first + half)[0])
+    reading = min(reading, 1e6) * (1 + LIGHT_NOISE * draws(tables, key, first + n_pairs)[0])
     light = max(1, min(LIGHT_LIMIT, round(reading)))
     if exposure_ms == 0:
         exposure_ms = max(SHORTEST_MS, min(LONGEST_MS, light))
-    gain = _PER_LUMINANCE * exposure_ms
-    for pair in range(half):
-        drawn = draws(tables, key, first + pair)
+    gain = _GAIN_PER_MS * exposure_ms
+    for pair in range(n_pairs):
+        normals = draws(tables, key, first + pair)
         for side in range(2):
             pixel = 2 * pair + side
             slope = HALF_FIELD * (1 - (pixel + 0.5) / HALF)
             falloff = 1 / ((1 + slope * slope) * (1 + slope * slope))
-            grey = gain * falloff * scene.sums[0, pixel] / scene.sums[1, pixel]
-            pixels[pixel] = round(max(0.0, min(255.0, grey + NOISE * (drawn[1] if side else drawn[0]))))
+            grey = gain * falloff * scene.weighted_sums[0, pixel] / scene.weighted_sums[1, pixel]
+            pixels[pixel] = round(max(0.0, min(255.0, grey + NOISE * (normals[1] if side else normals[0]))))
     return light
 
 
 @compilable
-def look(scene: LineScene, eye: Eye) -> None:
-    """Fill in the depth and the nearest face on each ray; the depth is infinite where there is none."""
+def cast_rays(scene: LineScene, eye: Eye) -> None:
+    """Compute depth and index of the nearest face on each ray; infinity and -1 for none."""
     for ray in range(N_RAYS):
         scene.depths[ray] = math.inf
-        scene.owners[ray] = -1
+        scene.face_index[ray] = -1
     faces = scene.faces
     for face in range(scene.n_faces[0]):
-        if int(faces[face, ROLE]) & SEEN == 0:
+        if int(faces[face, ROLE]) & VISIBLE == 0:
             continue
         if faces[face, BOTTOM] > eye.height or faces[face, TOP] < eye.height:
             continue
@@ -126,97 +125,98 @@ def look(scene: LineScene, eye: Eye) -> None:
 
 @compilable
 def shade(scene: LineScene, eye: Eye) -> None:
-    """Fill in the luminance on each ray whose light comes into the image."""
-    faces, before, pixel = scene.faces, -2, -1
+    """Compute the luminance on each ray whose light reaches the image."""
+    faces, previous_face, previous_pixel = scene.faces, -2, -1
     for ray in range(N_RAYS):
-        face, depth = scene.owners[ray], scene.depths[ray]
-        at, half = place_of_ray(ray), _half_blur(depth)
-        if at + half <= 0 or at - half >= K213_PIXELS:
-            continue  # none of its light comes into the image
+        face, depth = scene.face_index[ray], scene.depths[ray]
+        position, half_width = ray_position(ray), _half_blur(depth)
+        if position + half_width <= 0 or position - half_width >= K213_PIXELS:
+            continue  # none of its light reaches the image
         if face < 0:
-            scene.lights[ray] = BEYOND * scene.room[0] / math.pi
+            scene.luminances[ray] = BACKGROUND * scene.room_lux[0] / math.pi
             continue
         if faces[face, GLOW] > 0:
-            scene.lights[ray] = faces[face, GLOW]
+            scene.luminances[ray] = faces[face, GLOW]
             continue
-        aside = depth * slope_of_ray(ray)
-        x, y = eye.x + depth * eye.ahead - aside * eye.left, eye.y + depth * eye.left + aside * eye.ahead
-        if face != before or ray // RAYS_PER_PIXEL != pixel:
-            # One point of a face in each pixel decides on its shadows.
-            before, pixel = face, ray // RAYS_PER_PIXEL
+        lateral = depth * ray_slope(ray)
+        x = eye.x + depth * eye.cosine - lateral * eye.sine
+        y = eye.y + depth * eye.sine + lateral * eye.cosine
+        if face != previous_face or ray // RAYS_PER_PIXEL != previous_pixel:
+            # Shadows are computed for one point of a face per pixel.
+            previous_face, previous_pixel = face, ray // RAYS_PER_PIXEL
             for lamp in range(len(scene.lamps)):
-                scene.lit[lamp] = 0
+                scene.visible_lamps[lamp] = 0
                 if scene.lamps[lamp, 3] > 0 and not in_shadow(scene, lamp, x, y, eye.height, 0):
-                    scene.lit[lamp] = 1
-        scene.lights[ray] = faces[face, REFLECTANCE] / math.pi * light_on(scene, face, x, y, eye.height)
+                    scene.visible_lamps[lamp] = 1
+        scene.luminances[ray] = faces[face, REFLECTANCE] / math.pi * light_on(scene, face, x, y, eye.height)
 
 
 @compilable
 def blur(scene: LineScene) -> None:
-    """Fill in the sums of light and weights of each pixel, as the lens spreads them."""
-    sums = scene.sums
+    """Compute the sums of weighted luminances and of weights of each pixel, by the blur of the lens."""
+    weighted_sums = scene.weighted_sums
     for pixel in range(K213_PIXELS):
-        sums[0, pixel] = sums[1, pixel] = 0.0
+        weighted_sums[0, pixel] = weighted_sums[1, pixel] = 0.0
     for ray in range(N_RAYS):
-        at, half = place_of_ray(ray), _half_blur(scene.depths[ray])
-        low, high = at - half, at + half
+        position, half_width = ray_position(ray), _half_blur(scene.depths[ray])
+        low, high = position - half_width, position + half_width
         first, last = max(int(low + MARGIN) - MARGIN, 0), min(int(high + MARGIN) - MARGIN, K213_PIXELS - 1)
         for pixel in range(first, last + 1):
-            part = (min(high, pixel + 1.0) - max(low, float(pixel))) / (2 * half)
+            part = (min(high, pixel + 1.0) - max(low, float(pixel))) / (2 * half_width)
             if part > 0:
-                sums[0, pixel] += part * scene.lights[ray]
-                sums[1, pixel] += part
+                weighted_sums[0, pixel] += part * scene.luminances[ray]
+                weighted_sums[1, pixel] += part
 
 
 @compilable
 def _draw_face(scene: LineScene, eye: Eye, face: int) -> None:
-    """Draw a flat face, which is seen from outside only."""
+    """Cast the rays to a flat face, which is visible from outside only."""
     faces = scene.faces
     dx, dy = faces[face, X] - eye.x, faces[face, Y] - eye.y
-    z0, x0 = dx * eye.ahead + dy * eye.left, dy * eye.ahead - dx * eye.left
+    z0, x0 = dx * eye.cosine + dy * eye.sine, dy * eye.cosine - dx * eye.sine
     dx, dy = faces[face, END_X] - eye.x, faces[face, END_Y] - eye.y
-    z1, x1 = dx * eye.ahead + dy * eye.left, dy * eye.ahead - dx * eye.left
+    z1, x1 = dx * eye.cosine + dy * eye.sine, dy * eye.cosine - dx * eye.sine
     cross, dz, dx = z0 * x1 - x0 * z1, z1 - z0, x1 - x0
-    if cross >= 0 or (z0 <= _NEAREST and z1 <= _NEAREST):
+    if cross >= 0 or (z0 <= _MIN_DEPTH and z1 <= _MIN_DEPTH):
         return
     low, high = 0, N_RAYS - 1
-    if z0 > _NEAREST:
+    if z0 > _MIN_DEPTH:
         low = _first_ray(x0 / z0)
-    if z1 > _NEAREST:
+    if z1 > _MIN_DEPTH:
         high = _first_ray(x1 / z1) - 1
     for ray in range(max(low, 0), min(high, N_RAYS - 1) + 1):
-        divisor = dx - slope_of_ray(ray) * dz
+        divisor = dx - ray_slope(ray) * dz
         if divisor < 0:
-            _put(scene, ray, face, cross / divisor)
+            _set_nearest(scene, ray, face, cross / divisor)
 
 
 @compilable
 def _draw_cylinder(scene: LineScene, eye: Eye, face: int) -> None:
-    """Draw a cylinder."""
+    """Cast the rays to a cylinder."""
     faces, radius = scene.faces, scene.faces[face, RADIUS]
     dx, dy = faces[face, X] - eye.x, faces[face, Y] - eye.y
-    z, x = dx * eye.ahead + dy * eye.left, dy * eye.ahead - dx * eye.left
-    free = z * z + x * x - radius * radius
-    if free <= 0 or z <= -radius:
+    z, x = dx * eye.cosine + dy * eye.sine, dy * eye.cosine - dx * eye.sine
+    tangent_square = z * z + x * x - radius * radius
+    if tangent_square <= 0 or z <= -radius:
         return
     low, high = 0, N_RAYS - 1
     if z > radius:
-        scale, spread = z * z - radius * radius, radius * math.sqrt(free)
+        scale, spread = z * z - radius * radius, radius * math.sqrt(tangent_square)
         low, high = _first_ray((z * x + spread) / scale), _first_ray((z * x - spread) / scale) - 1
     for ray in range(max(low, 0), min(high, N_RAYS - 1) + 1):
-        slope = slope_of_ray(ray)
-        square, ahead = 1 + slope * slope, z + slope * x
-        rest = ahead * ahead - square * free
-        if rest >= 0:
-            _put(scene, ray, face, (ahead - math.sqrt(rest)) / square)
+        slope = ray_slope(ray)
+        norm_square, projection = 1 + slope * slope, z + slope * x
+        discriminant = projection * projection - norm_square * tangent_square
+        if discriminant >= 0:
+            _set_nearest(scene, ray, face, (projection - math.sqrt(discriminant)) / norm_square)
 
 
 @compilable
-def _put(scene: LineScene, ray: int, face: int, depth: float) -> None:
-    """Put a face on a ray if it is nearer than what is there."""
-    if _NEAREST < depth < scene.depths[ray]:
+def _set_nearest(scene: LineScene, ray: int, face: int, depth: float) -> None:
+    """Set a face on a ray if it is nearer than the current one."""
+    if _MIN_DEPTH < depth < scene.depths[ray]:
         scene.depths[ray] = depth
-        scene.owners[ray] = face
+        scene.face_index[ray] = face
 
 
 @compilable
@@ -229,5 +229,5 @@ def _half_blur(depth: float) -> float:
 @compilable
 def _first_ray(slope: float) -> int:
     """Return the first ray to the right of a slope."""
-    place = (HALF * (1 - slope / HALF_FIELD) + MARGIN) * RAYS_PER_PIXEL - 0.5
-    return math.ceil(max(-1.0, min(place, float(N_RAYS))))
+    position = (HALF * (1 - slope / HALF_FIELD) + MARGIN) * RAYS_PER_PIXEL - 0.5
+    return math.ceil(max(-1.0, min(position, float(N_RAYS))))

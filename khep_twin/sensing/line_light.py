@@ -1,9 +1,8 @@
-"""Light around a line camera: of the room and of lamps, with hard shadows.
+"""Illuminance around a line camera: by the room and by lamps, with hard shadows.
 
     illuminance = room + sum over lamps of v intensity cos / distance^2 [lx]
 
-with v = 0 in the shadow of anything of any height, else 1. Light that surfaces reflect onto others is left
-out.
+with v = 0 in the shadow of a face, otherwise 1. Light reflected from one surface onto another is ignored.
 """
 
 import math
@@ -11,12 +10,12 @@ import math
 from khep_twin.compilable import compilable
 from khep_twin.sensing.line_scene import (
     BOTTOM,
-    CASTS,
+    CASTS_SHADOW,
     END_X,
     END_Y,
-    OWN,
     RADIUS,
     ROLE,
+    SAME_ROBOT,
     TOP,
     Eye,
     LineScene,
@@ -26,7 +25,7 @@ from khep_twin.sensing.line_scene import (
 from khep_twin.units import BULB_RADIUS
 
 EFFICACY = 12.0
-"""Light of a lamp per power [lm/W] (assumed: a light bulb)."""
+"""Luminous flux of a lamp per power [lm/W] (assumed: a light bulb)."""
 
 INTENSITY = EFFICACY / (4 * math.pi)
 """Luminous intensity of a lamp per power, the same in all directions [cd/W]."""
@@ -34,32 +33,32 @@ INTENSITY = EFFICACY / (4 * math.pi)
 BULB_LUMINANCE = INTENSITY / (math.pi * BULB_RADIUS * BULB_RADIUS)
 """Luminance of a lamp per power [cd/(m^2 W)]."""
 
-_TOUCHING = 1e-4
+_MIN_DISTANCE = 1e-4
 
 
 @compilable
 def illuminance(scene: LineScene, eye: Eye) -> float:
-    """Return the light at the camera, from all directions alike [lx]."""
-    total, lamps = scene.room[0], scene.lamps
+    """Return the illuminance at the camera, with equal weight for all directions [lx]."""
+    total, lamps = scene.room_lux[0], scene.lamps
     for lamp in range(len(lamps)):
-        if lamps[lamp, 3] > 0 and not in_shadow(scene, lamp, eye.x, eye.y, eye.height, OWN):
+        if lamps[lamp, 3] > 0 and not in_shadow(scene, lamp, eye.x, eye.y, eye.height, SAME_ROBOT):
             dx, dy, dz = lamps[lamp, 0] - eye.x, lamps[lamp, 1] - eye.y, lamps[lamp, 2] - eye.height
             total += INTENSITY * lamps[lamp, 3] / max(dx * dx + dy * dy + dz * dz, BULB_RADIUS * BULB_RADIUS)
     return total
 
 
 @compilable
-def in_shadow(scene: LineScene, lamp: int, x: float, y: float, height: float, without: int) -> bool:
-    """Return whether a face without any of some roles stops the light of a lamp on its way to a point [m]."""
+def in_shadow(scene: LineScene, lamp: int, x: float, y: float, height: float, excluded_roles: int) -> bool:
+    """Return whether a face with none of the excluded roles blocks a lamp's light to a point [m]."""
     faces, lamps = scene.faces, scene.lamps
     dx, dy, dz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - height
     length = math.sqrt(dx * dx + dy * dy)
-    if length <= _TOUCHING:
+    if length <= _MIN_DISTANCE:
         return False
-    first, last = _TOUCHING / length, 1.0
+    first, last = _MIN_DISTANCE / length, 1.0
     for face in range(scene.n_faces[0]):
         role = int(faces[face, ROLE])
-        if role & CASTS == 0 or role & without:
+        if role & CASTS_SHADOW == 0 or role & excluded_roles:
             continue
         ox, oy = faces[face, X] - x, faces[face, Y] - y
         radius = faces[face, RADIUS]
@@ -71,13 +70,13 @@ def in_shadow(scene: LineScene, lamp: int, x: float, y: float, height: float, wi
             hits = (along - half) / length, (along + half) / length
         else:
             sx, sy = faces[face, END_X] - faces[face, X], faces[face, END_Y] - faces[face, Y]
-            turn = dx * sy - dy * sx
-            if turn == 0:
+            cross = dx * sy - dy * sx
+            if cross == 0:
                 continue
-            place = (ox * dy - oy * dx) / turn
-            if place < 0 or place > 1:
+            position = (ox * dy - oy * dx) / cross
+            if position < 0 or position > 1:
                 continue
-            hits = (ox * sy - oy * sx) / turn, -1.0
+            hits = (ox * sy - oy * sx) / cross, -1.0
         for hit in hits:
             if first < hit < last and faces[face, BOTTOM] <= height + hit * dz <= faces[face, TOP]:
                 return True
@@ -86,15 +85,15 @@ def in_shadow(scene: LineScene, lamp: int, x: float, y: float, height: float, wi
 
 @compilable
 def light_on(scene: LineScene, face: int, x: float, y: float, height: float) -> float:
-    """Return the light on a point of a face, by the lamps in `lit` [lx]."""
-    faces, lamps, total = scene.faces, scene.lamps, scene.room[0]
+    """Return the illuminance of a point of a face, by the lamps in `visible_lamps` [lx]."""
+    faces, lamps, total = scene.faces, scene.lamps, scene.room_lux[0]
     if faces[face, RADIUS] > 0:
         normal_x, normal_y = x - faces[face, X], y - faces[face, Y]
     else:
         normal_x, normal_y = faces[face, END_Y] - faces[face, Y], faces[face, X] - faces[face, END_X]
     length = math.sqrt(normal_x * normal_x + normal_y * normal_y)
     for lamp in range(len(lamps)):
-        if scene.lit[lamp] == 0:
+        if scene.visible_lamps[lamp] == 0:
             continue
         dx, dy, dz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - height
         facing = (normal_x * dx + normal_y * dy) / length

@@ -1,6 +1,6 @@
-"""Conversion of an infrared sensor: from surfaces and lamps to counts, in plain numbers.
+"""Conversion of an infrared sensor: from surfaces and lamps to counts.
 
-`sensors` and `reflection` describe the model of proximity, `ambient` that of light. The functions are
+`sensors` and `reflection` describe the model of proximity, `ambient` that of ambient light. The functions are
 `compilable`: they index lists here, arrays there, and query the scene only by the functions of `scene`.
 """
 
@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from khep_twin.compilable import compilable
 from khep_twin.sensing.light import Light, light_counts, wave
 from khep_twin.sensing.noise import ambient_noise, idle_counts, proximity_noise
-from khep_twin.sensing.reflection import reflected, sift
-from khep_twin.sensing.robot_sensors import RobotSensors, lobe_of
+from khep_twin.sensing.reflection import reflected_light, remove_faint
+from khep_twin.sensing.robot_sensors import RobotSensors, sensor_lobe
 from khep_twin.sensing.scene import Scene, chip, surfaces
 
-SLIGHT = 4.0
-"""Reflected light that does not matter [counts]: a fifth of the noise."""
+NEGLIGIBLE = 4.0
+"""Negligible reflected light [counts]: a fifth of the noise."""
 
-EMITTER_NS = 1_250_000
-"""Time from a sensor's conversion without its emitter to that with it [ns]: half its turn (assumed)."""
+EMITTER_DELAY_NS = 1_250_000
+"""Time from a sensor's conversion with its emitter off to that with it on [ns]: half a step (assumed)."""
 
 
 @compilable
@@ -39,23 +39,23 @@ def convert(
         powers: Mean powers of the lamps (n,) [W].
         time_ns: Time of the conversion [ns].
         channel: Number of the sensor.
-        draws: Random draws, as of `noise.draws`.
+        draws: Random draws, from `noise.draws`.
     """
-    ambient, added = sensors.ambient, 0.0
-    reach = ambient.dark - ambient.floor
+    ambient, ambient_change = sensors.ambient, 0.0
+    span = ambient.dark - ambient.floor
     total, swing = light_counts(scene, sensors, light, powers, channel)
-    bright = total + swing * wave(light.law, time_ns) if swing > 0 else total
-    # The floor is the first argument, so that NaN counts as the floor until it is noticed.
-    level = max(ambient.floor, ambient.dark - bright)
+    light_level = total + swing * wave(light.law, time_ns) if swing > 0 else total
+    # The floor is the first argument, so that NaN becomes the floor until it is detected.
+    level = max(ambient.floor, ambient.dark - light_level)
     if swing > 0:
-        # The second conversion, with the emitter on, has other ambient light than the first.
-        bright = total + swing * wave(light.law, time_ns + EMITTER_NS)
-        change = level - max(ambient.floor, ambient.dark - bright)
-        added = sensors.proximity.limit * change / reach
+        # The ambient light of the second conversion, with the emitter on, differs from that of the first.
+        light_level = total + swing * wave(light.law, time_ns + EMITTER_DELAY_NS)
+        change = level - max(ambient.floor, ambient.dark - light_level)
+        ambient_change = sensors.proximity.limit * change / span
     counts = max(min(round(level + ambient_noise(ambient, draws)), ambient.ceiling), 0)
-    range_left = (level - ambient.floor) / reach
+    range_left = (level - ambient.floor) / span
     noise, idle = proximity_noise(sensors.proximity, channel, draws), idle_counts(sensors.proximity, draws)
-    return proximity_counts(scene, sensors, channel, noise, idle, range_left, added), counts
+    return proximity_counts(scene, sensors, channel, noise, idle, range_left, ambient_change), counts
 
 
 @compilable
@@ -66,7 +66,7 @@ def proximity_counts(
     noise: float,
     idle: int,
     range_left: float,
-    added: float,
+    ambient_change: float,
 ) -> int:
     """Return the counts of reflected light.
 
@@ -75,21 +75,21 @@ def proximity_counts(
         sensors: Sensors of the robot.
         channel: Number of the sensor.
         noise: Noise of the reading [counts].
-        idle: Reading with nothing in reach [counts].
-        range_left: Part of the range that ambient light leaves, 0 to 1.
-        added: Change of the ambient light between the sensor's two conversions [counts].
+        idle: Reading with nothing in range [counts].
+        range_left: Part of the range that ambient light does not use, 0 to 1.
+        ambient_change: Change of the ambient light between the sensor's two conversions [counts].
     """
     proximity = sensors.proximity
-    level = noise + added - proximity.threshold[channel]
-    # Less passes no threshold, or changes the reading by less than half a step.
-    needed = max(-level, proximity.quantum / 2)
-    mounted = chip(scene, sensors, channel)
-    count = surfaces(scene, sensors, channel, mounted, needed)
-    gain, found = proximity.gain[channel], proximity.found
-    lobe = lobe_of(proximity, channel)
-    count, most = sift(found, count, lobe, SLIGHT / gain)
-    if count and gain * most > -level:
-        level += gain * reflected(found, count, mounted, lobe)
+    level = noise + ambient_change - proximity.threshold[channel]
+    # Less light does not exceed the threshold, or changes the reading by less than half a quantum.
+    min_light = max(-level, proximity.quantum / 2)
+    sensor_chip = chip(scene, sensors, channel)
+    count = surfaces(scene, sensors, channel, sensor_chip, min_light)
+    gain, buffer = proximity.gain[channel], proximity.surfaces
+    lobe = sensor_lobe(proximity, channel)
+    count, bound = remove_faint(buffer, count, lobe, NEGLIGIBLE / gain)
+    if count and gain * bound > -level:
+        level += gain * reflected_light(buffer, count, sensor_chip, lobe)
     limit = int(proximity.limit * range_left)
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
     return max(counts, min(idle, limit), proximity.floor)

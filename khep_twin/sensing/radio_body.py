@@ -1,13 +1,13 @@
-"""The radio turret in the world: transmissions between robots, their range, loss and time in the air.
+"""The radio turret in a world: transmissions between robots, their range, loss and transmission time.
 
-Robot n of the playpen, counted from 1, has the radio number n. A message begins its transmission in the
-control period after its order, and arrives a whole number of control periods later at every receiver in reach
-that it is for. Receivers take it in the period in which it arrives; the sender looks for the acknowledgement
-in the period after, and sends again without one. So no result depends on the order in which the turrets of a
-period run. Of messages that arrive in the same period, that of the lower number comes first.
+Robot n of the playpen, counted from 1, has the radio number n. The transmission of a message starts in the
+control period after its order. It arrives a whole number of control periods later at every addressed receiver
+in range. Receivers accept it in that period; the sender checks for the acknowledgement in the next one, and
+repeats the message without one. So no result depends on the order in which turrets run within a period.
+Messages that arrive in the same period are received in the order of their senders' numbers.
 
-Transmissions do not disturb each other, a turret receives while it sends, and no acknowledgement is lost
-(assumed); a message that is for all is neither acknowledged nor repeated (manual of the radio base).
+Transmissions do not interfere, a turret receives while it sends, and no acknowledgement is lost (assumed).
+A broadcast message is neither acknowledged nor repeated (manual of the radio base).
 """
 
 import math
@@ -21,14 +21,11 @@ from khep_twin.units import RADIO_ALL, RADIO_NUMBER, TICK_NS
 _WORD = 0xFFFFFFFF
 
 _MESSAGE = slice(Register.LENGTH, Register.BUFFER)
-"""Registers of a message that is sent, which a receiver copies."""
+"""Registers of a sent message, which a receiver copies."""
 
 
 class RadioBody:
     """Radio turret of one robot in a world, a `TurretBody`.
-
-    Args:
-        context: Its place in the world.
 
     Attributes:
         number: Radio number.
@@ -48,12 +45,12 @@ class RadioBody:
 
     @property
     def place(self) -> tuple[float, float]:
-        """Place of its robot: x and y [m]."""
+        """Position of its robot: x and y [m]."""
         x, y = self._context.data.qpos[self._pose : self._pose + 2].tolist()
         return x, y
 
     def sense(self) -> None:
-        """Do nothing: the turret runs after the orders of the period."""
+        """Do nothing; the turret runs in `drive`, after the orders of the period."""
 
     def drive(self) -> None:
         """Send and receive for a control period, if the electronics have run."""
@@ -65,7 +62,7 @@ class RadioBody:
             self._receive(time_ns)
 
     def _send(self, time_ns: int) -> None:
-        """End a transmission in the period after its arrival, and begin one."""
+        """Finish a transmission in the period after its arrival, and start the next one."""
         view = self._view
         if view[Register.PHASE] == RadioPhase.IN_AIR:
             if time_ns <= view[Register.ARRIVAL]:
@@ -82,7 +79,7 @@ class RadioBody:
             view[Register.TRANSMISSIONS] = (view[Register.TRANSMISSIONS] + 1) & _WORD
 
     def _receive(self, time_ns: int) -> None:
-        """Take the messages that arrive now, in the order of their senders' numbers."""
+        """Receive the messages that arrive now, in the order of their senders' numbers."""
         view = self._view
         for peer in self._context.peers:
             if peer is self or not isinstance(peer, RadioBody) or not self._is_reached_by(peer, time_ns):
@@ -99,15 +96,15 @@ class RadioBody:
 
     def _is_reached_by(self, peer: "RadioBody", time_ns: int) -> bool:
         """Return whether a message of a peer for this radio arrives now."""
-        sent = peer._view
-        if sent[Register.PHASE] != RadioPhase.IN_AIR or sent[Register.ARRIVAL] != time_ns:
+        sender = peer._view
+        if sender[Register.PHASE] != RadioPhase.IN_AIR or sender[Register.ARRIVAL] != time_ns:
             return False
-        if sent[Register.TO] not in (self.number, RADIO_ALL):
+        if sender[Register.TO] not in (self.number, RADIO_ALL):
             return False
         if math.dist(self.place, peer.place) > self._range:
             return False
         low, high = self._context.key
-        draw, _ = philox(sent[Register.TRANSMISSIONS] & _WORD, (high + peer.number) & _WORD, low)
+        draw, _ = philox(sender[Register.TRANSMISSIONS] & _WORD, (high + peer.number) & _WORD, low)
         return draw >= self._loss
 
 

@@ -1,4 +1,4 @@
-"""Indices of one robot in a compiled scene: the only module that converts its names to numbers."""
+"""Indices of one robot in a compiled scene; no other module looks them up by name."""
 
 # MuJoCo's types are partly unknown.
 # pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false, reportUnknownParameterType=false
@@ -55,16 +55,16 @@ class RobotIndices:
         """Return the indices of a robot by its name in the scene, e.g. "khepera0".
 
         Raises:
-            KeyError: The model has no such robot.
+            KeyError: The model has no robot of this name.
         """
         pose = model.joint(f"{robot}/pose")
         left, right = (model.joint(f"{robot}/{side}_axle") for side in _SIDES)
         left_wheel, right_wheel = (model.body(f"{robot}/{side}_wheel").id for side in _SIDES)
         tyres, rims = ([model.geom(f"{robot}/{side}_{part}").id for side in _SIDES] for part in _PARTS)
-        # Its own parts, not those of a turret on it.
-        own = re.compile(rf"{robot}/[^/]+")
-        cameras = [name for name in _names(model, mujoco.mjtObj.mjOBJ_CAMERA) if own.fullmatch(name)]
-        bodies = [name for name in _names(model, mujoco.mjtObj.mjOBJ_BODY) if own.fullmatch(name)]
+        # Parts of the robot, without those of its turrets.
+        part_pattern = re.compile(rf"{robot}/[^/]+")
+        cameras = [name for name in _names(model, mujoco.mjtObj.mjOBJ_CAMERA) if part_pattern.fullmatch(name)]
+        bodies = [name for name in _names(model, mujoco.mjtObj.mjOBJ_BODY) if part_pattern.fullmatch(name)]
         leds = [name.removesuffix("_light") for name in bodies if name.endswith("_light")]
         left_motor, right_motor = (model.actuator(f"{robot}/{side}_motor").id for side in _SIDES)
         return cls(

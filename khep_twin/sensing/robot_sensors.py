@@ -1,4 +1,4 @@
-"""Numbers of a robot's sensors as the stepping core reads them; `sensors` and `ambient` fill them."""
+"""Parameters of a robot's sensors for the stepping core, computed by `sensors` and `ambient`."""
 
 import math
 from collections.abc import Sequence
@@ -10,25 +10,25 @@ from khep_twin.sensing.seen_surfaces import Chip
 
 
 class Proximity(NamedTuple):
-    """Reflected light; per-sensor numbers in the order of N.
+    """Reflected light; per-sensor parameters in the order of the command N.
 
     Attributes:
         gain: Counts per light (8,) [counts m^2].
-        bound: Highest counts of anything at a distance of 1 m (8,) [counts m^2].
-        threshold: Counts that are subtracted (8,) [counts].
+        bound: Upper bound of the counts of any object at 1 m (8,) [counts m^2].
+        threshold: Subtracted counts (8,) [counts].
         offset: Offset of the chip behind the sensor's face (8,) [m].
         reach: Range (8,) [m].
-        whole: Whole part of each lobe's exponent (8,).
-        part: The rest of it (8,).
+        exponent: Integer part of each lobe's exponent (8,).
+        fraction: Fractional part of it (8,).
         norm: Norm of each lobe (8,).
         width: Width of each lobe, over its norm (8,).
-        table: Cumulated light of faces, as of `lobes.table` (8, N_CELLS + 1, 4).
+        table: Cumulative light of faces, from `lobes.table` (8, N_CELLS + 1, 4).
         limit: Highest reading [counts].
         floor: Lowest reading [counts].
         quantum: Step between readings [counts].
         noise: Standard deviation of one reading (8,) [counts].
-        idle: Mean of the noise with nothing in reach [counts].
-        found: Buffer for the surfaces that a sensor sees (N_SURFACES * N_COLUMNS,).
+        idle: Mean of the noise with nothing in range [counts].
+        surfaces: Buffer for the surfaces that a sensor sees (N_SURFACES * N_COLUMNS,).
     """
 
     gain: Sequence[float]
@@ -36,8 +36,8 @@ class Proximity(NamedTuple):
     threshold: Sequence[float]
     offset: Sequence[float]
     reach: Sequence[float]
-    whole: Sequence[int]
-    part: Sequence[float]
+    exponent: Sequence[int]
+    fraction: Sequence[float]
     norm: Sequence[float]
     width: Sequence[float]
     table: Sequence[Sequence[Sequence[float]]]
@@ -46,15 +46,15 @@ class Proximity(NamedTuple):
     quantum: int
     noise: Sequence[float]
     idle: float
-    found: list[float]
+    surfaces: list[float]
 
 
 class Ambient(NamedTuple):
-    """Light of lamps; per-sensor numbers in the order of O.
+    """Light of lamps; per-sensor parameters in the order of the command O.
 
     Attributes:
-        ahead: Cosine of each receiver's heading (8,).
-        left: Sine of each receiver's heading (8,).
+        cosine: Cosine of each receiver's heading (8,).
+        sine: Sine of each receiver's heading (8,).
         gain_mm2: Counts per light of a lamp (8,) [counts mm^2/W].
         lobe_exponent: Exponent of the cosine off the receiver's axis (8,).
         diffuse: Diffuse part of the sensitivity.
@@ -65,8 +65,8 @@ class Ambient(NamedTuple):
         noise: Standard deviation of one reading [counts].
     """
 
-    ahead: Sequence[float]
-    left: Sequence[float]
+    cosine: Sequence[float]
+    sine: Sequence[float]
     gain_mm2: Sequence[float]
     lobe_exponent: Sequence[float]
     diffuse: float
@@ -81,10 +81,10 @@ class RobotSensors(NamedTuple):
     """Sensors of one robot.
 
     Attributes:
-        base: Body of the robot, which its own rays ignore.
+        base: Body of the robot, which its rays ignore.
         cameras: Cameras of the sensors (8,).
-        proximity: Numbers of proximity.
-        ambient: Numbers of ambient light.
+        proximity: Parameters of proximity.
+        ambient: Parameters of ambient light.
     """
 
     base: int
@@ -94,29 +94,31 @@ class RobotSensors(NamedTuple):
 
 
 @compilable
-def chip_behind(place: Sequence[float], frame: Sequence[float], proximity: Proximity, channel: int) -> Chip:
+def chip_behind(
+    position: Sequence[float], frame: Sequence[float], proximity: Proximity, channel: int
+) -> Chip:
     """Return a sensor's chip, behind its face.
 
     Args:
-        place: Position of the sensor (3,) [m].
-        frame: Orientation of the sensor (9,), which looks against its third axis.
-        proximity: Numbers of proximity.
+        position: Position of the sensor (3,) [m].
+        frame: Rotation matrix of the sensor (9,), which looks along its -z axis.
+        proximity: Parameters of proximity.
         channel: Number of the sensor.
     """
-    # The robot stands upright; what little it tilts does not count.
-    ahead, left, offset = -frame[2], -frame[5], proximity.offset[channel]
-    scale = 1 / math.sqrt(max(ahead * ahead + left * left, 1e-12))
-    ahead, left = ahead * scale, left * scale
-    x, y = place[0] - offset * ahead, place[1] - offset * left
-    return Chip(x, y, ahead, left, place[2], proximity.reach[channel])
+    # The robot is upright; its small tilt is ignored.
+    dx, dy, offset = -frame[2], -frame[5], proximity.offset[channel]
+    scale = 1 / math.sqrt(max(dx * dx + dy * dy, 1e-12))
+    dx, dy = dx * scale, dy * scale
+    x, y = position[0] - offset * dx, position[1] - offset * dy
+    return Chip(x, y, dx, dy, position[2], proximity.reach[channel])
 
 
 @compilable
-def lobe_of(proximity: Proximity, channel: int) -> Lobe:
+def sensor_lobe(proximity: Proximity, channel: int) -> Lobe:
     """Return the lobe of a sensor."""
     return Lobe(
-        proximity.whole[channel],
-        proximity.part[channel],
+        proximity.exponent[channel],
+        proximity.fraction[channel],
         proximity.norm[channel],
         proximity.width[channel],
         proximity.table[channel],

@@ -1,8 +1,8 @@
-"""A scene as the stepping core queries it: motion, joints, and rays of its robots' sensors.
+"""Queries of the stepping core to a scene: motion, joints, and rays of the robots' sensors.
 
-Plain code calls a scene's own methods. Compiled code has a function in place of each of these for every kind
-of scene: `khep_twin.simulation.mujoco_calls` calls MuJoCo, `khep_twin.episodes.planar.compiled` the plane.
-The core and the sensors' arithmetic are the same for all of them.
+In plain code a query calls the scene's method of that name. In compiled code numba replaces it with a
+function for each kind of scene: `khep_twin.simulation.mujoco_calls` for MuJoCo, and
+`khep_twin.episodes.planar.compiled` for the plane. Core and sensors are the same for all kinds.
 """
 
 import math
@@ -16,10 +16,10 @@ from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.seen_surfaces import Chip
 
-FEW, MANY = 0, 1
-"""Numbers of points on a bulb: 9 or 64."""
+COARSE, FINE = 0, 1
+"""Density of the points on a bulb: 9 points decide whether it is partly hidden, 64 give the visible part."""
 
-FASTEST = 1000.0
+MAX_SPEED = 1000.0
 """Highest speed of a joint in a playpen [m/s or rad/s]; beyond it the simulation has diverged."""
 
 Triple = tuple[float, float, float]
@@ -29,19 +29,18 @@ class SceneMotion(Protocol):
     """Motion of a scene."""
 
     def step(self) -> None:
-        """Answer the query `step`."""
-        ...
+        """Implement the query `step`."""
 
     def in_bounds(self, limit: float) -> bool:
-        """Answer the query `in_bounds`."""
+        """Implement the query `in_bounds`."""
         ...
 
-    def warned(self) -> bool:
-        """Answer the query `warned`."""
+    def has_warned(self) -> bool:
+        """Implement the query `has_warned`."""
         ...
 
     def pose(self, index: int) -> tuple[float, float, float, float]:
-        """Answer the query `pose`."""
+        """Implement the query `pose`."""
         ...
 
 
@@ -49,60 +48,59 @@ class SceneJoints(Protocol):
     """Joints and motors of a scene, by their indices."""
 
     def joint_position(self, index: int) -> float:
-        """Answer the query `joint_position`."""
+        """Implement the query `joint_position`."""
         ...
 
     def joint_speed(self, index: int) -> float:
-        """Answer the query `joint_speed`."""
+        """Implement the query `joint_speed`."""
         ...
 
     def motor_torque(self, index: int) -> float:
-        """Answer the query `motor_torque`."""
+        """Implement the query `motor_torque`."""
         ...
 
     def set_motor(self, index: int, voltage: float) -> None:
-        """Answer the query `set_motor`."""
-        ...
+        """Implement the query `set_motor`."""
 
 
 class SceneSight(Protocol):
     """Poses of the sensors in a scene."""
 
     def body_frame(self, sensors: RobotSensors) -> Sequence[float]:
-        """Answer the query `body_frame`."""
+        """Implement the query `body_frame`."""
         ...
 
     def position(self, sensors: RobotSensors, channel: int) -> Sequence[float]:
-        """Answer the query `position`."""
+        """Implement the query `position`."""
         ...
 
     def chip(self, sensors: RobotSensors, channel: int) -> Chip:
-        """Answer the query `chip`."""
+        """Implement the query `chip`."""
         ...
 
 
 class SceneRays(Protocol):
     """Surfaces and rays of the sensors in a scene."""
 
-    def surfaces(self, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
-        """Answer the query `surfaces`."""
+    def surfaces(self, sensors: RobotSensors, channel: int, chip: Chip, min_light: float) -> int:
+        """Implement the query `surfaces`."""
         ...
 
-    def stopped(self, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
-        """Answer the query `stopped`."""
+    def is_blocked(self, sensors: RobotSensors, channel: int, ray: Triple, glass: float) -> bool:
+        """Implement the query `is_blocked`."""
         ...
 
-    def blocked(
+    def hidden_part(
         self,
         sensors: RobotSensors,
         channel: int,
         disc: int,
         left: Triple,
         up: Triple,
-        way: Triple,
+        ray: Triple,
         glass: float,
     ) -> float:
-        """Answer the query `blocked`."""
+        """Implement the query `hidden_part`."""
         ...
 
 
@@ -116,13 +114,13 @@ def step(scene: Scene) -> None:
 
 
 def in_bounds(scene: Scene, limit: float) -> bool:
-    """Return whether all positions are finite and within `limit` [m], and the speeds within `FASTEST`."""
+    """Return whether all positions are finite and within `limit` [m], and the speeds within `MAX_SPEED`."""
     return scene.in_bounds(limit)
 
 
-def warned(scene: Scene) -> bool:
-    """Return whether the physics has warned."""
-    return scene.warned()
+def has_warned(scene: Scene) -> bool:
+    """Return whether the physics engine has issued a warning."""
+    return scene.has_warned()
 
 
 def pose(scene: Scene, index: int) -> tuple[float, float, float, float]:
@@ -151,7 +149,7 @@ def set_motor(scene: Scene, index: int, voltage: float) -> None:
 
 
 def body_frame(scene: Scene, sensors: RobotSensors) -> Sequence[float]:
-    """Return the orientation of a robot: rows of a matrix (9,)."""
+    """Return the rotation matrix of a robot, row by row (9,)."""
     return scene.body_frame(sensors)
 
 
@@ -161,52 +159,52 @@ def position(scene: Scene, sensors: RobotSensors, channel: int) -> Sequence[floa
 
 
 def chip(scene: Scene, sensors: RobotSensors, channel: int) -> Chip:
-    """Return the place of a sensor's chip, in the frame in which `surfaces` finds what it sees."""
+    """Return the pose of a sensor's chip, which `surfaces` requires."""
     return scene.chip(sensors, channel)
 
 
-def surfaces(scene: Scene, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
-    """Fill in `proximity.found` with the surfaces that a sensor may see; return their number.
+def surfaces(scene: Scene, sensors: RobotSensors, channel: int, chip: Chip, min_light: float) -> int:
+    """Write the surfaces in range of a sensor to `proximity.surfaces`; return their number.
 
     Args:
         scene: Scene of the robot.
         sensors: Sensors of the robot.
         channel: Number of the sensor.
         chip: Chip of the sensor.
-        needed: Light that matters [counts]; 0 may be returned where all is so far off that, by
-            `proximity.bound`, none gives as much.
+        min_light: Smallest light that matters [counts]; the result may be 0 if by `proximity.bound` all
+            surfaces are too far away to reflect as much.
     """
-    return scene.surfaces(sensors, channel, chip, needed)
+    return scene.surfaces(sensors, channel, chip, min_light)
 
 
-def stopped(scene: Scene, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
-    """Return whether light along a way from a sensor [m] is stopped before a part of it, 0 to 1."""
-    return scene.stopped(sensors, channel, way, glass)
+def is_blocked(scene: Scene, sensors: RobotSensors, channel: int, ray: Triple, glass: float) -> bool:
+    """Return whether an obstacle blocks a ray from a sensor [m] before the fraction `glass` of its length."""
+    return scene.is_blocked(sensors, channel, ray, glass)
 
 
-def blocked(
+def hidden_part(
     scene: Scene,
     sensors: RobotSensors,
     channel: int,
     disc: int,
     left: Triple,
     up: Triple,
-    way: Triple,
+    ray: Triple,
     glass: float,
 ) -> float:
-    """Return the part of the rays from a sensor to points of a bulb that is stopped before its glass.
+    """Return the part of the rays from a sensor to points of a bulb that is blocked before its glass.
 
     Args:
         scene: Scene of the robot.
         sensors: Sensors of the robot.
         channel: Number of the sensor.
-        disc: FEW or MANY points.
-        left: Vector to the bulb's left edge, as seen from the sensor [m].
-        up: Vector to the bulb's upper edge [m].
-        way: Vector from the sensor to the bulb's centre [m].
-        glass: Start of the bulb, in lengths of `way`.
+        disc: COARSE or FINE points.
+        left: Vector from the bulb's centre to its left edge, as seen from the sensor [m].
+        up: Vector from the bulb's centre to its upper edge [m].
+        ray: Vector from the sensor to the bulb's centre [m].
+        glass: Distance of the bulb's surface, in lengths of `ray`.
     """
-    return scene.blocked(sensors, channel, disc, left, up, way, glass)
+    return scene.hidden_part(sensors, channel, disc, left, up, ray, glass)
 
 
 def decide(
@@ -216,14 +214,14 @@ def decide(
     genes: Vector[float],
     speeds: Vector[float],
 ) -> None:
-    """Call a controller; compiled code calls it by its address.
+    """Call a controller; compiled code calls it by address.
 
     Args:
         function: Function of proximity (8,), ambient (8,), memory and genes.
         registers: Registers of the board (N_REGISTERS,).
         memory: State of the controller.
-        genes: Parameters of the controller, which it does not change.
-        speeds: Buffer for the returned speeds, left and right (2,); NaN where its arithmetic fails, as in a
+        genes: Parameters of the controller, read-only.
+        speeds: Buffer for the returned speeds, left and right (2,); NaN after an arithmetic error such as a
             division by 0.
     """
     board = np.asarray(registers)

@@ -22,8 +22,7 @@ class WheelCommand(NamedTuple):
         left: Argument for the left wheel.
         right: Argument for the right wheel.
         is_unconfirmed: True if no reply confirms that it was executed: every other particle executes it.
-        late_ns: Latest time of its execution, if its reply came late [ns]: the times of the particles are
-            spread evenly from `time_ns` on.
+        late_ns: Latest time of its execution [ns]; those of particles are spread evenly from `time_ns` on.
     """
 
     time_ns: int

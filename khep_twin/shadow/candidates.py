@@ -47,11 +47,9 @@ class Candidates:
                 self._encounters[name] = arrival_ns, time_ns, unseen_ns
 
     def changes_since(self, calm_ns: int, has_counters: bool) -> Iterator[FaultChange]:
-        """Yield the faults that may have started since the pose was confirmed last [ns].
-
-        With counters, `WheelWatch` detects a wheel that stands or is slow.
-        """
+        """Yield the faults that may have started since the pose was confirmed last [ns]."""
         for wheel in wheel_faults():
+            # With counters, `WheelWatch` detects a wheel that stands or is slow.
             if not has_counters or isinstance(wheel, SlippingWheel):
                 yield FaultChange(wheel, True)
         for name, (arrival_ns, last_near_ns, unseen_ns) in self._encounters.items():

@@ -76,8 +76,7 @@ def resample_changes(
 ) -> Particles:
     """Return particles resampled separately for each change, some of which undergo or undo it now.
 
-    The changes have the numbers 1, 2, ... in `Particles.changes`. The result has `count` particles, besides
-    the quota of each change.
+    The changes have the numbers 1, 2, ... in `Particles.changes`, and their quotas besides `count` particles.
     """
     weights = np.exp(particles.log_weights - particles.log_weights.max())
     weights /= weights.sum()

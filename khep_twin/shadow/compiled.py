@@ -16,10 +16,10 @@ from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pu
 from khep_twin.episodes.planar import compiled as planar_compiled
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing import light, optics, reflection, robot_sensors, seen_surfaces
-from khep_twin.sensing.light import Light, light_counts, received
-from khep_twin.sensing.optics import SLIGHT
-from khep_twin.sensing.reflection import reflected, sift
-from khep_twin.sensing.robot_sensors import lobe_of
+from khep_twin.sensing.light import Light, light_counts, light_per_watt
+from khep_twin.sensing.optics import NEGLIGIBLE
+from khep_twin.sensing.reflection import reflected_light, remove_faint
+from khep_twin.sensing.robot_sensors import sensor_lobe
 from khep_twin.sensing.scene import chip, position, surfaces
 from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.shadow.wheel_commands import DUTY, SPEED, TARGET
@@ -48,13 +48,10 @@ def _advance(things, order, near, empty, robots, registers, processor, strength,
             motion.step(scene)
             left, right = scene.robot.joints[plane.LEFT_ANGLE], scene.robot.joints[plane.RIGHT_ANGLE]
             kernel.run(board, processor[twin], units.wheel_pulses(left), units.wheel_pulses(right))
-            speeds = scene.robot.speeds
-            back_emf = constant * speeds[plane.LEFT_ANGLE]
-            applied = units.duty_voltage(board[_LEFT_DUTY], voltage)
-            scene.robot.ctrl[0] = _motor_voltage(strength[twin, 0], back_emf, applied, voltage)
-            back_emf = constant * speeds[plane.RIGHT_ANGLE]
-            applied = units.duty_voltage(board[_RIGHT_DUTY], voltage)
-            scene.robot.ctrl[1] = _motor_voltage(strength[twin, 1], back_emf, applied, voltage)
+            for side, joint, duty in ((0, plane.LEFT_ANGLE, _LEFT_DUTY), (1, plane.RIGHT_ANGLE, _RIGHT_DUTY)):
+                back_emf = constant * scene.robot.speeds[joint]
+                applied = units.duty_voltage(board[duty], voltage)
+                scene.robot.ctrl[side] = _motor_voltage(strength[twin, side], back_emf, applied, voltage)
 
 
 @compilable
@@ -84,29 +81,18 @@ def _light(scene, sensors, channel, face, turn):
     """Return the reflected light at a sensor [counts] whose chip is turned about its face [rad]."""
     proximity = sensors.proximity
     c, s, offset = math.cos(turn), math.sin(turn), proximity.offset[channel]
-    ahead, left = c * face.ahead - s * face.left, s * face.ahead + c * face.left
-    x, y = face.x + offset * (face.ahead - ahead), face.y + offset * (face.left - left)
-    turned = Chip(x, y, ahead, left, face.height, face.reach)
+    cosine, sine = c * face.cosine - s * face.sine, s * face.cosine + c * face.sine
+    x, y = face.x + offset * (face.cosine - cosine), face.y + offset * (face.sine - sine)
+    turned = Chip(x, y, cosine, sine, face.height, face.reach)
     count = surfaces(scene, sensors, channel, turned, 0.0)
-    lobe = lobe_of(proximity, channel)
-    gain, buffer = proximity.gain[channel], proximity.found
-    count, _ = sift(buffer, count, lobe, SLIGHT / gain)
-    return gain * reflected(buffer, count, turned, lobe) if count else 0.0
+    lobe = sensor_lobe(proximity, channel)
+    gain, buffer = proximity.gain[channel], proximity.surfaces
+    count, _ = remove_faint(buffer, count, lobe, NEGLIGIBLE / gain)
+    return gain * reflected_light(buffer, count, turned, lobe) if count else 0.0
 
 
 def _observe(
-    light,
-    slope,
-    usable,
-    readings,
-    is_used,
-    novelty,
-    law,
-    traits,
-    covariances,
-    counts,
-    deviations,
-    likelihoods,
+    light, slope, usable, readings, is_used, novelty, law, traits, covariances, counts, spreads, likelihoods
 ):
     for twin in range(len(traits)):
         for channel in range(units.N_SENSORS):
@@ -138,7 +124,7 @@ def _observe(
             else:
                 likelihood, shrinkage, outlier = density / deviation, 1.0, 1 / (law.limit + 1)
             mixture = (1 - law.outliers) * likelihood + law.outliers * outlier
-            counts[twin, channel], deviations[twin, channel] = count, deviation
+            counts[twin, channel], spreads[twin, channel] = count, deviation
             likelihoods[twin, channel] = mixture
             if is_used[channel] and usable[twin, channel] >= 1:
                 # The less novel an observation is, the larger is the variance of its noise.
@@ -164,7 +150,7 @@ def _lamplight(things, order, near, empty, robots, sensors, law, bulbs, hidden, 
                 bulb, ambient = bulbs[lamp], sensors[0].ambient
                 x, y, _ = position(scene, sensors[0], channel)
                 square = (bulb.x - x) * (bulb.x - x) + (bulb.y - y) * (bulb.y - y)
-                if powers[lamp] * received(ambient, channel, math.sqrt(square), 1.0) < min_count:
+                if powers[lamp] * light_per_watt(ambient, channel, math.sqrt(square), 1.0) < min_count:
                     continue
                 lamp_light = Light(law[0], bulbs[lamp : lamp + 1], hidden)
                 power = powers[lamp : lamp + 1]
@@ -173,19 +159,15 @@ def _lamplight(things, order, near, empty, robots, sensors, law, bulbs, hidden, 
 
 def _command(registers, command, left, right):
     for twin in range(len(registers)):
-        board = registers[twin]
-        if command == SPEED:
-            kernel.set_speed(board, 0, left)
-            kernel.set_speed(board, _RIGHT, right)
-        elif command == DUTY:
-            kernel.set_duty(board, 0, left)
-            kernel.set_duty(board, _RIGHT, right)
-        elif command == TARGET:
-            kernel.set_target(board, 0, left)
-            kernel.set_target(board, _RIGHT, right)
-        else:
-            kernel.set_position(board, 0, left)
-            kernel.set_position(board, _RIGHT, right)
+        for side, value in ((0, left), (_RIGHT, right)):
+            if command == SPEED:
+                kernel.set_speed(registers[twin], side, value)
+            elif command == DUTY:
+                kernel.set_duty(registers[twin], side, value)
+            elif command == TARGET:
+                kernel.set_target(registers[twin], side, value)
+            else:
+                kernel.set_position(registers[twin], side, value)
 
 
 def _clear(things, robots, poses, is_clear):
@@ -207,8 +189,7 @@ advance: Any = compiled(_advance, _SOURCES)
 """Advance twins by control ticks of 10 ms: motion, encoders, controllers and voltages."""
 
 illuminate: Any = compiled(_illuminate, _SOURCES)
-"""Compute the light at each sensor, at the gains of the shared calibration, and its slope as it turns (n, 8)
-[counts, counts/rad]."""
+"""Compute the light at each sensor, at the calibration's gains, and its slope (n, 8) [counts, counts/rad]."""
 
 observe: Any = compiled(_observe, _SOURCES)
 """Compute the expected reading of each sensor and the likelihood of the reading; update the sensor's traits.

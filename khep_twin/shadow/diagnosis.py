@@ -4,8 +4,7 @@ While replies are as expected, the filter has unchanged twins alone. After unexp
 by `SearchSchedule`, `Search` replays the last ones with twins of each fault that may have started or ended
 (`changes`), and of a robot that was put elsewhere. `FaultWatch` decides which of them is certain; the
 filter continues with its twins. `PoseWatch` has the state of the pose; while it is lost, no fault of wheels
-or obstacles is considered. Other watches cover sensors, counters, lamps and the line. All limits are those of
-`THRESHOLDS`.
+or obstacles is considered. Other watches cover sensors, counters, lamps and the line. Limits: `thresholds`.
 """
 
 from dataclasses import replace
@@ -78,12 +77,10 @@ class Diagnosis:
     @property
     def suspected(self) -> tuple[Suspicion, ...]:
         """Faults that are suspected without an alarm, the most probable first."""
-        suspicions = (*self._faults.suspected, *self._lamps.suspected)
+        suspicions = [*self._faults.suspected, *self._lamps.suspected]
+        suspicions.sort(key=lambda item: -item.probability)
         factor = THRESHOLDS.suspicion_factor
-        return tuple(
-            replace(suspicion, probability=factor * suspicion.probability)
-            for suspicion in sorted(suspicions, key=lambda suspicion: -suspicion.probability)
-        )
+        return tuple(replace(item, probability=factor * item.probability) for item in suspicions)
 
     def start_exchange(self, exchange: Exchange) -> None:
         """Start with an exchange, whose actions follow."""
@@ -159,8 +156,8 @@ class Diagnosis:
         """Continue with the filter of a search."""
         self.filter = candidate
         self._pose.reset_surprisal()
-        is_found = bool(candidate.probabilities[0] <= THRESHOLDS.explained_below)
-        self._schedule.finish(is_found)
+        is_found = candidate.probabilities[0] <= THRESHOLDS.explained_below
+        self._schedule.state = SearchState.CHANGE_FOUND if is_found else SearchState.NOT_FOUND
         if not is_found:
             self._pose.raise_threshold()
 

@@ -20,7 +20,6 @@ _TURN_PER_METRE = 10.0
 class Relocated(Placed):
     """A robot that is elsewhere; its odds are those at an onset of unexpected replies, not in a second."""
 
-    channel = "proximity"
     needs_search = True
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:

@@ -68,16 +68,14 @@ class FaultWatch:
         """Time since when a group is certain [ns], and number of replies since."""
         self._ended_ns: dict[Hypothesis, int] = {}
         """Settled faults that have ended, and when [ns]."""
-        self._event: Alarm | None = None
-        """Alarm of an event without a duration, while it is shown."""
+        self._events: list[Alarm] = []
+        """Alarm of the last event without a duration, while it is shown."""
 
     @property
     def alarms(self) -> list[Alarm]:
         """Alarms that last."""
-        alarms = [alarm for _, alarm in self.settled]
-        if self.leading is not None:
-            alarms.append(self.leading[1])
-        return alarms if self._event is None else [*alarms, self._event]
+        leading = [] if self.leading is None else [self.leading[1]]
+        return [alarm for _, alarm in self.settled] + leading + self._events
 
     def update(self, time_ns: int, tracker: ParticleFilter) -> AmbiguityGroup | None:
         """Take the probabilities after a reply; return the group that is certain by now."""
@@ -133,15 +131,13 @@ class FaultWatch:
 
     def show(self, group: AmbiguityGroup, time_ns: int) -> None:
         """Raise the alarm of an event without a duration."""
-        self._event = _alarm_of(group, time_ns)
+        self._events = [_alarm_of(group, time_ns)]
 
     def expire(self, time_ns: int) -> tuple[Alarm, ...]:
-        """Return the alarm of an event, which ends, if it was shown for long enough."""
-        if self._event is None or time_ns - self._event.raised_ns <= SHOWN_NS:
-            return ()
-        ended = replace(self._event, ended_ns=time_ns)
-        self._event = None
-        return (ended,)
+        """Return the alarms of events, which end, if they were shown for long enough."""
+        expired = [alarm for alarm in self._events if time_ns - alarm.raised_ns > SHOWN_NS]
+        self._events = [alarm for alarm in self._events if alarm not in expired]
+        return tuple(replace(alarm, ended_ns=time_ns) for alarm in expired)
 
     def rename(self, group: AmbiguityGroup) -> bool:
         """Name the fault in an alarm with several names if it is certain now; return whether it is."""

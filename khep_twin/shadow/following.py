@@ -62,10 +62,7 @@ class Follower:
         return self._alarms.changes(update.time_ns, update.alarms, update.ended)
 
     def loss_change(self, update: Update) -> bool | None:
-        """Return True if the robot becomes lost with an update, False if it is found, None otherwise.
-
-        A robot that is lost at the start was not followed before.
-        """
+        """Return True if a followed robot becomes lost, False if a lost one is found, None otherwise."""
         was_lost = self._is_lost
         if update.state is not PoseState.UNSURE:
             self._is_lost = update.state is PoseState.LOST

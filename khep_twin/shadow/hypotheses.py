@@ -1,7 +1,6 @@
 """Hypotheses of faults: each one injects its fault into twins, and removes it.
 
-Those of wheels are in `wheel_faults`, those of obstacles in `thing_faults`, those of a robot elsewhere in
-`displacements`.
+`wheel_faults` has those of wheels, `thing_faults` of obstacles, `displacements` of a robot that was moved.
 """
 
 import math
@@ -30,7 +29,7 @@ class Hypothesis(ABC):
         is_fault: False if it has no alarm.
     """
 
-    channel: ClassVar[str]
+    channel: ClassVar[str] = "proximity"
     log_odds_against: ClassVar[float]
     quota: ClassVar[int] = QUOTA
     needs_search: ClassVar[bool] = False

@@ -42,11 +42,8 @@ _N_FINE = 32
 _SAME_PLACE = 0.05
 """Distance of a move that does not count [m]: poses are known no better."""
 
-_MIN_SPREAD = 0.004
-"""Least standard deviation of a lamp's place [m] (assumed)."""
-
-_MIN_CORRECTION = 0.01
-"""Least standard deviation of a correction of a lamp's place [m] (assumed)."""
+_MIN_SPREAD, _MIN_CORRECTION = 0.004, 0.01
+"""Least standard deviations of a lamp's place and of its correction [m] (assumed)."""
 
 _DISTANCE_POWER = 2.5
 """Power of the distance by which light falls, about."""
@@ -108,8 +105,7 @@ class LampBeliefs:
     def light(self, planes: Planes, model: LightModel) -> tuple[Floats, Floats]:
         """Return the light of all lamps with its slope (2, n, 8, m + 1), and its variance (n, 8, m + 1).
 
-        In each of the first m one lamp is in another state, whose place has the variance; the last is as
-        believed.
+        In each of the first m, one lamp is in another state with that variance; the last is as believed.
         """
         is_used = (self._weights > 0) | (self._rates > 0)
         is_used[:, :_FIRST_PLACE] = False

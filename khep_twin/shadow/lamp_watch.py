@@ -63,8 +63,7 @@ class LampWatch:
         planes: Twins of its robot.
 
     Attributes:
-        expected: Ambient readings expected at the last reply (8,) [counts]; NaN before, and for alternating
-            lamps.
+        expected: Expected ambient readings of the last reply (8,) [counts]; NaN for alternating lamps.
         suspected: Faults that are suspected without an alarm, the most probable first.
     """
 
@@ -148,8 +147,7 @@ class LampWatch:
     def _log_likelihoods(self, by_pose: Floats, distance: float) -> Floats:
         """Return the log likelihoods of a reply by hypothesis (m,), from those by pose (n, m).
 
-        An error of the pose persists: each hypothesis weights the poses by all replies, and forgets them with
-        the robot's travel [m].
+        As errors of the pose persist, poses have weights by all replies, which decay with the travel [m].
         """
         previous = self._pose_log_weights * math.exp(-distance / _POSE_PERSISTENCE)
         self._pose_log_weights = previous - _log_mean_exp(previous) + by_pose

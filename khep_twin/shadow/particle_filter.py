@@ -87,10 +87,7 @@ class ParticleFilter:
         return type(self)(self._setup, particles, self._rng, self._count)
 
     def follow(self, action: Action, is_used: Booleans) -> Floats:
-        """Follow an action; return the residual of counters (2,), NaN for any other action.
-
-        `is_used` is True for sensors to rely on (8,).
-        """
+        """Follow an action, with sensors to rely on (8,); return the residual of counters (2,), or NaN."""
         residual = self.weigh(action, is_used)
         if isinstance(action, ProximityReply):
             self._resample()
@@ -99,8 +96,7 @@ class ParticleFilter:
     def weigh(self, action: Action, is_used: Booleans, novelty: float | None = None) -> Floats:
         """Follow an action as `follow` does, without resampling.
 
-        The default novelty of a reply to N is that by the travel of these particles. The evidence of two
-        filters is comparable only for the same novelties.
+        The default novelty is that by the travel of these particles; evidence compares only at equal novelty.
         """
         last_poses, last_speeds = self.particles.planes.poses, self._speeds
         apply_action(action, self.particles)

@@ -12,8 +12,7 @@ from khep_twin.shadow.planes import Floats, Planes
 from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 FORGETTING_S = 60.0
-"""Time constant of the decay of learned wheels and sensors to the prior: they also contain errors of the
-model (assumed) [s]."""
+"""Time constant of the decay of learned values, which contain model errors, to the prior (assumed) [s]."""
 
 _POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
 

@@ -15,8 +15,8 @@ MIN_NOVELTY = 0.05
 def novelty_of(travel: float, persistence: float, uncertain_travel: float = 0.0) -> float:
     """Return the novelty of a reading, the power of its likelihood, after a sensor's travel [m].
 
-    It is larger the less the present errors correlate with the last ones: exp(-travel / persistence). The
-    position of the sensor is uncertain by a part of its travel [m].
+    Errors of two readings correlate by exp(-travel / persistence); novelty is large where it is low.
+    A part of the travel is uncertain [m].
     """
     novelty = max(math.tanh(travel / (2 * persistence)), MIN_NOVELTY)
     return novelty * (persistence / (persistence + uncertain_travel))

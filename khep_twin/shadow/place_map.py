@@ -76,8 +76,8 @@ class PlaceMap:
     ) -> tuple[Floats, Floats]:
         """Draw start poses by later sightings, with sensors to rely on (8,).
 
-        Returns poses x, y [m], heading [rad] (count, 3), and their log importance weights, for a
-        uniform prior (count,).
+        Returns poses x, y [m], heading [rad] (count, 3), and log importance weights (count,), by which they
+        represent a uniform distribution.
         """
         x, y, heading = self.poses.T
         cosine, sine = np.cos(heading), np.sin(heading)

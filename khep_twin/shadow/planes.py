@@ -11,7 +11,7 @@ from khep_twin.episodes.planar.planar_world import PlanarForms
 from khep_twin.randomness import stream
 from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.sensing.light import Bulb, Hidden
+from khep_twin.sensing.light import Bulb, HiddenSector
 from khep_twin.shadow.planar_bodies import TICK_NS, Booleans, Floats, PlanarBodies
 from khep_twin.units import N_SENSORS
 
@@ -65,14 +65,14 @@ class Planes(PlanarBodies):
         self._light = (
             as_records([light.law], light.law),
             as_records(light.bulbs, Bulb()),
-            as_records(light.hidden, Hidden()),
+            as_records(light.sectors, HiddenSector()),
         )
         self.has_other_robots = False
 
     @property
     def lamps_are_unknown(self) -> bool:
         """True if the line does not show which lamps are on."""
-        return self.lamps.lit is not None
+        return self.lamps.lit_index is not None
 
     @property
     def ambient(self) -> Any:
@@ -125,8 +125,7 @@ class Planes(PlanarBodies):
         """Return the light of each lamp at each sensor, below the dark level (n, 8, n_lamps) [counts].
 
         It holds at the start of the last step; of alternating lamps, each may be the one that is on. Light
-        that cannot reach `min_count` [counts] is 0. Sensors are turned to the left from their headings (8,)
-        [rad].
+        that cannot reach `min_count` [counts] is 0. Sensors are turned left from their headings (8,) [rad].
         """
         return self._lamplight(self._light, self.powers, min_count, turns)
 
@@ -136,14 +135,14 @@ class Planes(PlanarBodies):
         bulbs = np.zeros(len(places), known_bulbs.dtype)
         bulbs["x"], bulbs["y"], bulbs["z"] = places.T
         law = law.copy()
-        law["known"] = False  # Any obstacle may hide them.
+        law["is_static"] = False  # Any obstacle may hide them.
         return self._lamplight((law, bulbs, hidden), powers, min_count, turns)
 
     @property
     def powers(self) -> Floats:
         """Powers of the lamps (m,) [W]; of alternating ones as if each were on."""
         time_ns, lamps = self.ticks * TICK_NS, self.lamps
-        if not (self.lamps_are_unknown or lamps.steady):
+        if not (self.lamps_are_unknown or lamps.are_constant):
             lamps.update(time_ns, ())
         return np.array(lamps.possible_powers(time_ns) if self.lamps_are_unknown else lamps.powers)
 
@@ -155,8 +154,8 @@ class Planes(PlanarBodies):
         if np.any(turns):
             sensors = sensors.copy()
             ambient = sensors["ambient"]
-            axes = (ambient["ahead"] + 1j * ambient["left"]) * np.exp(1j * np.asarray(turns))
-            ambient["ahead"], ambient["left"] = axes.real, axes.imag
+            axes = (ambient["cosine"] + 1j * ambient["sine"]) * np.exp(1j * np.asarray(turns))
+            ambient["cosine"], ambient["sine"] = axes.real, axes.imag
         if powers.any():
             self._code.lamplight(*self._scenes, sensors, *light, powers, min_count, lamplight)
         return lamplight

@@ -79,7 +79,7 @@ class PoseWatch:
         self._replies: deque[_Reply] = deque()
 
     def update(self, time_ns: int, surprisal: Floats, *, in_sight: bool, is_known: bool) -> None:
-        """Take the surprisal of a reply to N (8,), which has something in sight or not, at a known pose or not."""
+        """Take the surprisal of a reply to N (8,), with something in sight or not, at a known pose or not."""
         previous_ns, self._last_reply_ns = self._last_reply_ns, time_ns
         self.surprisal = self.surprisal * math.exp((previous_ns - time_ns) * 1e-9 / THRESHOLDS.surprisal_s)
         surprisal = np.maximum(surprisal - THRESHOLDS.usual_surprisal, 0)
@@ -113,8 +113,8 @@ class PoseWatch:
 
     def is_blind(self, time_ns: int) -> bool:
         """Return whether the pose is followed though no reply to N has come for a while, at a time [ns]."""
-        is_followed = self.state is PoseState.FOLLOWED
-        return is_followed and time_ns - self._last_reply_ns > THRESHOLDS.alarm_delay_ns
+        silence_ns = time_ns - self._last_reply_ns
+        return self.state is PoseState.FOLLOWED and silence_ns > THRESHOLDS.alarm_delay_ns
 
     def set_unsure(self, time_ns: int) -> None:
         """Set the state of a pose that is unknown from a time on [ns]."""

@@ -34,7 +34,7 @@ def read_recording(path: Path, robot: int = 0) -> RecordedRobot:
         robot: Number of the robot, from 0; ignored for a log with one robot, such as a relay's.
 
     Raises:
-        LogError: There is no log, it is incomplete, or it has no such line.
+        LogError: There is no log, it is incomplete, or it has no line of that robot.
     """
     label, messages, _ = read_raw(path, lambda topic: topic.endswith("/serial"))
     require_kheperas_in(label, path, "the shadow")

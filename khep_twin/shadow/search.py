@@ -39,11 +39,8 @@ N_UNMOVED = 600
 LEAD_NS = 300_000_000
 """Time by which a fault may precede the first unexpected reply [ns]."""
 
-TEMPERED_NS = 500_000_000
-"""Time after the first reply with something in sight whose replies are tempered [ns]."""
-
-MAX_TEMPERED_NS = 1_500_000_000
-"""Time after the change whose replies are tempered, if nothing is in sight [ns]."""
+TEMPERED_NS, MAX_TEMPERED_NS = 500_000_000, 1_500_000_000
+"""Time after the first sight of something, and at most after the change, whose replies are tempered [ns]."""
 
 
 class _Step(NamedTuple):
@@ -63,11 +60,8 @@ class _Step(NamedTuple):
 STEPS = _Step(5, 0.02, 8e-3), _Step(5, 0.05, 5e-3), _Step(3.5, 0.13, 3e-3), _Step(2.5, 0.3, 2e-3)
 """Steps of the tempering (assumed); the last resamples to its own size, the others to that of the next."""
 
-SNAPSHOT_NS = 250_000_000
-"""Interval of the snapshots [ns]."""
-
-MAX_AGE_NS = 8 * NS_PER_S
-"""Age up to which they are kept [ns]."""
+SNAPSHOT_NS, MAX_AGE_NS = 250_000_000, 8 * NS_PER_S
+"""Interval and largest age of the snapshots [ns]."""
 
 _MIN_PROBABILITY = 1e-9
 """Least probability of no change, for its logarithm."""

@@ -3,7 +3,7 @@
     not found -- a search finds a change --> found -- a search finds none --> not found
     not found -- a change becomes certain all the same --> repeat -- any search --> found or not found
 
-In `REPEAT` the change became certain after a search that found none. The robot may also be elsewhere, where
+In `REPEAT` a change became certain after a search that found none. The robot may also be elsewhere, where
 only a search has particles.
 """
 
@@ -63,7 +63,3 @@ class SearchSchedule:
         self._onset = onset
         if self.state is SearchState.REPEAT:
             self.state = SearchState.NOT_FOUND
-
-    def finish(self, is_found: bool) -> None:
-        """Note whether a search has found a change."""
-        self.state = SearchState.CHANGE_FOUND if is_found else SearchState.NOT_FOUND

@@ -4,8 +4,7 @@
 
 A sound sensor has noise. The probability that it repeats a reading is learned from its readings before the
 last change and from other sensors, separately for quiet readings, with nothing in reach, and others. A sound
-sensor blinded by a lamp or near the limit of its range also repeats readings: there only readings count that
-the twins do not expect.
+sensor blinded by a lamp or near the limit of its range repeats readings: there only unexpected ones count.
 """
 
 import math
@@ -31,11 +30,9 @@ _PRIOR_READINGS = 20.0
 _PRIOR_LOG_ODDS = 8.0
 """Logarithm of the odds against a stuck sensor (assumed)."""
 
-_SATURATED = 0.85
-"""Part of the range above which a sound sensor repeats readings: there light changes them little."""
-
-_READABLE = 0.7
-"""Usable part of the range below which lamps blind a sensor, which then repeats readings (assumed)."""
+_SATURATED, _READABLE = 0.85, 0.7
+"""Part of the range above which light changes readings little, and usable part below which lamps blind it
+(assumed): a sound sensor repeats readings there."""
 
 _USUAL_SURPRISAL, _SURPRISAL_FACTOR, _MAX_EVIDENCE = 0.3, 2.0, 1.5
 """There: surprisal that does not count, factor of the rest, and the largest log odds (assumed)."""
@@ -73,10 +70,7 @@ class SensorWatch:
         return np.array([sensor not in self._alarms for sensor in range(N_SENSORS)])
 
     def update(self, action: ProximityReply, usable_range: Floats, surprisal: Floats) -> tuple[Alarm, ...]:
-        """Take a reply to N; return the alarms that it ends.
-
-        `usable_range` is the part of each sensor's range that the lamps leave (8,).
-        """
+        """Take a reply to N, with the usable part of each sensor's range (8,); return the alarms that end."""
         previous, self._last = self._last, action.readings
         ended: list[Alarm] = []
         if previous is None:

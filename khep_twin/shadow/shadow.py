@@ -104,7 +104,7 @@ class Shadow:
 
     def wait(self, time_ns: int) -> list[Update]:
         """Advance to a time until which no more bytes came [ns]; return the updates."""
-        reply_updates = [self._process(each) for each in self._dialogue.expire(time_ns)]
+        reply_updates = [self._process(exchange) for exchange in self._dialogue.expire(time_ns)]
         updates = [update for update in reply_updates if update is not None]
         if time_ns - self._time_ns > _MAX_SILENCE_NS:
             self._time_ns = time_ns

@@ -26,6 +26,7 @@ from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.reader import hash_file
 from khep_twin.log.recorder import FLUSH_NS
 from khep_twin.log.run_description import versions
+from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, PoseState, Suspicion
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
@@ -76,18 +77,14 @@ class ShadowLog(FileRecorder):
         self._flush_ns = flush_ns
         self._particles_ns = -PARTICLES_NS
         self._alarms = LastingAlarms()
-        self._state: shadow_channels.PoseState | None = None
+        self._state: PoseState | None = None
         self._suspected: dict[frozenset[str], float] = {}
         self._ghost = _Ghost(playpen)
         label = f"{', '.join(SENSOR_LABELS)} [counts]"
         self._proximity = ArrayFrame(len(SENSOR_LABELS), "f8", label)
-        self._residuals = ArrayFrame(
-            len(shadow_channels.RESIDUALS), "f8", ", ".join(shadow_channels.RESIDUALS)
-        )
+        self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
         self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(VALUE_NAMES))
-        self._particles = ArrayFrame(
-            3 * shadow_channels.PARTICLES, "f8", "x, y [m], heading [rad] of each particle"
-        )
+        self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
         self._file = LogFile(path, lambda: self._time_ns)
         self._write_header(playpen, settings, parent_facts)
         self._file.on_exit = self.close
@@ -100,18 +97,15 @@ class ShadowLog(FileRecorder):
         estimate = update.estimate
         message = channels.pose_message(time_ns, estimate.pose, estimate.covariance)
         self._file.add("/shadow/pose", channels.POSE_WITH_COVARIANCE, time_ns, message)
-        self._file.add(
-            "/shadow/reckoned", channels.POSE, time_ns, channels.pose_message(time_ns, update.reckoned)
-        )
+        message = channels.pose_message(time_ns, update.reckoned)
+        self._file.add("/shadow/reckoned", channels.POSE, time_ns, message)
         self._file.add("/tf", "tf2_msgs/msg/TFMessage", time_ns, self._ghost.message(time_ns, estimate.pose))
         self._add("expected", self._proximity, update.expected)
         self._add("measured", self._proximity, update.measured)
         self._add("residuals", self._residuals, np.hstack(update.residuals))
         if time_ns - self._particles_ns >= PARTICLES_NS:
             self._particles_ns = time_ns
-            rows = (
-                np.linspace(0, len(update.particles) - 1, shadow_channels.PARTICLES).round().astype(np.intp)
-            )
+            rows = np.linspace(0, len(update.particles) - 1, PARTICLES).round().astype(np.intp)
             self._add("particles", self._particles, update.particles[rows].ravel())
         if update.state is not self._state:
             self._state = update.state
@@ -119,11 +113,8 @@ class ShadowLog(FileRecorder):
         if self._note_suspected(update.suspected):
             self._add_line("suspected", shadow_channels.suspicion_line(time_ns, update.suspected))
         for change in self._alarms.changes(time_ns, update.alarms, update.ended):
-            make_line = (
-                shadow_channels.alarm_start_line
-                if change.alarm.ended_ns is None
-                else shadow_channels.alarm_end_line
-            )
+            is_start = change.alarm.ended_ns is None
+            make_line = shadow_channels.alarm_start_line if is_start else shadow_channels.alarm_end_line
             self._add_line("alarms", make_line(change.time_ns, change.alarm))
         if time_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = time_ns
@@ -151,7 +142,7 @@ class ShadowLog(FileRecorder):
     def _add_line(self, name: str, line: TextLine) -> None:
         self._file.add(f"/shadow/{name}", channels.LINES, line.time_ns, channels.line_message(line))
 
-    def _note_suspected(self, suspected: Sequence[shadow_channels.Suspicion]) -> bool:
+    def _note_suspected(self, suspected: Sequence[Suspicion]) -> bool:
         """Return whether suspected faults differ from the last ones by `MIN_CHANGE`; if so, note them."""
         current = {frozenset(suspicion.faults): suspicion.probability for suspicion in suspected}
         last = self._suspected

@@ -36,8 +36,7 @@ class ShadowViewer:
     Args:
         playpen: Playpen of the shadow.
         settings: Settings of the shadow.
-        log: Path of a log that a `ShadowLog` writes, with flushes every `LIVE_FLUSH_NS`; None for a temporary
-            one.
+        log: Path of a `ShadowLog` that is flushed every `LIVE_FLUSH_NS`; None for a temporary one.
         web: Show it in a browser instead of a window.
 
     Raises:
@@ -55,11 +54,9 @@ class ShadowViewer:
         command = [sys.executable, "-m", "khep_twin", "view", "--live", str(log), *(["--web"] if web else [])]
         with undisturbed():
             # Ctrl-C in a terminal is for the shadow, which then ends the viewer.
+            env = {**os.environ, STATUS_LINE_VARIABLE: "1"}
             self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
-                env={**os.environ, STATUS_LINE_VARIABLE: "1"},
+                command, stdin=subprocess.DEVNULL, start_new_session=True, env=env
             )
             self._unregister = clear_at_end(self.close)
 

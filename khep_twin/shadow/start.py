@@ -9,7 +9,7 @@ import numpy as np
 from khep_twin import units
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
-from khep_twin.playpen.starts import own_starts
+from khep_twin.playpen.starts import defined_starts
 from khep_twin.sensing import calibration
 from khep_twin.shadow.particles import Floats, Particles, Prior
 from khep_twin.shadow.planes import Booleans, Planes
@@ -51,7 +51,7 @@ def known_starts(setup: EpisodeSetup) -> list[Pose]:
     """Return the poses x, y [m], heading [rad] at which a robot may start: its start, or each spot."""
     return [
         (units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg))
-        for x_mm, y_mm, heading_deg in own_starts(setup.playpen, 0)
+        for x_mm, y_mm, heading_deg in defined_starts(setup.playpen, 0)
     ]
 
 

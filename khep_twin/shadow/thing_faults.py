@@ -8,15 +8,14 @@ import numpy as np
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
-from khep_twin.sensing.mujoco_scene import visible
+from khep_twin.sensing.mujoco_scene import visible_geoms
 from khep_twin.shadow.hypotheses import Hypothesis, Placed, shrink_and_jitter
 from khep_twin.shadow.particles import Floats, Particles
 from khep_twin.shadow.planar_bodies import AWAY, N_SPARE
 from khep_twin.units import N_SENSORS
 
 MIN_MOVE, MOVE_DEVIATION = 0.015, 0.02
-"""Least distance of a move, larger than errors of the pose, and the standard deviation of the rest [m]
-(assumed)."""
+"""Least distance of a move, above errors of the pose, and standard deviation of the rest [m] (assumed)."""
 
 ADDED_RADII = 0.004, 0.03
 """Radii of an obstacle that is not in the playpen [m] (assumed)."""
@@ -37,7 +36,6 @@ _CIRCLE = flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH
 class _ThingFault(Hypothesis):
     """A fault of an obstacle of the playpen, with its name and its rows in `PlanarBodies.things`."""
 
-    channel = "proximity"
     log_odds_against = 10.0
     kind: ClassVar[str]
     thing: str
@@ -100,7 +98,6 @@ class Moved(_ThingFault, Placed):
 class Unexpected(Placed):
     """An obstacle that is not in the playpen."""
 
-    channel = "proximity"
     log_odds_against = 11.0
     quota = 300
 
@@ -149,7 +146,7 @@ def thing_rows(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
     """Return the rows of each obstacle of a playpen in `PlanarBodies.things`, without the arena's walls."""
     model = setup.model
     rows: dict[str, tuple[int, ...]] = {}
-    upright = [geom for geom in visible(model) if model.geom_bodyid[geom] == 0]
+    upright = [geom for geom in visible_geoms(model) if model.geom_bodyid[geom] == 0]
     for row, geom in enumerate(upright):
         name = str(model.geom(int(geom)).name).partition("_")[0]
         if name != "wall":

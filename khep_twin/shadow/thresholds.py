@@ -43,10 +43,9 @@ class Thresholds:
         max_sureness: Highest probability that an alarm states.
         name_above: Share of that probability from which the alarm names one fault.
         min_replies: Least number of replies before a decision, however long they take.
-        alarm_delay_ns: Time for which replies show a fault before an alarm, and for which they are unexpected
-            until a pose counts as unknown [ns].
-        hold_ns: Time for which a group stays certain before an alarm, and after which a pose is unsure, or
-            followed again [ns].
+        alarm_delay_ns: Time for which replies show a fault before an alarm, or are unexpected while a pose
+            counts as known [ns].
+        hold_ns: Time for which a group is certain before an alarm, and before a pose changes its state [ns].
         name_delay_ns: Time after which an alarm has all names, if no fault has that share [ns].
         settle_delay_ns: Time after an alarm after which the fault is settled, and others may start [ns].
     """

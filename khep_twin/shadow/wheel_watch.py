@@ -17,8 +17,7 @@ _MIN_PULSES = 25.0
 """Pulses that sound wheels turn within it at the least, for a decision (assumed)."""
 
 _STANDING_BELOW, _WEAK_BELOW, _SOUND_ABOVE = 0.05, 0.8, 0.9
-"""Shares of the expected pulses below which a wheel stands, below which its motor is weak, and above which it
-is sound (assumed)."""
+"""Limits of the share of expected pulses of a wheel that stands, is weak, or is sound (assumed)."""
 
 
 class WheelWatch:
@@ -45,15 +44,12 @@ class WheelWatch:
         self._counters = None
 
     def take_counters(self, reply: CounterReply, residual: Floats) -> tuple[Alarm, ...]:
-        """Take a reply to H and its residual (2,) [pulses]; return the alarms that it ends.
-
-        After a reply whose time is uncertain the sums start again.
-        """
+        """Take a reply to H and its residual (2,) [pulses]; return the alarms that it ends."""
         last, self._counters = self._counters, reply.counters.astype(np.float64)
         is_late = reply.late_ns - reply.time_ns >= LATE_NS
         was_late, self._was_late = self._was_late, is_late
         if is_late or was_late:
-            self._pulses.clear()
+            self._pulses.clear()  # The time of a reply is uncertain.
         elif last is not None:
             turned = reply.counters - last
             return self.update(reply.time_ns, turned, turned - residual)

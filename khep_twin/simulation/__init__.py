@@ -1,1 +1,1 @@
-"""Arrays of a simulation, and its compiled code."""
+"""State of a simulation, and its compiled code."""

@@ -1,10 +1,10 @@
 """Private addresses of MuJoCo's objects and functions, for compiled code that calls MuJoCo without Python.
 
 The addresses of models and states are private attributes of mujoco's Python module; no other file uses
-them. Its tests compare the memory at these addresses with what the module shows.
+them. The tests compare the memory at these addresses with the arrays of the module.
 
-MuJoCo's fatal errors, such as insufficient memory, end the process when it is called like this. Errors that
-a run can cause, bad states and full buffers, are warnings, which are counted instead.
+A fatal error of MuJoCo, such as insufficient memory, ends the process when MuJoCo is called by address.
+Errors that a run can cause, bad states and full buffers, are warnings, which MuJoCo only counts.
 """
 
 import ctypes
@@ -14,9 +14,9 @@ from pathlib import Path
 import mujoco
 
 
-def object_address(of: mujoco.MjModel | mujoco.MjData) -> int:
+def object_address(owner: mujoco.MjModel | mujoco.MjData) -> int:
     """Return the memory address of a model or a state."""
-    return int(of._address)  # pyright: ignore
+    return int(owner._address)  # pyright: ignore
 
 
 @cache
@@ -27,9 +27,9 @@ def function_address(name: str) -> int:
         ImportError: The mujoco package has no library, or more than one.
     """
     folder = Path(mujoco.__file__).parent
-    found = sorted({*folder.glob("libmujoco.so*"), *folder.glob("libmujoco*.dylib")})
-    if len(found) != 1:
-        raise ImportError(f"{folder}: {len(found)} MuJoCo libraries; expected one")
-    # The library is loaded already; this returns the same one.
-    library = ctypes.CDLL(str(found[0]))
+    libraries = sorted({*folder.glob("libmujoco.so*"), *folder.glob("libmujoco*.dylib")})
+    if len(libraries) != 1:
+        raise ImportError(f"{folder}: {len(libraries)} MuJoCo libraries; expected one")
+    # The library is already loaded; this call returns the same one.
+    library = ctypes.CDLL(str(libraries[0]))
     return int(ctypes.cast(library[name], ctypes.c_void_p).value or 0)

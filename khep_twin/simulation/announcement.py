@@ -1,9 +1,9 @@
-"""Announcement of compilations by numba: how long they take on this machine, and how far they are.
+"""Announcement of compilations by numba: their duration on this machine, and their progress.
 
 Imported only where numba is installed.
 """
 
-# numba is not typed, and its functions have no types of their own.
+# numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false
 
 import time
@@ -18,20 +18,20 @@ from khep_twin.compilable import FUNCTIONS
 from khep_twin.status_line import announced
 
 COMPILING = "khep_twin: compiling with numba"
-"""Begin of each line of an announcement."""
+"""Start of each line of an announcement."""
 
-_ENOUGH = 0.15
-"""Part of the bytecode whose compilation shows how long all of it takes, to a third or so."""
+_MIN_PART = 0.15
+"""Part of the bytecode after which the total duration is estimated, to about a third."""
 
-_SHORT = 2.0
-"""Time of compilations that are not announced [s]."""
+_MIN_DURATION_S = 2.0
+"""Shortest duration that is announced [s]."""
 
-IMPLEMENTED: list[Callable[..., Any]] = []
-"""Functions that compiled code calls in place of queries of a scene."""
+IMPLEMENTATIONS: list[Callable[..., Any]] = []
+"""Functions that implement queries to a scene in compiled code."""
 
 
 class Announcer(event.Listener):
-    """Announces compilations: each function's with all that it calls, or all within `together` as one.
+    """Announces the compilation of each function with its callees, or of all functions of a `group` together.
 
     Code from numba's cache is not compiled.
     """
@@ -39,19 +39,19 @@ class Announcer(event.Listener):
     def __init__(self) -> None:
         self._sources: dict[object, frozenset[str]] = {}
         self._expected: set[Callable[..., Any]] = set()
-        self._done: set[Callable[..., Any]] = set()
-        self._shown = ExitStack()
-        self._begin = 0.0
+        self._compiled: set[Callable[..., Any]] = set()
+        self._status_lines = ExitStack()
+        self._start_s = 0.0
         self._outer: object | None = None
         self._is_joint = self._is_shown = False
 
     def add(self, function: object, sources: Iterable[ModuleType]) -> None:
-        """Announce the compilation of a function, of which `sources` are all that it calls."""
+        """Announce the compilation of a function that calls functions of these modules."""
         self._sources[function] = frozenset(module.__name__ for module in sources)
 
     @contextmanager
-    def together(self, functions: Iterable[object]) -> Generator[None, None, None]:
-        """Announce the compilations of several functions as one."""
+    def group(self, functions: Iterable[object]) -> Generator[None, None, None]:
+        """Announce the compilations of several functions together."""
         self._is_joint = True
         self._expect(functions)
         try:
@@ -61,48 +61,52 @@ class Announcer(event.Listener):
             self._close()
 
     def on_start(self, event: Any) -> None:
-        """Begin to count, if this is the outermost function."""
+        """Start the announcement if this is the outermost function."""
         function = event.data["dispatcher"]
         if function in self._sources and self._outer is None:
-            self._outer, self._begin = function, time.monotonic()
+            self._outer = function
+            self._start_s = time.monotonic()
             if not self._is_joint:
                 self._expect([function])
 
     def on_end(self, event: Any) -> None:
-        """Count a function; announce the compilation once enough of it is done to tell its time."""
+        """Count a function; announce the compilation once its duration can be estimated."""
         function = event.data["dispatcher"]
-        self._done.add(function.py_func)
+        self._compiled.add(function.py_func)
         if function is self._outer and not self._is_joint:
             self._close()
-        elif self._outer is not None and not self._is_shown and self._part() >= _ENOUGH:
+        elif self._outer is not None and not self._is_shown and self._done_part() >= _MIN_PART:
             self._is_shown = True
-            if (seconds := self._passed() / self._part()) >= _SHORT:
-                first = f"{COMPILING}, once per version: about {seconds:.0f} s"
-                self._shown.enter_context(announced(first, self._progress, self._end))
+            if (seconds := self._elapsed_s() / self._done_part()) >= _MIN_DURATION_S:
+                text = f"{COMPILING}, once per version: about {seconds:.0f} s"
+                self._status_lines.enter_context(announced(text, self._progress_text, self._end_text))
 
-    def _expect(self, functions: Iterable[object]) -> None:
-        names = frozenset[str]().union(*(self._sources[each] for each in functions))
-        known = {each for each in (*FUNCTIONS, *IMPLEMENTED) if each.__module__ in names}
-        self._expected = known - self._done
+    def _expect(self, roots: Iterable[object]) -> None:
+        modules = frozenset[str]().union(*(self._sources[function] for function in roots))
+        functions = {
+            function for function in (*FUNCTIONS, *IMPLEMENTATIONS) if function.__module__ in modules
+        }
+        self._expected = functions - self._compiled
 
     def _close(self) -> None:
-        self._outer, self._is_shown = None, False
-        self._shown.close()
+        self._outer = None
+        self._is_shown = False
+        self._status_lines.close()
 
-    def _part(self) -> float:
-        """Return how much is done, by the bytecode of the functions, which most of the time goes by."""
-        return _size(self._expected & self._done) / max(_size(self._expected), 1)
+    def _done_part(self) -> float:
+        """Return the compiled part of the bytecode, to which the duration is roughly proportional."""
+        return _size(self._expected & self._compiled) / max(_size(self._expected), 1)
 
-    def _passed(self) -> float:
-        return time.monotonic() - self._begin
+    def _elapsed_s(self) -> float:
+        return time.monotonic() - self._start_s
 
-    def _progress(self) -> str:
-        part = self._part()
-        left = max(self._passed() * (1 - part) / part, 1.0)
-        return f"{COMPILING}, once per version: {100 * part:.0f} %, about {left:.0f} s to go"
+    def _progress_text(self) -> str:
+        part = self._done_part()
+        remaining_s = max(self._elapsed_s() * (1 - part) / part, 1.0)
+        return f"{COMPILING}, once per version: {100 * part:.0f} %, about {remaining_s:.0f} s to go"
 
-    def _end(self) -> str:
-        return f"{COMPILING} took {self._passed():.0f} s"
+    def _end_text(self) -> str:
+        return f"{COMPILING} took {self._elapsed_s():.0f} s"
 
 
 def _size(functions: Iterable[Callable[..., Any]]) -> int:

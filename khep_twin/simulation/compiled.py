@@ -1,10 +1,10 @@
-"""The stepping core compiled by numba: many steps in one call, without the interpreter and its lock.
+"""The stepping core compiled by numba: many steps per call, without the interpreter and its lock.
 
-Imported only where numba is installed. Compiling takes some seconds; numba caches the compiled code beside
-this file, or in the user's cache, until a source changes.
+Imported only where numba is installed. The compilation takes some seconds; numba caches the code beside this
+file, or in the user's cache folder, until a source file changes.
 """
 
-# numba is not typed, and its functions have no types of their own.
+# numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import hashlib
@@ -45,28 +45,28 @@ SOURCES = (units, battery, kernel, scene, *_OPTICS, step, addresses, foreign, mu
 """Modules that are compiled."""
 
 _REGISTERED: list[object] = []
-"""Functions of `FUNCTIONS` that numba knows, in its order."""
+"""Functions of `FUNCTIONS` that are registered with numba, in the same order."""
 
 
 def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
     """Return a function compiled by numba when it is first called; the compilation is announced.
 
-    numba caches compiled code in a file of the function's name, and checks only that function's own source
-    for changes. So its name here has a stamp of all sources that it calls.
+    numba caches compiled code in a file named after the function, and checks only that function's source file
+    for changes. So the name is extended with a digest of all source files that it uses.
 
     Args:
-        function: Function of plain arithmetic, which makes no arrays.
+        function: Function of arithmetic, which creates no arrays.
         sources: Modules of the functions that it calls.
     """
     register()
     function.__qualname__ = f"{function.__name__}_{stamp(map(source_of, (*sources, foreign, linking)))}"
-    # Reference counts of arrays would take half of the time, and nothing here makes arrays.
-    make = numba.njit(nogil=True, _nrt=False, error_model="numpy", pipeline_class=OuterCompiler)
-    made = make(function)
-    with suppress(RuntimeError):  # where no folder can be written, nothing is cached
-        made.enable_caching()
-    ANNOUNCER.add(made, sources)
-    return made
+    # Reference counting of arrays would take half of the time, and is not needed without new arrays.
+    decorate = numba.njit(nogil=True, _nrt=False, error_model="numpy", pipeline_class=OuterCompiler)
+    dispatcher = decorate(function)
+    with suppress(RuntimeError):  # no folder can be written: no cache
+        dispatcher.enable_caching()
+    ANNOUNCER.add(dispatcher, sources)
+    return dispatcher
 
 
 def stamp(sources: Iterable[Path]) -> str:
@@ -84,18 +84,18 @@ def source_of(module: ModuleType) -> Path:
 
 def register() -> None:
     """Register with numba the functions that compiled code may call."""
-    for plain in FUNCTIONS[len(_REGISTERED) :]:
-        _REGISTERED.append(register_jitable(**INNER)(plain))
+    for function in FUNCTIONS[len(_REGISTERED) :]:
+        _REGISTERED.append(register_jitable(**INNER)(function))
 
 
-def _advance(scene, timing, law, bulbs, hidden, robots, counters, powers, tables, until, stops):
+def _advance(scene, timing, law, bulbs, hidden, robots, counters, powers, tables, end_step, stops):
     calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
     simulated = Simulated(calls, timing[0], light, robots, counters)
     inputs = StepInputs(powers, tables)
-    if until < 0:
+    if end_step < 0:
         return step.switch_on(simulated, inputs)
-    return step.advance(simulated, inputs, until, stops)
+    return step.advance(simulated, inputs, end_step, stops)
 
 
 advance = compiled(_advance, SOURCES)
-"""`step.advance`, compiled; `step.switch_on` where `until` is below 0."""
+"""`step.advance`, compiled; `step.switch_on` if `end_step` is negative."""

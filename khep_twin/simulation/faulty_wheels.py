@@ -1,4 +1,4 @@
-"""Faulty wheels of a robot in a compiled scene: tyres that slip, and wheels that cannot turn."""
+"""Faulty wheels of a robot in a compiled scene: slipping tyres and blocked wheels."""
 
 import mujoco
 import numpy as np
@@ -8,45 +8,41 @@ from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.fitted_robots import pairs_of
 
 FIELDS = ("dof_armature", "dof_frictionloss", "dof_invweight0", "pair_friction")
-"""Arrays of a model that faulty wheels change."""
+"""Arrays of a model that wheel faults change."""
 
 _INERTIA = 1.0
-"""Inertia of a blocked wheel [kg m^2], a million times that of a motor's rotor behind its gear: the friction
-creeps by 0.3 nm/s only (measured)."""
+"""Inertia of a blocked wheel [kg m^2], a million times that of a motor's rotor behind its gear: the wheel
+creeps by only 0.3 nm/s (measured)."""
 
 _FRICTION_TORQUE = 1.0
 """Dry friction of a blocked wheel [N m], a hundred times a motor's torque."""
 
 
 class FaultyWheels:
-    """Wheels of a robot, in a model that no other world may use.
-
-    Args:
-        model: Model of the scene, with sound wheels.
-        data: State of the scene.
-        robot: Indices of the robot.
-    """
+    """Wheels of a robot, without faults at first, in a model that no other world may use."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotIndices) -> None:
-        self._model, self._data, self._dofs = model, data, list(robot.wheel_speeds)
+        self._model = model
+        self._data = data
+        self._dofs = list(robot.wheel_speeds)
         self._pairs = [pairs_of(model, [tyre]) for tyre in robot.tyres]
-        self._sound: list[tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]] = []
+        self._saved: list[tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]] = []
         for name in FIELDS:
             array = getattr(model, name)
-            at = np.concatenate(self._pairs) if name == "pair_friction" else np.array(self._dofs)
-            self._sound.append((array, at, array[at].copy()))
+            indices = np.concatenate(self._pairs) if name == "pair_friction" else np.array(self._dofs)
+            self._saved.append((array, indices, array[indices].copy()))
 
     def mend(self) -> None:
-        """Make all sound, to the last bit."""
-        for array, at, values in self._sound:
-            array[at] = values
+        """Restore wheels without faults, to the last bit."""
+        for array, indices, values in self._saved:
+            array[indices] = values
 
     def slip(self, side: int, part: float) -> None:
-        """Leave a tyre (0 left, 1 right) a part of its friction on the floor."""
+        """Reduce the friction of a tyre (0 left, 1 right) on the floor to a part."""
         self._model.pair_friction[self._pairs[side], :2] *= part
 
     def block(self, side: int) -> None:
-        """Stop a wheel (0 left, 1 right)."""
+        """Block a wheel (0 left, 1 right)."""
         dof, model = self._dofs[side], self._model
         model.dof_armature[dof], model.dof_frictionloss[dof] = _INERTIA, _FRICTION_TORQUE
         # The inverse inertia scales the softness of its friction.

@@ -1,9 +1,9 @@
-"""Robots of a compiled scene fitted to other calibrations, without compiling it anew.
+"""Robots of a compiled scene fitted to other calibrations, without another compilation.
 
-The result is the model that `playpen_to_mjcf` would make of these calibrations, to the last bit (the sag of
-tyres to rounding), in a fiftieth of the time: wheels, motors, tyres and headings are set, and MuJoCo computes
-what follows from them. Two things stay: the damping of a turret's servos, which depends a little on the
-robot's inertia, and the scale of viewers' arrows.
+The result is the model that `playpen_to_mjcf` would compile from these calibrations, to the last bit (static
+deflection of tyres: to rounding), in a fiftieth of the time: wheels, motors, tyres and headings are set, and
+MuJoCo computes all derived values. Not updated are the damping of a turret's servos, which depends slightly
+on the robot's inertia, and the visualisation scale.
 """
 
 from collections.abc import Sequence
@@ -38,53 +38,49 @@ FIELDS = (
     "pair_friction",
     "pair_margin",
 )
-"""Arrays of a model that a calibration changes, itself or by what MuJoCo computes from it."""
+"""Arrays of a model that depend on a calibration, directly or by MuJoCo's computation."""
 
 
 class FittedRobots:
-    """Robots of a model, which no other world may use.
-
-    Args:
-        model: Model of the scene as compiled.
-        robots: Indices of its robots.
-    """
+    """Robots of a compiled model, which no other world may use."""
 
     def __init__(self, model: mujoco.MjModel, robots: Sequence[RobotIndices]) -> None:
-        self._model, self._robots = model, robots
-        self._compiled: dict[str, NDArray[np.float64]] = {
+        self._model = model
+        self._robots = robots
+        self._compiled_fields: dict[str, NDArray[np.float64]] = {
             name: getattr(model, name).copy() for name in FIELDS
         }
         self._mean_inertia = model.stat.meaninertia
-        self._grips = [pairs_of(model, robot.tyres) for robot in robots]
+        self._tyre_pairs = [pairs_of(model, robot.tyres) for robot in robots]
 
     def fit(self, calibrations: Sequence[Calibration] | None, data: mujoco.MjData) -> None:
-        """Fit the robots to these calibrations; None for the model as compiled, to the last bit.
+        """Fit the robots to these calibrations; None restores the compiled model, to the last bit.
 
         Args:
             calibrations: Calibration of each robot.
-            data: State of the scene, which is lost.
+            data: State of the scene, which is overwritten.
         """
         model = self._model
-        for name, array in self._compiled.items():
+        for name, array in self._compiled_fields.items():
             getattr(model, name)[:] = array
         model.stat.meaninertia = self._mean_inertia
         if calibrations is None:
             return
-        for robot, grips, calibration in zip(self._robots, self._grips, calibrations, strict=True):
+        for robot, tyre_pairs, calibration in zip(self._robots, self._tyre_pairs, calibrations, strict=True):
             _fit(model, robot, calibration)
-            model.pair_friction[grips, :2] = calibration.wheels.friction
+            model.pair_friction[tyre_pairs, :2] = calibration.wheels.friction
         mujoco.mj_setConst(model, data)
-        inverse, before = model.body_invweight0, self._compiled["body_invweight0"]
-        for robot, grips in zip(self._robots, self._grips, strict=True):
-            # Tyres' springs begin above the floor by their sag, which goes with the wheel's inverse weight.
+        invweight, compiled_invweight = model.body_invweight0, self._compiled_fields["body_invweight0"]
+        for robot, tyre_pairs in zip(self._robots, self._tyre_pairs, strict=True):
+            # The contact margin is the tyres' static deflection, proportional to the wheel's inverse weight.
             wheel = robot.wheels[0]
-            model.pair_margin[grips] *= inverse[wheel, 0] / before[wheel, 0]
-        # The solver's scale; summed one by one, as MuJoCo does.
+            model.pair_margin[tyre_pairs] *= invweight[wheel, 0] / compiled_invweight[wheel, 0]
+        # The solver's scale, summed sequentially as in MuJoCo.
         model.stat.meaninertia = float(np.cumsum(model.dof_M0)[-1]) / model.nv
 
 
 def _fit(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> None:
-    """Set what `robot_to_mjcf` takes from a robot's calibration, but for contacts."""
+    """Set the values that `robot_to_mjcf` derives from a robot's calibration, except contacts."""
     half_base = units.metres(calibration.wheels.base_mm) / 2
     for side, (y, radius) in enumerate(zip((half_base, -half_base), calibration.wheels.radii, strict=True)):
         wheel, tyre, rim = robot.wheels[side], robot.tyres[side], robot.rims[side]

@@ -1,9 +1,9 @@
-"""Building blocks of compiled code: memory at an address, calls of C functions, queries of a kind of scene.
+"""Building blocks of compiled code: memory at an address, calls of C functions, queries to a kind of scene.
 
 Imported only where numba is installed.
 """
 
-# numba is not typed, and its functions have no types of their own.
+# numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
-from khep_twin.simulation.announcement import IMPLEMENTED
+from khep_twin.simulation.announcement import IMPLEMENTATIONS
 from khep_twin.simulation.linking import INNER
 
 _ADDRESS, _BYTE_POINTER = types.intp, ir.IntType(8).as_pointer()
@@ -21,7 +21,7 @@ _INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
 
 
 def implements(query: Callable[..., Any], kind: type | None = None) -> Callable[[Any], Any]:
-    """Return a decorator for the function that compiled code calls in place of a query.
+    """Return a decorator for a function that implements a query in compiled code.
 
     Args:
         query: Function of `sensing.scene`.
@@ -33,7 +33,7 @@ def implements(query: Callable[..., Any], kind: type | None = None) -> Callable[
             fits = kind is None or getattr(scene, "instance_class", None) is kind
             return function if fits else None
 
-        IMPLEMENTED.append(function)
+        IMPLEMENTATIONS.append(function)
         overload(query, strict=False, jit_options=INNER)(choose)
         return function
 
@@ -84,10 +84,10 @@ def address_of(typing_context, array):
 
 @intrinsic
 def moved(typing_context, values, addresses, row):
-    """Return nested tuples as given, their arrays at the addresses in a row of a table (n, n_arrays)."""
+    """Return nested tuples whose arrays are moved to the addresses in a row of a table (n, n_arrays)."""
 
     def generate(context, builder, signature, arguments):
-        given, table, row = arguments
+        values_arg, table, row = arguments
         addresses = context.make_array(signature.args[1])(context, builder, table)
         n_arrays = builder.extract_value(addresses.shape, 1)
         place = [builder.mul(row, n_arrays)]
@@ -105,7 +105,7 @@ def moved(typing_context, values, addresses, row):
                 return context.make_tuple(builder, kind, parts)
             return value
 
-        return move(signature.args[0], given)
+        return move(signature.args[0], values_arg)
 
     return values(values, addresses, types.intp), generate
 
@@ -149,13 +149,13 @@ def _element(builder, arguments, kind):
 
 
 def _foreign(builder, arguments, kinds, result):
-    """Call the function at the address of the first argument; the others' kinds are C types."""
-    given = []
+    """Call the function at the address in the first argument; `kinds` are C types of the others."""
+    converted = []
     for value, kind in zip(arguments[1:], kinds, strict=True):
         if isinstance(kind, ir.PointerType):
             value = builder.inttoptr(value, kind)
         elif isinstance(kind, ir.IntType) and kind.width < value.type.width:
             value = builder.trunc(value, kind)
-        given.append(value)
+        converted.append(value)
     function = builder.inttoptr(arguments[0], ir.FunctionType(result, kinds).as_pointer())
-    return builder.call(function, given)
+    return builder.call(function, converted)

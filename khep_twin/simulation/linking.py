@@ -1,13 +1,13 @@
-"""Compilation by numba of a function with all that it calls as one piece.
+"""Compilation by numba of a function and all its callees as one unit.
 
-numba makes machine code of each function that compiled code calls, with all that it calls in turn linked in:
-the innermost code is optimised once for each of its callers' callers. Here an inner function is only
-translated to LLVM's form; the outermost one links all of them, and LLVM optimises that once.
+By default numba compiles each called function to machine code, with all its callees linked in, so that the
+innermost code is optimised once for each of its callers' callers. Here an inner function is only translated
+to LLVM's intermediate form; the outermost function links all of them, and LLVM optimises the result once.
 
 Imported only where numba is installed.
 """
 
-# numba is not typed, and its functions have no types of their own.
+# numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false, reportIncompatibleMethodOverride=false
 
 from typing import Any
@@ -29,7 +29,7 @@ class _InnerLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        # A function that numba compiles in its own way links what it calls, but nothing further.
+        # A function that numba compiles by default links its direct callees only.
         if self._shared_module is None:
             self._shared_module = module = self._final_module.clone()
             _link_all_called(self, module)
@@ -39,40 +39,41 @@ class _InnerLibrary(JITCodeLibrary):
         return self._shared_module
 
     def get_pointer_to_function(self, name: str) -> int:
-        return 0  # only compiled code calls it
+        return 0  # called by compiled code only
 
 
 class _OuterLibrary(JITCodeLibrary):
-    """Code of a function with that of all that it calls."""
+    """Code of a function and all its callees."""
 
     def finalize(self) -> None:
-        self._own = {function.name for function in self.get_defined_functions()}
+        self._defined_names = {function.name for function in self.get_defined_functions()}
         _link_all_called(self, self._final_module)
         self._linking_libraries = []
         super().finalize()
 
     def _optimize_final_module(self) -> None:
         for function in self.get_defined_functions():
-            if function.name not in self._own:
+            if function.name not in self._defined_names:
                 function.linkage = "internal"  # LLVM may drop it, and arguments that it does not use
         super()._optimize_final_module()
 
 
 def _link_all_called(library: Any, module: Any) -> None:
-    """Link the code of all that a library needs into a module, and note what they need when loaded."""
-    for each in _all_called(library, {}):
-        library._reload_init.update(each._reload_init)
-        inner = isinstance(each, _InnerLibrary)
-        module.link_in(each._final_module if inner else each._get_module_for_linking(), preserve=True)
+    """Link the code of all dependencies of a library into a module, and note their initialisation."""
+    for dependency in _all_called(library, {}):
+        library._reload_init.update(dependency._reload_init)
+        is_inner = isinstance(dependency, _InnerLibrary)
+        code = dependency._final_module if is_inner else dependency._get_module_for_linking()
+        module.link_in(code, preserve=True)
 
 
-def _all_called(library: Any, found: dict[Any, None]) -> dict[Any, None]:
-    """Return all libraries that a library needs, added to those found."""
-    for each in library._linking_libraries:
-        if each not in found:
-            found[each] = None
-            _all_called(each, found)
-    return found
+def _all_called(library: Any, libraries: dict[Any, None]) -> dict[Any, None]:
+    """Add all dependencies of a library to `libraries`; return it."""
+    for dependency in library._linking_libraries:
+        if dependency not in libraries:
+            libraries[dependency] = None
+            _all_called(dependency, libraries)
+    return libraries
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -81,17 +82,17 @@ class _InnerLowering(NativeLowering):
 
     def run_pass(self, state: Any) -> bool:
         state.library = library = _InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        # Set here, not as options: numba compiles a function again for callers of other options.
+        # Not set as options, as numba compiles a function again for callers with other options.
         flags = state.flags
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         flags.forceinline = state.func_id.func not in ONCE
         super().run_pass(state)
-        made = state["cr"]
-        # What numba looks functions up by; it cannot be called.
-        name = made.fndesc.qualname.rpartition(".")[2]
-        key = _dynfunc.make_function(made.fndesc.lookup_module(), name, "", 0, made.env, (library,))
-        state.targetctx.insert_user_function(key, made.fndesc, [library])
-        state["cr"] = made._replace(cfunc=key)
+        result = state["cr"]
+        # The key by which numba finds a function; it cannot be called.
+        name = result.fndesc.qualname.rpartition(".")[2]
+        key = _dynfunc.make_function(result.fndesc.lookup_module(), name, "", 0, result.env, (library,))
+        state.targetctx.insert_user_function(key, result.fndesc, [library])
+        state["cr"] = result._replace(cfunc=key)
         return True
 
 
@@ -112,10 +113,10 @@ class InnerCompiler(CompilerBase):
     lowering: Any = _InnerLowering
 
     def define_pipelines(self) -> list[Any]:
-        """Return numba's own passes, but for the last step."""
+        """Return numba's passes with another last step."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         lowering = self.lowering
-        passes.passes = [(lowering if each is NativeLowering else each, why) for each, why in passes.passes]
+        passes.passes = [(lowering if step is NativeLowering else step, text) for step, text in passes.passes]
         passes._finalized = False
         passes.finalize()
         return [passes]

@@ -1,9 +1,9 @@
-"""MuJoCo's scene for compiled code: the queries of `sensing.scene`, by addresses of MuJoCo's functions.
+"""MuJoCo's scene for compiled code: the queries of `sensing.scene`, by the addresses of MuJoCo's functions.
 
 Imported only where numba is installed.
 """
 
-# numba is not typed, and its functions have no types of their own.
+# numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false, reportGeneralTypeIssues=false
 
 from typing import Any, NamedTuple
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from khep_twin.compilable import compilable
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.buffers import as_records
-from khep_twin.sensing.mujoco_scene import fixed, points_of_a_bulb, upright, visible
+from khep_twin.sensing.mujoco_scene import bulb_points, fixed_shape, upright_shape, visible_geoms
 from khep_twin.sensing.robot_sensors import chip_behind
-from khep_twin.sensing.scene import FASTEST, FEW, MANY
+from khep_twin.sensing.scene import COARSE, FINE, MAX_SPEED
 from khep_twin.sensing.seen_surfaces import add_upright
 from khep_twin.simulation.addresses import function_address, object_address
 from khep_twin.simulation.foreign import (
@@ -53,14 +53,14 @@ class Addresses(NamedTuple):
         geom_xpos: Positions of geoms (n_geoms, 3).
         geom_xmat: Orientations of geoms (n_geoms, 9).
         geom_size: Sizes of geoms (n_geoms, 3).
-        warnings: Counters of warnings, every second number (n_warnings,).
+        warnings: Counters of warnings, at every second int32 (n_warnings,).
         n_qpos: Number of joint positions.
         n_qvel: Number of joint speeds.
         n_xpos: Number of coordinates of bodies.
         n_warnings: Number of kinds of warnings.
-        way: Buffer for a ray's direction (3,).
-        few: Few points of a bulb (9, 2).
-        many: Many points of a bulb (64, 2).
+        ray: Buffer for a ray's vector (3,).
+        coarse: COARSE points of a bulb (9, 2).
+        fine: FINE points of a bulb (64, 2).
     """
 
     step: int
@@ -83,20 +83,20 @@ class Addresses(NamedTuple):
     n_qvel: int
     n_xpos: int
     n_warnings: int
-    way: Any
-    few: Any
-    many: Any
+    ray: Any
+    coarse: Any
+    fine: Any
 
 
 class Solid(NamedTuple):
-    """A geom that is drawn.
+    """A visible geom.
 
     Attributes:
         geom: Index of the geom.
-        kind: Type of the geom.
-        body: Its body.
-        seen: 1 if proximity sensors see it, which is not so of floor and paint.
-        fixed: 1 if it cannot move; what follows up to `top` is its shape then, as of `mujoco_scene.upright`.
+        geom_type: Type of the geom.
+        body: Body of the geom.
+        is_visible: 1 if proximity sensors see it, 0 for floor and paint.
+        is_fixed: 1 if it cannot move; only then the fields from `x` to `top` are set.
         x: Centre, x [m].
         y: Centre, y [m].
         cosine: Cosine of its angle.
@@ -110,10 +110,10 @@ class Solid(NamedTuple):
     """
 
     geom: int = 0
-    kind: int = 0
+    geom_type: int = 0
     body: int = 0
-    seen: int = 0
-    fixed: int = 0
+    is_visible: int = 0
+    is_fixed: int = 0
     x: float = 0.0
     y: float = 0.0
     cosine: float = 1.0
@@ -130,18 +130,18 @@ class MujocoCalls(NamedTuple):
     """MuJoCo's scene for compiled code.
 
     Attributes:
-        at: Addresses, as a record of `Addresses`.
-        solids: Geoms that are drawn, in MuJoCo's order, as records of `Solid` (n,).
+        address: Addresses, as a record of `Addresses`.
+        solids: Visible geoms, in MuJoCo's order, as records of `Solid` (n,).
     """
 
-    at: np.void
+    address: np.void
     solids: NDArray[np.void]
 
 
-def calls_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.void], NDArray[np.void]]:
+def make_calls(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Return a scene for compiled code, as the arrays of `MujocoCalls`; model and state must outlive it."""
     names = ("qpos", "qvel", "ctrl", "xpos", "xmat", "cam_xpos", "cam_xmat", "geom_xpos", "geom_xmat")
-    at = Addresses(
+    addresses = Addresses(
         step=function_address("mj_step"),
         ray_geom=function_address("mju_rayGeom"),
         model=object_address(model),
@@ -154,26 +154,26 @@ def calls_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.voi
         n_qvel=data.qvel.size,
         n_xpos=data.xpos.size,
         n_warnings=len(data.warning.number),
-        way=np.zeros(3),
-        few=points_of_a_bulb(FEW),
-        many=points_of_a_bulb(MANY),
+        ray=np.zeros(3),
+        coarse=bulb_points(COARSE),
+        fine=bulb_points(FINE),
     )
-    drawn, seen = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist(), set(visible(model))
-    solids = [_solid(model, geom, geom in seen) for geom in drawn]
-    return as_records([at], at), as_records(solids, Solid())
+    drawn, visible = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist(), set(visible_geoms(model))
+    solids = [_solid(model, geom, geom in visible) for geom in drawn]
+    return as_records([addresses], addresses), as_records(solids, Solid())
 
 
-def _solid(model: mujoco.MjModel, geom: int, seen: bool) -> Solid:
+def _solid(model: mujoco.MjModel, geom: int, is_visible: bool) -> Solid:
     solid = Solid(
         geom,
         int(model.geom_type[geom]),
         int(model.geom_bodyid[geom]),
-        seen=int(seen),
+        is_visible=int(is_visible),
         bound=float(model.geom_rbound[geom]),
         reflectance=float(model.geom_user[geom, 0]),
     )
-    shape = fixed(model, geom)
-    if shape is None or not seen:
+    shape = fixed_shape(model, geom)
+    if shape is None or not is_visible:
         return solid
     (x, y), (cosine, sine), (half, width), (bottom, top) = shape
     return Solid(*solid[:4], 1, x, y, cosine, sine, half, width, bottom, top, *solid[-2:])
@@ -181,20 +181,21 @@ def _solid(model: mujoco.MjModel, geom: int, seen: bool) -> Solid:
 
 @implements(queries.step, MujocoCalls)
 def _step(scene):
-    call_step(scene.at.step, scene.at.model, scene.at.data)
+    call_step(scene.address.step, scene.address.model, scene.address.data)
 
 
 @implements(queries.in_bounds, MujocoCalls)
 def _in_bounds(scene, limit):
-    at = scene.at
-    if not _square(at.xpos, at.n_xpos) <= at.n_xpos * limit * limit:
+    addresses = scene.address
+    if not _sum_of_squares(addresses.xpos, addresses.n_xpos) <= addresses.n_xpos * limit * limit:
         return False
-    speeds = _square(at.qvel, at.n_qvel)
-    return speeds <= at.n_qvel * FASTEST * FASTEST and _square(at.qpos, at.n_qpos) < np.inf
+    speeds = _sum_of_squares(addresses.qvel, addresses.n_qvel)
+    joints = _sum_of_squares(addresses.qpos, addresses.n_qpos)
+    return speeds <= addresses.n_qvel * MAX_SPEED * MAX_SPEED and joints < np.inf
 
 
 @compilable
-def _square(address, count):
+def _sum_of_squares(address, count):
     total = 0.0
     for i in range(count):
         number = load(address, i)
@@ -202,155 +203,155 @@ def _square(address, count):
     return total
 
 
-@implements(queries.warned, MujocoCalls)
-def _warned(scene):
-    for i in range(scene.at.n_warnings):
-        if load_int(scene.at.warnings, 2 * i):
+@implements(queries.has_warned, MujocoCalls)
+def _has_warned(scene):
+    for i in range(scene.address.n_warnings):
+        if load_int(scene.address.warnings, 2 * i):
             return True
     return False
 
 
 @implements(queries.pose, MujocoCalls)
 def _pose(scene, index):
-    qpos = scene.at.qpos
+    qpos = scene.address.qpos
     w, x, y, z = load(qpos, index + 3), load(qpos, index + 4), load(qpos, index + 5), load(qpos, index + 6)
     return load(qpos, index), load(qpos, index + 1), 1 - 2 * (y * y + z * z), 2 * (w * z + x * y)
 
 
 @implements(queries.joint_position, MujocoCalls)
 def _joint_position(scene, index):
-    return load(scene.at.qpos, index)
+    return load(scene.address.qpos, index)
 
 
 @implements(queries.joint_speed, MujocoCalls)
 def _joint_speed(scene, index):
-    return load(scene.at.qvel, index)
+    return load(scene.address.qvel, index)
 
 
 @implements(queries.motor_torque, MujocoCalls)
 def _motor_torque(scene, index):
-    return load(scene.at.force, index)
+    return load(scene.address.force, index)
 
 
 @implements(queries.set_motor, MujocoCalls)
 def _set_motor(scene, index, voltage):
-    store(scene.at.ctrl, index, voltage)
+    store(scene.address.ctrl, index, voltage)
 
 
 @implements(queries.body_frame, MujocoCalls)
 def _body_frame(scene, sensors):
-    return _nine(scene.at.xmat, sensors.base)
+    return _matrix(scene.address.xmat, sensors.base)
 
 
 @implements(queries.chip, MujocoCalls)
 def _chip(scene, sensors, channel):
     camera = sensors.cameras[channel]
-    place, frame = _three(scene.at.cam_xpos, camera), _nine(scene.at.cam_xmat, camera)
-    return chip_behind(place, frame, sensors.proximity, channel)
+    position, frame = _vector(scene.address.cam_xpos, camera), _matrix(scene.address.cam_xmat, camera)
+    return chip_behind(position, frame, sensors.proximity, channel)
 
 
 @implements(queries.position, MujocoCalls)
 def _position(scene, sensors, channel):
-    return _three(scene.at.cam_xpos, sensors.cameras[channel])
+    return _vector(scene.address.cam_xpos, sensors.cameras[channel])
 
 
 @compilable
-def _three(address, index):
+def _vector(address, index):
     return load(address, 3 * index), load(address, 3 * index + 1), load(address, 3 * index + 2)
 
 
 @compilable
-def _flat(address, index):
+def _xy(address, index):
     return load(address, 3 * index), load(address, 3 * index + 1)
 
 
 @compilable
-def _nine(address, index):
+def _matrix(address, index):
     first, second, third = 3 * index, 3 * index + 1, 3 * index + 2
-    return _three(address, first) + _three(address, second) + _three(address, third)
+    return _vector(address, first) + _vector(address, second) + _vector(address, third)
 
 
 @implements(queries.surfaces, MujocoCalls)
-def _surfaces(scene, sensors, channel, chip, needed):
-    found, count = sensors.proximity.found, 0
+def _surfaces(scene, sensors, channel, chip, min_light):
+    buffer, count = sensors.proximity.surfaces, 0
     for i in range(len(scene.solids)):
         solid = scene.solids[i]
         geom = solid.geom
-        if not solid.seen or solid.body == sensors.base:
+        if not solid.is_visible or solid.body == sensors.base:
             continue
-        if solid.fixed:
+        if solid.is_fixed:
             cx, cy = solid.x, solid.y
         else:
-            cx, cy = _flat(scene.at.geom_xpos, geom)
+            cx, cy = _xy(scene.address.geom_xpos, geom)
         dx, dy, limit = cx - chip.x, cy - chip.y, solid.bound + chip.reach + 1e-9
         if dx * dx + dy * dy > limit * limit:
             continue
-        turn, half, span = (solid.cosine, solid.sine), (solid.half, solid.width), (solid.bottom, solid.top)
-        shape = (cx, cy), turn, half, span
-        if not solid.fixed:
-            place, turned = _three(scene.at.geom_xpos, geom), _nine(scene.at.geom_xmat, geom)
-            shape = upright(solid.kind, _three(scene.at.geom_size, geom), place, turned)
-        count = add_upright(found, count, chip, shape, solid.reflectance)
+        span = solid.bottom, solid.top
+        shape = (cx, cy), (solid.cosine, solid.sine), (solid.half, solid.width), span
+        if not solid.is_fixed:
+            size, position = _vector(scene.address.geom_size, geom), _vector(scene.address.geom_xpos, geom)
+            shape = upright_shape(solid.geom_type, size, position, _matrix(scene.address.geom_xmat, geom))
+        count = add_upright(buffer, count, chip, shape, solid.reflectance)
     return count
 
 
-@implements(queries.stopped, MujocoCalls)
-def _stopped(scene, sensors, channel, way, glass):
-    scene.at.way[0], scene.at.way[1], scene.at.way[2] = way
-    return _stops(scene, sensors.base, sensors.cameras[channel], way[0], way[1], glass)
+@implements(queries.is_blocked, MujocoCalls)
+def _query_blocked(scene, sensors, channel, ray, glass):
+    scene.address.ray[0], scene.address.ray[1], scene.address.ray[2] = ray
+    return _is_blocked(scene, sensors.base, sensors.cameras[channel], ray[0], ray[1], glass)
 
 
-@implements(queries.blocked, MujocoCalls)
-def _blocked(scene, sensors, channel, disc, left, up, way, glass):
-    n = len(scene.at.few) if disc == FEW else len(scene.at.many)
-    hits, to = 0, scene.at.way
-    for point in range(n):
-        across, upward = scene.at.many[point, 0], scene.at.many[point, 1]
-        if disc == FEW:
-            across, upward = scene.at.few[point, 0], scene.at.few[point, 1]
-        x = across * left[0] + upward * up[0] + way[0]
-        y = across * left[1] + upward * up[1] + way[1]
-        to[0], to[1], to[2] = x, y, across * left[2] + upward * up[2] + way[2]
-        if _stops(scene, sensors.base, sensors.cameras[channel], x, y, glass):
-            hits += 1
-    return hits / n
+@implements(queries.hidden_part, MujocoCalls)
+def _hidden_part(scene, sensors, channel, disc, left, up, ray, glass):
+    n_points = len(scene.address.coarse) if disc == COARSE else len(scene.address.fine)
+    n_blocked, buffer = 0, scene.address.ray
+    for point in range(n_points):
+        across, upward = scene.address.fine[point, 0], scene.address.fine[point, 1]
+        if disc == COARSE:
+            across, upward = scene.address.coarse[point, 0], scene.address.coarse[point, 1]
+        x = across * left[0] + upward * up[0] + ray[0]
+        y = across * left[1] + upward * up[1] + ray[1]
+        buffer[0], buffer[1], buffer[2] = x, y, across * left[2] + upward * up[2] + ray[2]
+        if _is_blocked(scene, sensors.base, sensors.cameras[channel], x, y, glass):
+            n_blocked += 1
+    return n_blocked / n_points
 
 
 @compilable
-def _stops(scene, base, camera, x, y, glass):
-    """Return whether anything stops light on the way from a sensor before the bulb's glass."""
-    place = _three(scene.at.cam_xpos, camera)
-    flat = x * x + y * y
-    length = np.sqrt(flat)
+def _is_blocked(scene, base, camera, x, y, glass):
+    """Return whether a solid blocks the ray from a sensor before the bulb's glass."""
+    origin = _vector(scene.address.cam_xpos, camera)
+    square = x * x + y * y
+    length = np.sqrt(square)
     for i in range(len(scene.solids)):
         solid = scene.solids[i]
         if solid.body == base:
             continue
-        if solid.kind != _PLANE:
-            cx, cy = _flat(scene.at.geom_xpos, solid.geom)
-            dx, dy = cx - place[0], cy - place[1]
+        if solid.geom_type != _PLANE:
+            cx, cy = _xy(scene.address.geom_xpos, solid.geom)
+            dx, dy = cx - origin[0], cy - origin[1]
             bound = (solid.bound + 1e-9) * length
-            ahead, tangential = dx * x + dy * y, dx * y - dy * x
-            if ahead < -bound or ahead - bound > flat or abs(tangential) > bound:
+            along, across = dx * x + dy * y, dx * y - dy * x
+            if along < -bound or along - bound > square or abs(across) > bound:
                 continue
-        hit = _length(scene, solid, camera)
+        hit = _ray_length(scene, solid, camera)
         if 0 <= hit < glass:
             return True
     return False
 
 
 @compilable
-def _length(scene, solid, camera):
-    """Return MuJoCo's length of a ray along `way` from a camera to a geom."""
-    at, geom = scene.at, solid.geom
+def _ray_length(scene, solid, camera):
+    """Return MuJoCo's length of the ray in the buffer from a camera to a geom, negative for no hit."""
+    addresses, geom = scene.address, solid.geom
     return call_ray_geom(
-        at.ray_geom,
-        at.geom_xpos + 24 * geom,
-        at.geom_xmat + 72 * geom,
-        at.geom_size + 24 * geom,
-        at.cam_xpos + 24 * camera,
-        address_of(at.way),
-        solid.kind,
+        addresses.ray_geom,
+        addresses.geom_xpos + 24 * geom,
+        addresses.geom_xmat + 72 * geom,
+        addresses.geom_size + 24 * geom,
+        addresses.cam_xpos + 24 * camera,
+        address_of(addresses.ray),
+        solid.geom_type,
         0,
     )
 

@@ -1,4 +1,4 @@
-"""A playpen's scene in MuJoCo as a simulation uses it: its two forms, robots, light and bounds."""
+"""A playpen's scene in MuJoCo for a simulation: forms for plain and compiled code, robots, light, bounds."""
 
 import copy
 import math
@@ -29,7 +29,7 @@ from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensors import proximity_optics
 from khep_twin.simulation.fitted_robots import FittedRobots
-from khep_twin.simulation.physics_state import IN_A_RUN, fingerprint
+from khep_twin.simulation.physics_state import CHANGED_FIELDS, fingerprint
 from khep_twin.simulation.simulation import NO_LIGHT
 from khep_twin.status_line import announced
 from khep_twin.step import Reason, RobotState, Timing
@@ -62,14 +62,14 @@ class SceneModel(NamedTuple):
         Args:
             playpen: Playpen.
             motion_ns: Step of the physics, which divides a control tick [ns].
-            step_ns: Step of the simulation, which divides that of the physics [ns]; the same if not given.
+            step_ns: Step of the simulation, which divides that of the physics [ns]; by default the same.
         """
         with _announced(len(playpen.robots)):
             spec = to_spec(playpen)
             if motion_ns != units.STEP_NS:
                 set_step(spec, motion_ns)
             model = spec.compile()
-        # The robots' own are for MuJoCo alone, as the twin computes what they read; a turret's are needed.
+        # The twin computes the robots' readings itself; only turrets need MuJoCo's sensors.
         if all(sensor.name.count("/") < 2 for sensor in spec.sensors):
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         return cls(playpen, spec, model, timing(playpen, motion_ns, step_ns or motion_ns))
@@ -81,24 +81,27 @@ class MujocoForms:
     Args:
         scene_model: Compiled scene.
         data: State of the scene.
-        shared: Whether others use the model, too.
+        shared: Whether other worlds use the model.
 
     Attributes:
-        model: Compiled scene: the one given, or a copy of it once robots of a shared one have varied.
+        model: Compiled scene: that of `scene_model`, or a copy once robots of a shared model have varied.
         indices: Indices of each robot.
     """
 
     def __init__(self, scene_model: SceneModel, data: mujoco.MjData, shared: bool = False) -> None:
-        playpen, _, model, self._timing = scene_model
-        self._playpen, self.model, self._data, self._shared = playpen, model, data, shared
-        self._calibrations = [calibration.read(entry.calibration)[0] for entry in playpen.robots]
-        self._drawn = self._calibrations
+        self._playpen, _, self.model, self._timing = scene_model
+        self._data = data
+        self._shared = shared
+        self._calibrations = [calibration.read(entry.calibration)[0] for entry in self._playpen.robots]
+        self._sampled = self._calibrations
         self._fitted: FittedRobots | None = None
         self._fingerprint = ""
-        self._first_fields: dict[str, Floats] = {name: getattr(model, name).copy() for name in IN_A_RUN}
+        self._initial_fields: dict[str, Floats] = {
+            name: getattr(self.model, name).copy() for name in CHANGED_FIELDS
+        }
         count = len(self._playpen.robots)
         self.indices = [RobotIndices.of(self.model, f"khepera{index}") for index in range(count)]
-        bodies = [self.model.body(name).id for name in movable_names(playpen)]
+        bodies = [self.model.body(name).id for name in movable_names(self._playpen)]
         self._free_joints: list[int] = self.model.jnt_qposadr[self.model.body_jntadr[bodies]].tolist()
         self.refresh()
 
@@ -112,17 +115,17 @@ class MujocoForms:
         return np.array(rows).reshape(-1, 3)
 
     def refresh(self) -> None:
-        """Take over fixed geoms that were moved in the model."""
+        """Update the forms after fixed geoms were moved in the model."""
         self._plain: MujocoScene | None = None
         self._arrays: tuple[Any, ...] | None = None
-        # Where there are several robots no sight line is known, so one robot's are all's.
+        # With several robots no line of sight is precomputed, so those of one robot serve all.
         self._lights = [LightSource(self.model, robot) for robot in self.indices[:1]]
 
     @property
     def fingerprint(self) -> str:
-        """Hash of the scene with its robots as drawn, in hexadecimal digits."""
+        """Hash of the scene with its current robots, in hexadecimal digits."""
         if not self._fingerprint:
-            self._fingerprint = fingerprint(self.model, self._timing, self._drawn)
+            self._fingerprint = fingerprint(self.model, self._timing, self._sampled)
         return self._fingerprint
 
     def plain(self) -> MujocoScene:
@@ -133,28 +136,30 @@ class MujocoForms:
 
     def compiled(self) -> tuple[Any, ...]:
         """Return the scene for compiled code, as arrays."""
-        from khep_twin.simulation.mujoco_calls import calls_of
+        from khep_twin.simulation.mujoco_calls import make_calls
 
         if self._arrays is None:
-            self._arrays = calls_of(self.model, self._data)
+            self._arrays = make_calls(self.model, self._data)
         solids = self._arrays[1]
-        # Other robots' rims may have another size.
+        # The rims of varied robots may have another size.
         solids["bound"] = self.model.geom_rbound[solids["geom"]]
         return self._arrays
 
-    def vary(self, spread: Callable[[int], np.random.Generator] | None) -> None:
-        """Make the robots others of the same make, by a stream each; None for those of the playpen."""
+    def vary(self, make_rng: Callable[[int], np.random.Generator] | None) -> None:
+        """Replace the robots by others of the same model; None restores those of the playpen."""
         if self._fitted is None:
             if self._shared:
-                self.model, self._plain, self._arrays = copy.copy(self.model), None, None
+                self.model = copy.copy(self.model)
+                self._plain = None
+                self._arrays = None
             self._fitted = FittedRobots(self.model, self.indices)
-        self._drawn = self._calibrations
-        if spread is not None:
-            self._drawn = [
-                calibration.varied(measured, spread(number))
+        self._sampled = self._calibrations
+        if make_rng is not None:
+            self._sampled = [
+                calibration.vary(measured, make_rng(number))
                 for number, measured in enumerate(self._calibrations)
             ]
-        self._fitted.fit(None if spread is None else self._drawn, self._data)
+        self._fitted.fit(None if make_rng is None else self._sampled, self._data)
 
     @property
     def n_robots(self) -> int:
@@ -162,27 +167,27 @@ class MujocoForms:
         return len(self.indices)
 
     @property
-    def numbers(self) -> Sequence[int]:
-        """Numbers of those that the stepping core runs."""
+    def core_robots(self) -> Sequence[int]:
+        """Numbers of the robots that the stepping core runs."""
         return [number for number, entry in enumerate(self._playpen.robots) if entry.body.in_core]
 
     def robot_states(self) -> list[RobotState]:
-        """Return the states of these robots."""
+        """Return the states of the robots that the stepping core runs."""
         states: list[RobotState] = []
-        for number in self.numbers:
-            at = self.indices[number]
-            joints = *at.wheel_angles, *at.wheel_speeds, *at.motors, at.pose
+        for number in self.core_robots:
+            indices = self.indices[number]
+            joints = *indices.wheel_angles, *indices.wheel_speeds, *indices.motors, indices.pose
             states.append(
-                robot_state(self.model, at, joints, self._drawn[number], self._playpen.robots[number])
+                robot_state(self.model, indices, joints, self._sampled[number], self._playpen.robots[number])
             )
         return states
 
-    def drawn(self, number: int) -> Calibration:
-        """Return the calibration of a robot as it is in this run."""
-        return self._drawn[number]
+    def calibration_of(self, number: int) -> Calibration:
+        """Return the calibration of a robot in this run."""
+        return self._sampled[number]
 
-    def trouble(self, reason: int) -> str:
-        """Return a sentence on why the physics cannot go on."""
+    def describe_error(self, reason: int) -> str:
+        """Return why the physics cannot continue."""
         if reason == Reason.WARNED:
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._data.warning.number)[0])).name
             return f"MuJoCo warns of {kind}"
@@ -190,10 +195,10 @@ class MujocoForms:
         return f"something is {places:g} m off, at {speeds:g} m/s or rad/s"
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
-        """Return the lamps with the known sight lines to them."""
+        """Return the lamps with the precomputed lines of sight to them."""
         return self._lights[0].light(lamps.positions, lighting) if self._lights else NO_LIGHT
 
-    def started(self, starts: Sequence[Start]) -> Playpen:
+    def with_starts(self, starts: Sequence[Start]) -> Playpen:
         """Return the playpen with its robots at these starts."""
         robots = tuple(
             entry.model_copy(update={"x_mm": x_mm, "y_mm": y_mm, "heading_deg": heading_deg})
@@ -202,19 +207,19 @@ class MujocoForms:
         return self._playpen.model_copy(update={"robots": robots})
 
     def restore_model(self) -> None:
-        """Restore what LEDs and faults of a run have changed in the model, if it is not shared."""
+        """Undo changes of the model by LEDs and faults of a run, if it is not shared."""
         self._fingerprint = ""
         if not self._shared:
-            for name, array in self._first_fields.items():
+            for name, array in self._initial_fields.items():
                 getattr(self.model, name)[:] = array
 
     def reset(self, playpen: Playpen) -> None:
-        """Reset the state, with the robots at their starts in a playpen that differs in nothing else."""
+        """Reset the state, with the robots at their starts in a playpen that is otherwise equal."""
         mujoco.mj_resetData(self.model, self._data)
-        for at, entry, own in zip(self.indices, playpen.robots, self._playpen.robots, strict=True):
+        for indices, entry, original in zip(self.indices, playpen.robots, self._playpen.robots, strict=True):
             start = entry.x_mm, entry.y_mm, entry.heading_deg
-            if start != (own.x_mm, own.y_mm, own.heading_deg):
-                self._data.qpos[at.pose : at.pose + 7] = _free_joint(start)
+            if start != (original.x_mm, original.y_mm, original.heading_deg):
+                self._data.qpos[indices.pose : indices.pose + 7] = _free_joint(start)
 
 
 def movable_names(playpen: Playpen) -> list[str]:
@@ -244,7 +249,7 @@ def _free_joint(start: Start) -> Floats:
 
 
 def timing(playpen: Playpen, motion_ns: int, step_ns: int) -> Timing:
-    """Return the divisions of time at steps of the physics and of all else [ns], and an arena's bounds."""
+    """Return the divisions of time, by the steps of physics and simulation [ns], and an arena's bounds."""
     width, height = playpen.arena.width_mm, playpen.arena.height_mm
     steps_per_motion = n_steps(motion_ns, step_ns)
     return Timing(
@@ -260,15 +265,7 @@ def timing(playpen: Playpen, motion_ns: int, step_ns: int) -> Timing:
 def robot_state(
     model: mujoco.MjModel, indices: RobotIndices, joints: Joints, measured: Calibration, entry: RobotEntry
 ) -> RobotState:
-    """Return the state of a robot before its start.
-
-    Args:
-        model: Model of the scene.
-        indices: Indices of the robot.
-        joints: Indices of its joints in the scene.
-        measured: Calibration of its sensors and motors.
-        entry: Entry of the playpen.
-    """
+    """Return the state of a robot before its start, by its calibration and its entry of the playpen."""
     return RobotState(
         *joints,
         radius=entry.body.radius,
@@ -291,12 +288,12 @@ def robot_state(
 
 
 def _announced(n_robots: int) -> AbstractContextManager[None]:
-    """Announce that the scene of many robots is made, which takes long."""
+    """Announce the compilation of a scene with many robots, which takes long."""
     if n_robots <= MANY_ROBOTS:
         return nullcontext()
-    begin, making = time.monotonic(), f"khep_twin: making the scene of {n_robots} robots"
+    start_s, title = time.monotonic(), f"khep_twin: making the scene of {n_robots} robots"
 
-    def passed() -> str:
-        return f"{making}: {time.monotonic() - begin:.0f} s"
+    def elapsed() -> str:
+        return f"{title}: {time.monotonic() - start_s:.0f} s"
 
-    return announced(f"{making}, which takes long", passed, passed)
+    return announced(f"{title}, which takes long", elapsed, elapsed)

@@ -1,8 +1,8 @@
 """State of MuJoCo's physics, and the fingerprint of the scene that it belongs to.
 
-MuJoCo's state for integration, with warm starts, is all that a step depends on, as long as nothing sleeps.
-Sleeping bodies keep the positions and forces of the step in which they fell asleep; these follow from their
-state when everything is computed once as if awake, and the lists of what is awake follow from `tree_asleep`.
+A step depends only on MuJoCo's state for integration, with warm starts, as long as no body sleeps. Sleeping
+bodies keep the positions and forces of the step in which they fell asleep. These are restored by one forward
+computation with all bodies awake, and the lists of awake bodies by `tree_asleep`.
 """
 
 # MuJoCo's types are partly unknown.
@@ -19,8 +19,8 @@ from pydantic import Base64UrlBytes, Field
 
 from khep_twin.simulation.faulty_wheels import FIELDS
 
-IN_A_RUN = ("body_pos", *FIELDS)
-"""Arrays of a model that a run changes: LEDs are moved in it, and faults change the wheels."""
+CHANGED_FIELDS = ("body_pos", *FIELDS)
+"""Arrays of a model that a run changes: LEDs are moved, and faults change the wheels."""
 
 _INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _AWAKE = -(1 + mujoco.mjMINAWAKE)
@@ -32,7 +32,7 @@ class PhysicsState(NamedTuple):
 
     Attributes:
         integration: MuJoCo's state for integration, as 64-bit floats.
-        sensors: Readings of MuJoCo's own sensors, likewise.
+        sensors: Readings of MuJoCo's sensors, as 64-bit floats.
         asleep: MuJoCo's `tree_asleep` (n_trees,).
         warnings: Number of warnings of each kind.
     """
@@ -52,19 +52,19 @@ def physics_state(model: mujoco.MjModel, data: mujoco.MjData) -> PhysicsState:
 
 
 def set_physics_state(model: mujoco.MjModel, data: mujoco.MjData, state: PhysicsState) -> None:
-    """Take over a state of the physics.
+    """Restore a state of the physics.
 
     Raises:
-        ValueError: It is of another scene, or none that MuJoCo could go on from.
+        ValueError: The state is of another scene, or MuJoCo cannot continue from it.
     """
     values, sensors = np.frombuffer(state.integration), np.frombuffer(state.sensors)
     size = mujoco.mj_stateSize(model, _INTEGRATION), model.nsensordata
-    found = len(values), len(sensors), len(state.asleep), len(state.warnings)
-    if found != (expected := (*size, model.ntree, len(data.warning.number))):
-        raise ValueError(f"a physical state of size {found}; expected {expected}")
-    # A tree that sleeps names the next one of those that fell asleep together, in a ring.
-    sleepers = [tree for tree, after in enumerate(state.asleep) if after >= 0]
-    if sorted(after for after in state.asleep if after >= 0) != sleepers:
+    sizes = len(values), len(sensors), len(state.asleep), len(state.warnings)
+    if sizes != (expected := (*size, model.ntree, len(data.warning.number))):
+        raise ValueError(f"a physical state of size {sizes}; expected {expected}")
+    # The value of a sleeping tree is the next one in a cycle of trees that fell asleep together.
+    sleepers = [tree for tree, next_tree in enumerate(state.asleep) if next_tree >= 0]
+    if sorted(next_tree for next_tree in state.asleep if next_tree >= 0) != sleepers:
         raise ValueError(f"sleeping trees {list(state.asleep)}; expected rings of them")
     mujoco.mj_resetData(model, data)
     mujoco.mj_setState(model, data, values, _INTEGRATION)
@@ -77,12 +77,12 @@ def set_physics_state(model: mujoco.MjModel, data: mujoco.MjData, state: Physics
     data.warning.number[:] = state.warnings
 
 
-def fingerprint(model: mujoco.MjModel, *more: object) -> str:
-    """Return a hash of what does not change in a compiled scene, and of `more`, by its `repr`."""
-    digest = hashlib.sha256(repr(more).encode("utf-8"))
+def fingerprint(model: mujoco.MjModel, *extras: object) -> str:
+    """Return a hash of the constant arrays of a compiled scene, and of the `repr` of `extras`."""
+    digest = hashlib.sha256(repr(extras).encode("utf-8"))
     digest.update(model.names)
     for name in sorted(vars(type(model))):
-        if not name.startswith("_") and name not in IN_A_RUN:
+        if not name.startswith("_") and name not in CHANGED_FIELDS:
             value = getattr(model, name)
             if isinstance(value, np.ndarray):
                 array: NDArray[np.generic] = value
@@ -92,7 +92,7 @@ def fingerprint(model: mujoco.MjModel, *more: object) -> str:
 
 
 def _check_history(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Raise a `ValueError` where a delayed sensor's buffer has no place to write next."""
+    """Raise a `ValueError` if the write index of a delayed sensor's buffer is invalid."""
     for samples, start in zip(model.sensor_history[:, 0], model.sensor_historyadr, strict=True):
         if samples and data.history[start + 1] not in range(samples):
             raise ValueError(
@@ -101,18 +101,19 @@ def _check_history(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def _list_awake(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """List what is awake, as MuJoCo does after each change of `tree_asleep`."""
+    """Update the lists of awake bodies, as MuJoCo does after each change of `tree_asleep`."""
     awake = data.tree_asleep < 0
-    trees, ruled = model.body_treeid, model.body_mocapid[model.body_rootid] >= 0
-    static = np.where(ruled, mujoco.mjtSleepState.mjS_AWAKE, mujoco.mjtSleepState.mjS_STATIC)
+    trees, is_mocap = model.body_treeid, model.body_mocapid[model.body_rootid] >= 0
+    static = np.where(is_mocap, mujoco.mjtSleepState.mjS_AWAKE, mujoco.mjtSleepState.mjS_STATIC)
     bodies = np.where(trees < 0, static, np.append(awake, False)[trees])
     data.tree_awake[:], data.body_awake[:] = awake, bodies
     data.ntree_awake = int(awake.sum())
-    moves = bodies != mujoco.mjtSleepState.mjS_ASLEEP
-    data.nbody_awake = _fill(data.body_awake_ind, np.flatnonzero(moves))
-    data.nparent_awake = _fill(data.parent_awake_ind, 1 + np.flatnonzero(moves[model.body_parentid[1:]]))
-    owners = model.dof_bodyid
-    data.nv_awake = _fill(data.dof_awake_ind, np.flatnonzero((trees[owners] >= 0) & (bodies[owners] > 0)))
+    is_moving = bodies != mujoco.mjtSleepState.mjS_ASLEEP
+    data.nbody_awake = _fill(data.body_awake_ind, np.flatnonzero(is_moving))
+    data.nparent_awake = _fill(data.parent_awake_ind, 1 + np.flatnonzero(is_moving[model.body_parentid[1:]]))
+    dof_bodies = model.dof_bodyid
+    is_awake = (trees[dof_bodies] >= 0) & (bodies[dof_bodies] > 0)
+    data.nv_awake = _fill(data.dof_awake_ind, np.flatnonzero(is_awake))
 
 
 def _fill(memory: NDArray[np.int32], values: NDArray[np.intp]) -> int:

@@ -1,4 +1,4 @@
-"""Compiled code, when it is ready: numba compiles in a process beside the run, which goes on meanwhile."""
+"""Compiled code when it is ready: numba compiles in a background process, while the run continues."""
 
 import importlib.util
 import subprocess
@@ -18,35 +18,32 @@ CODE = {
     "world": "khep_twin.simulation.compiled:advance",
     "episodes": "khep_twin.episodes.compiled:run",
     "plane": "khep_twin.episodes.planar.compiled:run",
-    "vision": "khep_twin.vision.compiled:see",
+    "vision": "khep_twin.vision.compiled:capture",
     "shadow": "khep_twin.shadow.compiled:advance",
 }
-"""Parts that are compiled, and their functions; that of the shadow is one of several."""
+"""Compiled parts and their functions; the shadow has several, of which this is one."""
 
-BESIDE = (
+BACKGROUND_NOTICE = (
     "khep_twin: numba compiles in the background, once per version; this run goes on uncompiled meanwhile, "
     "with the same results"
 )
-"""Announcement of a compilation beside a run."""
+"""Announcement of a compilation in the background."""
 
-NOT_KEPT = (
+NO_CACHE_REASON = (
     "numba can keep no code: neither the package's folder nor your cache folder can be written; expected one "
     "that can be in NUMBA_CACHE_DIR"
 )
-"""Reason and remedy where compiled code is lost with its process."""
+"""Reason and remedy if compiled code cannot be cached."""
 
 _PROCESSES: dict[str, "subprocess.Popen[bytes] | None"] = {}
-"""Processes that compile a part; None once one has failed."""
+"""Processes that compile a part; None after a failure."""
 
 
 def when_ready(part: str) -> Callable[..., Any] | None:
-    """Return the compiled function of a part; None while it is not compiled yet, or without numba.
+    """Return the compiled function of a part of `CODE`; None if it is not compiled yet, or without numba.
 
-    The first call for code that is not in numba's cache starts a process of low priority that compiles it,
-    and announces it on standard error. It may outlive this one.
-
-    Args:
-        part: Key of `CODE`.
+    If the code is not in numba's cache, the first call starts a low-priority process that compiles it, and
+    announces it on standard error. That process may outlive this one.
     """
     try:
         function: Any = function_of(part)
@@ -54,11 +51,11 @@ def when_ready(part: str) -> Callable[..., Any] | None:
         return None
     if is_cached(function):
         return function
-    if not can_be_kept(function):  # neither for this process nor for the next
-        _tell_once(f"khep_twin: this run stays uncompiled, with the same results, as {NOT_KEPT}")
+    if not can_cache(function):  # neither for this process nor for the next
+        _print_once(f"khep_twin: this run stays uncompiled, with the same results, as {NO_CACHE_REASON}")
         return None
     if part not in _PROCESSES:
-        print(BESIDE, file=sys.stderr, flush=True)
+        print(BACKGROUND_NOTICE, file=sys.stderr, flush=True)
         process = _PROCESSES[part] = subprocess.Popen(
             [sys.executable, "-m", "khep_twin", "compile", part],
             stdin=subprocess.DEVNULL,
@@ -79,24 +76,21 @@ def when_ready(part: str) -> Callable[..., Any] | None:
 
 
 @contextmanager
-def alone(part: str) -> Generator[None]:
-    """Wait while another process compiles a part, and keep others waiting meanwhile.
+def compile_lock(part: str) -> Generator[None]:
+    """Hold the lock for the compilation of a part of `CODE`, so that only one process compiles it.
 
-    They find the code in numba's cache then; of a process that is killed the next one takes over.
-
-    Args:
-        part: Key of `CODE`.
+    Other processes wait, and then find the code in numba's cache. The lock of a killed process is released.
     """
     function: Any = function_of(part)
     with ExitStack() as stack:
         if (folder := function.stats.cache_path) is not None:
-            with suppress(OSError):  # a file system without locks: each compiles
+            with suppress(OSError):  # a file system without locks: each process compiles
                 lock(stack.enter_context(Path(folder, f"compile-{part}.lock").open("ab")), waits=True)
         yield
 
 
 def function_of(part: str) -> Callable[..., Any]:
-    """Return the function of a part, which is compiled when it is first called; errors are `module_of`'s."""
+    """Return the function of a part, compiled at its first call; errors as for `module_of`."""
     return getattr(module_of(part), CODE[part].partition(":")[2])
 
 
@@ -104,9 +98,9 @@ def module_of(part: str) -> ModuleType:
     """Return the module of a part.
 
     Raises:
-        MissingNumbaError: numba is not installed, or switched off.
+        MissingNumbaError: numba is not installed, or disabled.
     """
-    if (missing := what_is_missing()) is not None:
+    if (missing := find_missing_numba()) is not None:
         raise missing
     try:
         return import_module(CODE[part].partition(":")[0])
@@ -114,8 +108,8 @@ def module_of(part: str) -> ModuleType:
         raise MissingNumbaError() from error
 
 
-def what_is_missing() -> MissingNumbaError | None:
-    """Return why nothing can be compiled here; None if it can."""
+def find_missing_numba() -> MissingNumbaError | None:
+    """Return the reason why nothing can be compiled here; None if numba is usable."""
     if importlib.util.find_spec("numba") is None:
         return MissingNumbaError()
     numba: Any = import_module("numba")
@@ -123,13 +117,13 @@ def what_is_missing() -> MissingNumbaError | None:
 
 
 def functions_of(part: str) -> list[Callable[..., Any]]:
-    """Return all compiled functions of a part; errors are those of `module_of`."""
+    """Return all compiled functions of a part; errors as for `module_of`."""
     module = module_of(part)
-    own = (each for each in vars(module).values() if getattr(each, "__module__", "") == module.__name__)
-    return [each for each in own if hasattr(each, "py_func")]
+    functions = [value for value in vars(module).values() if hasattr(value, "py_func")]
+    return [function for function in functions if function.__module__ == module.__name__]
 
 
-def can_be_kept(function: Any) -> bool:
+def can_cache(function: Any) -> bool:
     """Return whether numba has a folder for a function's compiled code."""
     return function.stats.cache_path is not None
 
@@ -138,13 +132,13 @@ def is_cached(function: Any) -> bool:
     """Return whether a function is compiled, in this process or in numba's cache."""
     if function.signatures:
         return True
-    if not can_be_kept(function):
+    if not can_cache(function):
         return False
-    # numba names the files of a function's code by its name, which has a stamp of the sources.
+    # numba names the files of a function's code by its name, which contains a digest of the sources.
     files = Path(function.stats.cache_path).glob(f"*{function.py_func.__qualname__}*.nbc")
     return next(files, None) is not None
 
 
 @cache
-def _tell_once(text: str) -> None:
+def _print_once(text: str) -> None:
     print(text, file=sys.stderr, flush=True)

@@ -1,18 +1,20 @@
-"""Transfer of the physical state to another scene: what both have by name goes on as it was.
+"""Transfer of the physical state to another scene, for all that both scenes have by name.
 
-Bodies, joints and motors go on with their positions, speeds and warm starts; the new scene's other things
-stand as it has them. Everything is awake, as what slept may have lost what it leant on.
+Bodies, joints and motors keep their positions, speeds and warm starts; new bodies start at their positions in
+the new scene. All bodies are awake, as sleeping ones may have lost their support.
 """
 
 # MuJoCo's types are partly unknown.
 # pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
 # pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false, reportArgumentType=false
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
 
 Scene = tuple[mujoco.MjModel, mujoco.MjData]
 """Model and state of a scene."""
@@ -22,66 +24,65 @@ _SPEEDS = {0: 6, 1: 3, 2: 1, 3: 1}
 """Number of values of each type of joint: free, ball, slide, hinge."""
 
 
-def transfer_state(old: Scene, new: Scene, placed: Sequence[str]) -> None:
+def transfer_state(old: Scene, new: Scene, placed_bodies: Sequence[str]) -> None:
     """Set the state of a new scene to that of an old one, for all that both have.
 
     Args:
-        old: Scene whose state goes on.
-        new: Scene, reset.
-        placed: Names of the bodies that stand as the new scene has them, at rest.
+        old: Scene whose state is transferred.
+        new: New scene after a reset.
+        placed_bodies: Names of the bodies that keep their poses in the new scene, at rest.
     """
-    (model, data), (into, fresh) = old, new
+    (model, data), (new_model, new_data) = old, new
     joints = _joints(model)
-    for (body, turn), joint in _joints(into).items():
-        source = joints.get((body, turn))
-        if body in placed or source is None or model.jnt_type[source] != into.jnt_type[joint]:
+    for (body, index), joint in _joints(new_model).items():
+        source = joints.get((body, index))
+        if body in placed_bodies or source is None or model.jnt_type[source] != new_model.jnt_type[joint]:
             continue
-        kind = int(into.jnt_type[joint])
-        _copy(fresh.qpos, into.jnt_qposadr[joint], data.qpos, model.jnt_qposadr[source], _POSITIONS[kind])
-        for speeds, before in ((fresh.qvel, data.qvel), (fresh.qacc_warmstart, data.qacc_warmstart)):
-            _copy(speeds, into.jnt_dofadr[joint], before, model.jnt_dofadr[source], _SPEEDS[kind])
+        kind = int(new_model.jnt_type[joint])
+        start, source_start = new_model.jnt_qposadr[joint], model.jnt_qposadr[source]
+        _copy(new_data.qpos, start, data.qpos, source_start, _POSITIONS[kind])
+        start, source_start = new_model.jnt_dofadr[joint], model.jnt_dofadr[source]
+        _copy(new_data.qvel, start, data.qvel, source_start, _SPEEDS[kind])
+        _copy(new_data.qacc_warmstart, start, data.qacc_warmstart, source_start, _SPEEDS[kind])
     names = {model.actuator(index).name: index for index in range(model.nu)}
-    for motor in range(into.nu):
-        if (source := names.get(into.actuator(motor).name)) is not None:
-            fresh.ctrl[motor] = data.ctrl[source]
+    for motor in range(new_model.nu):
+        if (source := names.get(new_model.actuator(motor).name)) is not None:
+            new_data.ctrl[motor] = data.ctrl[source]
     _transfer_sensors(old, new)
-    fresh.time = data.time
+    new_data.time = data.time
 
 
-def place(scene: Scene, body: str, x: float, y: float, heading: float) -> None:
+def place_body(scene: Scene, body: str, x: float, y: float, heading: float) -> None:
     """Put a body with a free joint upright and at rest at a position [m] with a heading [rad]."""
     model, data = scene
     joint = int(model.body(body).jntadr[0])
-    at, half = int(model.jnt_qposadr[joint]), heading / 2
-    data.qpos[at : at + 2] = x, y
-    data.qpos[at + 3 : at + 7] = np.cos(half), 0, 0, np.sin(half)
+    address, half = int(model.jnt_qposadr[joint]), heading / 2
+    data.qpos[address : address + 2] = x, y
+    data.qpos[address + 3 : address + 7] = np.cos(half), 0, 0, np.sin(half)
 
 
 def _joints(model: mujoco.MjModel) -> dict[tuple[str, int], int]:
-    """Return the joints of a scene by their body's name and their turn there."""
-    return dict(_named(model))
+    """Return the joints of a scene by their body's name and their index among its joints."""
+    bodies: list[int] = model.jnt_bodyid.tolist()
+    names = ((model.body(body).name, body, joint) for joint, body in enumerate(bodies))
+    return {(name, joint - int(model.body_jntadr[body])): joint for name, body, joint in names}
 
 
-def _named(model: mujoco.MjModel) -> Iterator[tuple[tuple[str, int], int]]:
-    for joint in range(model.njnt):
-        body = int(model.jnt_bodyid[joint])
-        yield (model.body(body).name, joint - int(model.body_jntadr[body])), joint
-
-
-def _copy(into: NDArray[np.float64], start: int, source: NDArray[np.float64], at: int, count: int) -> None:
-    into[start : start + count] = source[at : at + count]
+def _copy(target: Floats, start: int, source: Floats, source_start: int, count: int) -> None:
+    target[start : start + count] = source[source_start : source_start + count]
 
 
 def _transfer_sensors(old: Scene, new: Scene) -> None:
-    """Transfer readings of MuJoCo's own sensors, with those that are on their way."""
-    (model, data), (into, fresh) = old, new
+    """Transfer the readings of MuJoCo's sensors, with the delayed ones."""
+    (model, data), (new_model, new_data) = old, new
     names = {model.sensor(index).name: index for index in range(model.nsensor)}
-    for sensor in range(into.nsensor):
-        source = names.get(into.sensor(sensor).name)
-        dim, samples = int(into.sensor_dim[sensor]), int(into.sensor_history[sensor, 0])
+    for sensor in range(new_model.nsensor):
+        source = names.get(new_model.sensor(sensor).name)
+        dim, samples = int(new_model.sensor_dim[sensor]), int(new_model.sensor_history[sensor, 0])
         if source is None or (dim, samples) != (model.sensor_dim[source], model.sensor_history[source, 0]):
             continue
-        _copy(fresh.sensordata, into.sensor_adr[sensor], data.sensordata, model.sensor_adr[source], dim)
+        start, source_start = new_model.sensor_adr[sensor], model.sensor_adr[source]
+        _copy(new_data.sensordata, start, data.sensordata, source_start, dim)
         if samples:
-            start, at = into.sensor_historyadr[sensor], model.sensor_historyadr[source]
-            _copy(fresh.history, start, data.history, at, 2 + samples * (1 + dim))
+            start, source_start = new_model.sensor_historyadr[sensor], model.sensor_historyadr[source]
+            _copy(new_data.history, start, data.history, source_start, 2 + samples * (1 + dim))

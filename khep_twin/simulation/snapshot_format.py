@@ -1,7 +1,7 @@
-"""Snapshots as bytes: a mark, a version, the fingerprint of the scene, and the state as compressed JSON.
+"""Snapshots as bytes: magic bytes, a version, the fingerprint of the scene, and the state as compressed JSON.
 
-Each part of a simulation has a named tuple for its state, with types and ranges, and these nest. A snapshot
-may come from anyone with a log, so pydantic checks all of it; arrays are their bytes, in base64.
+The state consists of nested named tuples, one for each part of a simulation, with types and ranges. A
+snapshot may come from an untrusted log, so pydantic validates all of it. Arrays are stored as their bytes in base64.
 """
 
 import struct
@@ -14,52 +14,52 @@ from pydantic import TypeAdapter, ValidationError
 from khep_twin.errors import SnapshotError
 
 VERSION = 2
-"""Version of the format; it rises when a state has other fields."""
+"""Version of the format, incremented when the fields of a state change."""
 
-_MARK = b"KHEPSNAP"
-_HEAD = struct.Struct("<8sH16s")
+_MAGIC = b"KHEPSNAP"
+_HEADER = struct.Struct("<8sH16s")
 
-_LARGEST = 64 << 20
-"""Most bytes of an unpacked snapshot that are read."""
+_MAX_SIZE = 64 << 20
+"""Largest accepted size of an unpacked snapshot [bytes]."""
 
 _State = TypeVar("_State", bound=NamedTuple)
 
 
 def pack(state: NamedTuple, scene: str) -> bytes:
-    """Return a state of a scene with this fingerprint as bytes."""
+    """Return the snapshot of a state of the scene with this fingerprint."""
     packed = zlib.compress(_adapter(type(state)).dump_json(state), 6)
-    return _HEAD.pack(_MARK, VERSION, bytes.fromhex(scene)) + packed
+    return _HEADER.pack(_MAGIC, VERSION, bytes.fromhex(scene)) + packed
 
 
 def unpack(data: bytes, kind: type[_State], scene: str | None) -> _State:
-    """Return the state of a scene with this fingerprint, or of any scene with None.
+    """Return the state in a snapshot of the scene with this fingerprint, or of any scene with None.
 
     Raises:
-        SnapshotError: The bytes are no such snapshot.
+        SnapshotError: The bytes are no snapshot of this scene.
     """
-    if len(data) < _HEAD.size or data[: len(_MARK)] != _MARK:
+    if len(data) < _HEADER.size or data[: len(_MAGIC)] != _MAGIC:
         raise SnapshotError(f"{len(data)} bytes that begin with {data[:8].hex() or 'nothing'}: no snapshot")
-    _, version, found = _HEAD.unpack_from(data)
+    _, version, scene_hash = _HEADER.unpack_from(data)
     if version != VERSION:
         raise SnapshotError(key="version of the snapshot", value=version, expected=str(VERSION))
-    if scene is not None and found.hex() != scene:
+    if scene is not None and scene_hash.hex() != scene:
         raise SnapshotError(
-            f"the snapshot is of another scene, {found.hex()}; expected {scene}, this world's"
+            f"the snapshot is of another scene, {scene_hash.hex()}; expected {scene}, this world's"
         )
     inflater = zlib.decompressobj()
     try:
-        text = inflater.decompress(data[_HEAD.size :], _LARGEST)
+        text = inflater.decompress(data[_HEADER.size :], _MAX_SIZE)
     except zlib.error as error:
         raise SnapshotError(f"the snapshot cannot be unpacked: {error}") from None
     if not inflater.eof:
-        raise SnapshotError(f"the snapshot is torn, or larger than {_LARGEST >> 20} MiB")
+        raise SnapshotError(f"the snapshot is torn, or larger than {_MAX_SIZE >> 20} MiB")
     try:
         return _adapter(kind).validate_json(text, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
-        given = repr(first["input"])[:40]
-        raise SnapshotError(f"snapshot: {place} = {given}: {first['msg']}") from None
+        location = ".".join(map(str, first["loc"]))
+        value = repr(first["input"])[:40]
+        raise SnapshotError(f"snapshot: {location} = {value}: {first['msg']}") from None
 
 
 @cache

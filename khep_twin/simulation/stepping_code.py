@@ -1,10 +1,10 @@
-"""Choice of the code that steps a world: plain at first, compiled from where that saves time."""
+"""Choice of the code that steps a world: plain code first, compiled code when it saves time."""
 
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.simulation.simulation import Advance, Simulation
 
-_STEPS_WORTH_LOADING = 30_000
-"""Steps of one robot from which on compiled code saves more time than its loading takes."""
+_MIN_STEPS = 30_000
+"""Steps of one robot after which compiled code saves more time than its loading takes."""
 
 
 class SteppingCode:
@@ -12,11 +12,11 @@ class SteppingCode:
 
     Args:
         simulation: Simulation.
-        compiled: Whether to step by compiled code; None to change over to it in a long run, once it is ready.
+        compiled: Whether to step by compiled code; None to switch to it in a long run, once it is ready.
 
     Attributes:
-        switch_at: Number of steps from which on to look for compiled code; None for never. Loading it takes
-            half a second, so a run in real time does without.
+        switch_at: Number of steps after which to check for compiled code; None for never. Loading the code
+            takes half a second, so a run in real time does not switch.
     """
 
     def __init__(self, simulation: Simulation, compiled: bool | None) -> None:
@@ -24,12 +24,12 @@ class SteppingCode:
         self.switch_at: int | None = None
         n_robots = len(simulation.records)
         if compiled is None and n_robots:
-            self.switch_at = _STEPS_WORTH_LOADING // n_robots
+            self.switch_at = _MIN_STEPS // n_robots
         elif compiled:
             self.compile()
 
     def compile(self) -> None:
-        """Step by compiled code from now on; the first time may take some seconds.
+        """Switch to compiled code; the first time may take some seconds.
 
         Raises:
             MissingNumbaError: numba is not installed.
@@ -37,15 +37,15 @@ class SteppingCode:
         self._use(function_of("world"))
 
     def switch_if_ready(self) -> None:
-        """Step by compiled code from now on if it is ready; if not, have it compiled, and look later."""
+        """Switch to compiled code if it is ready; if not, start its compilation and check again later."""
         if (advance := when_ready("world")) is None:
-            self.switch_at = self._simulation.steps + _STEPS_WORTH_LOADING // 10
+            self.switch_at = self._simulation.steps + _MIN_STEPS // 10
         else:
             self._use(advance)
 
     def _use(self, advance: Advance) -> None:
         self.switch_at = None
-        if len(self._simulation.records):  # without any robot there is nothing to compile
+        if len(self._simulation.records):  # without robots there is nothing to compile
             self._simulation.step_with(advance, compiled=True)
-            # The code is loaded by its first call: now, and not when a host waits for a reply.
+            # The first call loads the code: now, rather than while a host waits for a reply.
             self._simulation.advance(self._simulation.steps)

@@ -1,4 +1,4 @@
-"""Places of turrets in a world."""
+"""Interface between turrets and their world."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -13,7 +13,7 @@ from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.simulation import Simulation
 
 _TURRET_KEY = 0x85EBCA6B
-"""Factor that turns the number of a turret into a word of its key: any odd one."""
+"""Factor from the number of a turret to a word of its key: any odd number."""
 
 
 class TurretWorld(Protocol):
@@ -31,12 +31,12 @@ class TurretWorld(Protocol):
         ...
 
     def turret_bodies(self, name: str) -> list[TurretBody | None]:
-        """Return the bodies of all turrets of a kind, by the index of their robot; None for one without."""
+        """Return the bodies of the turrets of a kind, by the index of their robot; None for robots without."""
         ...
 
 
 class TurretPlace:
-    """Place of a turret in a world, a `TurretContext`.
+    """Interface of a world to one turret, which implements `TurretContext`.
 
     Args:
         world: World of the robot.
@@ -54,9 +54,13 @@ class TurretPlace:
         registers: NDArray[np.int64],
         state: NDArray[np.void],
     ) -> None:
-        self.model, self.data, self.robot, self.registers = world.model, world.data, robot, registers
+        self.model, self.data = world.model, world.data
+        self.robot = robot
+        self.registers = registers
         self.prefix = f"khepera{robot}/{kind.name}/"
-        self._world, self._kind, self._state = world, kind, state
+        self._world = world
+        self._kind = kind
+        self._state = state
 
     @property
     def time_ns(self) -> int:
@@ -65,18 +69,18 @@ class TurretPlace:
 
     @property
     def lamps(self) -> list[tuple[float, float, float, float]]:
-        """Positions [m] and present power [W] of the lamps: x, y, z, power."""
+        """Positions [m] and current powers [W] of the lamps: x, y, z, power."""
         lamps = zip(self._world.lamps.positions, self._world.simulation.powers, strict=True)
-        return [(*at, power) for at, power in lamps]
+        return [(*position, power) for position, power in lamps]
 
     @property
     def room_lux(self) -> float:
-        """Illuminance by the room's own light [lx]."""
+        """Illuminance by the room's lighting [lx]."""
         return self._world.playpen.lighting.room_lux
 
     @property
     def key(self) -> tuple[int, int]:
-        """Words of the key of the turret's random draws: those of the robot's sensors, told apart."""
+        """Words of the key of the turret's random draws, derived from those of the robot's sensors."""
         low, high = self._state["noise"].tolist()
         return low ^ (self._kind.number + 1) * _TURRET_KEY & 0xFFFFFFFF, high
 
@@ -92,10 +96,10 @@ class TurretPlace:
 
     @property
     def is_compiled(self) -> bool:
-        """True if the world is stepped by compiled code, so that a body may use such code, too."""
+        """True if the world is stepped by compiled code, which a body may then also use."""
         return self._world.simulation.is_compiled
 
     @property
     def peers(self) -> list[TurretBody | None]:
-        """Bodies of the turrets of this kind, by the index of their robot; None for a robot without."""
+        """Bodies of the turrets of this kind, by the index of their robot; None for robots without one."""
         return self._world.turret_bodies(self._kind.name)

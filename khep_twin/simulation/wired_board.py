@@ -16,10 +16,10 @@ from khep_twin.randomness import position, resume
 from khep_twin.simulation.world_state import BoardState, HostState
 
 REPLY_LIMIT = 256
-"""Bytes of replies queued before the firmware takes no more commands (assumed)."""
+"""Bytes of queued replies above which the firmware accepts no further command (assumed)."""
 
-_MOST_WARNINGS = 100
-"""Most speeds of a host that are reported; a host may try millions."""
+_MAX_WARNINGS = 100
+"""Largest number of warnings about baud rates of a host, which may try millions."""
 
 
 class LineWorld(Protocol):
@@ -31,12 +31,10 @@ class LineWorld(Protocol):
         ...
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Log bytes on a line, the last of them at `time_ns`."""
-        ...
+        """Log bytes on a line, of which the last one arrives at `time_ns`."""
 
     def on_host_event(self, robot: int, event: HostEvent) -> None:
-        """Log a host's action now."""
-        ...
+        """Log an action of the host at the current time."""
 
 
 class BoardFirmware(Protocol):
@@ -44,9 +42,9 @@ class BoardFirmware(Protocol):
 
     Attributes:
         turrets: Turrets on top, by their kinds.
-        baud: Speed of the serial line from the next reply on [baud].
-        reply_baud: Speed of the line for the last reply [baud].
-        answer_ns: Time that it takes to answer [ns]; what arrives meanwhile is dropped, unless it is 0.
+        baud: Baud rate for the next reply and later ones.
+        reply_baud: Baud rate for the last reply.
+        answer_ns: Time until a reply [ns]; unless it is 0, bytes that arrive meanwhile are dropped.
     """
 
     turrets: Mapping[TurretKind, Turret]
@@ -64,16 +62,14 @@ class BoardFirmware(Protocol):
         ...
 
     def remedy(self, baud: int) -> str:
-        """Return a hint for setting the robot's line to a host's speed [baud]."""
+        """Return how to set the robot's port to a host's baud rate."""
         ...
 
     def forget_line(self) -> None:
         """Discard the incomplete line."""
-        ...
 
     def forget(self) -> None:
-        """Clear what a reset clears besides registers."""
-        ...
+        """Clear all that a reset clears, except registers."""
 
     def reset(self) -> bytes:
         """Reset the board, as at power-up; return the banner."""
@@ -84,8 +80,7 @@ class BoardFirmware(Protocol):
         ...
 
     def set_state(self, state: Any) -> None:
-        """Take over a state, a `FirmwareState`."""
-        ...
+        """Restore a state, a `FirmwareState`."""
 
 
 class WiredBoard:
@@ -97,10 +92,10 @@ class WiredBoard:
         firmware: Command interpreter.
         faults: Faults of the robot.
         unpaced: True for a line without delay.
-        noise: Stream that garbles the bytes between ends of different speed; None for bytes as they are.
+        noise: Random stream that garbles bytes if the baud rates differ; None to pass them unchanged.
 
     Attributes:
-        index: Index among the playpen's robots.
+        index: Index of the robot.
         firmware: Command interpreter.
         uart: Serial line.
         faults: Faults of the robot.
@@ -115,34 +110,37 @@ class WiredBoard:
         unpaced: bool,
         noise: np.random.Generator | None,
     ) -> None:
-        self.index, self.firmware = index, firmware
+        self.index = index
+        self.firmware = firmware
         self.uart = Uart(0 if unpaced else firmware.baud)
         self.faults = faults
-        self._world, self._unpaced = world, unpaced
+        self._world = world
+        self._unpaced = unpaced
         self._line_noise: np.random.Generator | None = noise
         self._baud = firmware.baud
         self._host: LineSettings | None = None
         self._warned: set[tuple[int, int]] = set()
 
-    def compare_line(self, host: LineSettings | None) -> str:
-        """Set the host's end of the line; None for the robot's own settings.
+    def set_host_line(self, host: LineSettings | None) -> str:
+        """Set the line settings of the host; None for those of the robot.
 
-        A host's bytes cross at the host's speed. If it differs from the robot's, bytes arrive unchanged, or
-        garbled in both directions on a strict line.
+        The host's bytes are transmitted at its baud rate. If that differs from the robot's, bytes arrive
+        unchanged, or garbled in both directions on a strict line.
 
         Returns:
-            Warning of a different speed; empty if the speeds agree or the warning was given before. The
+            Warning of a different baud rate; empty if the rates agree or the warning was given before. The
             robot accepts one stop bit as well as two.
         """
         is_new, self._host, baud = host is not self._host and host != self._host, host, self._baud
-        differs = host is not None and host.baud != baud and (host.baud, baud) not in self._warned
-        warns = differs and len(self._warned) < _MOST_WARNINGS
-        if is_new or warns:
-            self._world.on_host_event(self.index, HostEvent(HostEventKind.SET, self._world.time_ns, host))
-        if not warns or host is None:
+        is_different = host is not None and host.baud != baud and (host.baud, baud) not in self._warned
+        must_warn = is_different and len(self._warned) < _MAX_WARNINGS
+        if is_new or must_warn:
+            event = HostEvent(HostEventKind.LINE_SETTINGS, self._world.time_ns, host)
+            self._world.on_host_event(self.index, event)
+        if not must_warn or host is None:
             return ""
         self._warned.add((host.baud, baud))
-        outcome = "taken all the same" if self._line_noise is None else "garbled"
+        outcome = "still accepted" if self._line_noise is None else "garbled"
         return (
             f"the host has its line at {host.baud} baud, the robot's has {baud}; the bytes are {outcome}; "
             f"{self.firmware.remedy(host.baud)}"
@@ -154,46 +152,46 @@ class WiredBoard:
         self._world.on_host_event(self.index, HostEvent(HostEventKind.SEND, time_ns, self._host, data))
         if not self._unpaced:
             self.uart.rx.baud = (self._host and self._host.baud) or self._baud
-        self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
+        self.uart.rx.send(self._transmit(data, time_ns), time_ns)
         if self._unpaced:
-            # Where no time passes the order of sending and answering is that of the host's actions alone.
+            # Without delay, the order of commands and replies is that of the host's actions.
             self.exchange(self._world.time_ns)
 
     def flush(self) -> None:
-        """Drop the host's bytes that have not reached the robot yet."""
+        """Drop the host's bytes that have not yet reached the robot."""
         self._world.on_host_event(self.index, HostEvent(HostEventKind.FLUSH, self._world.time_ns, self._host))
         self.uart.rx.flush(self._world.time_ns)
 
     def disconnect(self) -> None:
-        """Disconnect the host: execute its whole commands without replies, and drop an incomplete one."""
+        """Disconnect the host: execute its complete commands without replies, and drop an incomplete one."""
         time_ns = self._world.time_ns
         self._world.on_host_event(self.index, HostEvent(HostEventKind.DISCONNECT, time_ns, self._host))
         rx, tx = self.uart.rx, self.uart.tx
-        if sent := rx.read(rx.arrival(len(rx)) or time_ns):
+        if sent := rx.read(rx.arrival_ns(len(rx)) or time_ns):
             self._world.on_bytes(time_ns, self.index, True, sent)
             self.firmware.receive(sent)
-            self._take_speed(self.firmware.baud)
+            self._set_baud(self.firmware.baud)
         self.firmware.forget_line()
         tx.read(time_ns)
         for line in (rx, tx):
             line.flush(time_ns)
 
     def next_command_ns(self) -> int | None:
-        """Return the time when the firmware takes the next whole command [ns], None without one on the line.
+        """Return when the firmware accepts the next complete command [ns]; None without one on the line.
 
-        It has arrived then, and at most REPLY_LIMIT bytes of replies are still to be sent.
+        By then it has arrived, and at most REPLY_LIMIT bytes of replies are queued.
         """
         command = self._next_command()
         return command and command[1]
 
     def next_exchange_ns(self) -> int | None:
-        """Return the earliest time for which `exchange` has something to do [ns], None for an empty line."""
+        """Return the earliest time at which `exchange` must be called [ns]; None for an empty line."""
         if (first_ns := self.uart.rx.next_ns) is None:
             return None
         return first_ns if (command := self._next_command()) is None else command[1]
 
     def next_answer_ns(self) -> int | None:
-        """Return the earliest time of the firmware's next output [ns], None if none is due.
+        """Return the earliest time of the firmware's next output [ns]; None if none is expected.
 
         A command causes a reply, and a brown-out fault the banner.
         """
@@ -201,7 +199,7 @@ class WiredBoard:
         brown_out_ns = self.faults.next_brown_out_ns()
         if brown_out_ns is None or not self.firmware.powered:
             return command_ns
-        # Faults happen in control ticks, the next of them for a fault added to a run that was past its time.
+        # Faults happen in control ticks; a fault that was added after its time happens in the next one.
         next_tick = self._world.time_ns // units.TICK_NS + 1
         tick_ns = units.TICK_NS * max(-(-brown_out_ns // units.TICK_NS), next_tick)
         return tick_ns if command_ns is None else min(command_ns, tick_ns)
@@ -214,34 +212,34 @@ class WiredBoard:
             line = rx.read(taken_ns, count)
             self._world.on_bytes(taken_ns, self.index, True, line)
             answer = self.firmware.receive(line)
-            # A restart sets the speed before its banner, the tool `serial` after its reply.
-            self._take_speed(self.firmware.reply_baud)
+            # A restart sets the baud rate before its banner, the tool `serial` after its reply.
+            self._set_baud(self.firmware.reply_baud)
             if answer:
                 answer_ns = taken_ns + self.firmware.answer_ns
                 if self.firmware.answer_ns and (dropped := rx.read(answer_ns)):
                     self._world.on_bytes(answer_ns, self.index, True, dropped)
                 self._reply(answer, answer_ns)
-            self._take_speed(self.firmware.baud)
-        # The bytes of an incomplete command are read at once; a whole one that waits stays whole.
-        if command is None and (count := rx.arrived(time_ns)):
-            arrival_ns = rx.arrival(count) or time_ns
-            begun = rx.read(time_ns)
-            self._world.on_bytes(arrival_ns, self.index, True, begun)
-            self.firmware.receive(begun)
+            self._set_baud(self.firmware.baud)
+        # The bytes of an incomplete command are read immediately; a complete command waits as a whole.
+        if command is None and (count := rx.count_arrived(time_ns)):
+            arrival_ns = rx.arrival_ns(count) or time_ns
+            fragment = rx.read(time_ns)
+            self._world.on_bytes(arrival_ns, self.index, True, fragment)
+            self.firmware.receive(fragment)
 
     def reset_processor(self) -> None:
-        """Reset the firmware as a short loss of supply does: its banner follows at its first speed."""
+        """Reset the firmware, as after a short power failure; its banner follows at its initial baud rate."""
         if banner := self.firmware.reset():
-            self._take_speed(self.firmware.reply_baud)
+            self._set_baud(self.firmware.reply_baud)
             self._reply(banner, self._world.time_ns)
 
     def stop_processor(self) -> None:
-        """Stop the firmware for want of supply: what it has begun to do or say is lost."""
+        """Stop the firmware for lack of supply voltage; incomplete commands and queued replies are lost."""
         self.firmware.forget()
         self.uart.tx.flush(self._world.time_ns)
 
     def board_state(self, since_ns: int = -1) -> BoardState:
-        """Return the state, with the replies that reach the host after a time [ns]."""
+        """Return the state, with the replies that arrive at the host after a time [ns]."""
         settings = None if self._host is None else (self._host.baud, self._host.stop_bits)
         return BoardState(
             self.firmware.state(),
@@ -254,10 +252,10 @@ class WiredBoard:
         )
 
     def set_board_state(self, state: BoardState) -> None:
-        """Take over a state.
+        """Restore a state.
 
         Raises:
-            ValueError: It is of another robot, or another line.
+            ValueError: The state is of another robot, or of another line.
         """
         if (state.line_noise is None) != (self._line_noise is None):
             raise ValueError(
@@ -274,35 +272,35 @@ class WiredBoard:
         self._warned = set(state.host.warned)
 
     def reseed_line(self, rng: Callable[..., np.random.Generator]) -> None:
-        """Draw from other random streams of line and faults from now on."""
+        """Use other random streams for line noise and faults."""
         if self._line_noise is not None:
             self._line_noise = rng("line")
         self.faults.reseed(partial(rng, "fault"))
 
     def _next_command(self) -> tuple[int, int] | None:
-        """Return the length of the next whole command on the line and when it is taken [ns]; None without."""
+        """Return length and time of acceptance of the next complete command [ns]; None without one."""
         rx, tx = self.uart.rx, self.uart.tx
-        if rx.next_ns is None or (count := rx.count_to(LINE_END)) is None:
+        if rx.next_ns is None or (count := rx.count_to_match(LINE_END)) is None:
             return None
-        room_ns = tx.arrival(len(tx) - REPLY_LIMIT) if len(tx) > REPLY_LIMIT else None
-        return count, max(rx.arrival(count) or 0, room_ns or 0)
+        space_ns = tx.arrival_ns(len(tx) - REPLY_LIMIT) if len(tx) > REPLY_LIMIT else None
+        return count, max(rx.arrival_ns(count) or 0, space_ns or 0)
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
         """Send a reply."""
         time_ns += self.faults.delay_ns(time_ns)
-        answer = self._over_the_line(answer, time_ns)
-        self._world.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
+        answer = self._transmit(answer, time_ns)
+        self._world.on_bytes(self.uart.tx.send(answer, time_ns), self.index, False, answer)
 
-    def _take_speed(self, baud: int) -> None:
-        """Set the robot's end of the line to a speed of the firmware."""
+    def _set_baud(self, baud: int) -> None:
+        """Set the baud rate of the robot's port."""
         self._baud = baud
         if not self._unpaced:
             self.uart.tx.baud = baud
 
-    def _over_the_line(self, data: bytes, time_ns: int) -> bytes:
-        """Return the bytes as they arrive at the other end of the cable."""
+    def _transmit(self, data: bytes, time_ns: int) -> bytes:
+        """Return the bytes that arrive at the other end of the cable."""
         mismatched = self._host is not None and self._host.baud != self._baud
         if mismatched and self._line_noise is not None:
             errors = self._line_noise.integers(1, 256, len(data)).tolist()
             data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
-        return self.faults.over_the_line(data, time_ns)
+        return self.faults.transmit(data, time_ns)

@@ -1,4 +1,4 @@
-"""State of a world and its robots, part by part, as a snapshot has it."""
+"""State of a world and its robots, as stored in a snapshot."""
 
 from typing import Annotated, NamedTuple
 
@@ -18,8 +18,8 @@ class HostState(NamedTuple):
     """Known state of a robot's host.
 
     Attributes:
-        settings: Speed [baud] and stop bits of its end of the line; None for the robot's own.
-        warned: Speeds of host and robot that a warning was given of [baud].
+        settings: Baud rate and stop bits of the host's port; None for those of the robot.
+        warned: Pairs of baud rates of host and robot for which a warning was given.
     """
 
     settings: tuple[Annotated[int, Field(ge=0, le=10**9)], int] | None
@@ -44,16 +44,16 @@ class RobotSnapshot(NamedTuple):
     Attributes:
         firmware: State of the firmware.
         registers: State of the board, as 64-bit integers.
-        processor: State of the processor, likewise.
-        sensor_states: State of each sensor, SOUND, STUCK or DEAD of `step`, likewise.
-        strengths: Part of its torque that each motor gives, as 64-bit floats.
-        voltage: Supply voltage as measured last [V], as one 64-bit float.
-        stopped: Whether the processor has stopped for want of voltage.
-        baud: Speed of the robot's end of the line [baud].
+        processor: State of the processor, as 64-bit integers.
+        sensor_states: State of each sensor, SOUND, STUCK or DEAD of `step`, as 64-bit integers.
+        strengths: Part of its torque that each motor delivers, as 64-bit floats.
+        voltage: Supply voltage at the last measurement [V], as one 64-bit float.
+        is_stopped: Whether the processor has stopped for lack of voltage.
+        baud: Baud rate of the robot's serial port.
         rx: Bytes to the robot.
         tx: Bytes to the host.
         host: Known state of its host.
-        leds: LEDs as shown, 1 for a lit one.
+        leds: Displayed LEDs, 1 for on.
         faults: State of the faults.
         line_noise: Position in the random stream of a strict line; None for a lenient one.
     """
@@ -64,7 +64,7 @@ class RobotSnapshot(NamedTuple):
     sensor_states: Base64UrlBytes
     strengths: Base64UrlBytes
     voltage: Base64UrlBytes
-    stopped: bool
+    is_stopped: bool
     baud: Annotated[int, Field(gt=0, le=10**9)]
     rx: LineState
     tx: LineState
@@ -82,11 +82,11 @@ class WorldState(NamedTuple):
         physics: State of the physics.
         simulation: State of the stepping core.
         robots: State of each robot.
-        lamps: All lamps, which may have been set up anew.
+        lamps: All lamps, which may differ from those of the playpen.
         lighting: Their lighting.
         lamps_state: State of the lamps.
         lamps_stream: Position in their random stream.
-        untold: Events for observers that are still to come: robot and text.
+        pending_events: Events of which observers have not been notified: robot and text.
         failure: Message of the error that has ended the run; empty for none.
     """
 
@@ -98,5 +98,5 @@ class WorldState(NamedTuple):
     lighting: Lighting
     lamps_state: LampsState
     lamps_stream: StreamState
-    untold: tuple[tuple[int | None, str], ...]
+    pending_events: tuple[tuple[int | None, str], ...]
     failure: str

@@ -20,7 +20,7 @@ from khep_twin.episodes.controllers import Driver, Floats, Function
 from khep_twin.errors import ControllerError, choices, in_a_line
 from khep_twin.files.atomic import read_regular
 from khep_twin.files.text import decode
-from khep_twin.files.toml_files import show
+from khep_twin.files.toml_files import format_value
 from khep_twin.randomness import stream
 from khep_twin.signals import is_interruption
 from khep_twin.sweep.study import NetworkTable, StudyFile
@@ -81,7 +81,7 @@ def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int)
     if table.genomes is None:
         return np.zeros((1, 0))
     location = (kind, index, "genomes")
-    key = f"{kind} {index + 1}: genomes = {show(table.genomes)}"
+    key = f"{kind} {index + 1}: genomes = {format_value(table.genomes)}"
     try:
         genomes = _read_genomes(file.folder / table.genomes)
     except (OSError, ValueError, TypeError) as error:

@@ -25,7 +25,14 @@ import pyarrow.parquet as pq
 
 from khep_twin import __version__
 from khep_twin.errors import StudyError
-from khep_twin.files.atomic import is_part, kept_both, open_regular, put, read_regular, write_whole
+from khep_twin.files.atomic import (
+    is_part,
+    name_taken_message,
+    open_regular,
+    read_regular,
+    rename_into_place,
+    write_atomic,
+)
 from khep_twin.machine import lock
 from khep_twin.sweep.run_shard import Columns
 from khep_twin.sweep.shards import Shard, Work
@@ -92,7 +99,7 @@ class SweepFolder:
 
     def save(self, task: Shard, data: bytes) -> None:
         """Store a task's results."""
-        write_whole(self._part_path(task), data)
+        write_atomic(self._part_path(task), data)
 
     def finish(self) -> Path:
         """Join all parts into one table; return its path.
@@ -134,7 +141,7 @@ class SweepFolder:
                 "khep_twin": __version__,
                 "digest": work.digest,
             }
-            write_whole(file, (json.dumps(description, indent=2) + "\n").encode())
+            write_atomic(file, (json.dumps(description, indent=2) + "\n").encode())
         elif previous.get("digest") != work.digest:
             raise StudyError(
                 f"{self._path}: holds results of another study, or of this one before it changed; expected a "
@@ -179,13 +186,13 @@ class SweepFolder:
             # The table must be on disk before the parts are deleted, in case of a power failure.
             with part_table.open("rb") as file:
                 os.fsync(file.fileno())
-            written_path = put(part_table, self.table, None)
+            written_path = rename_into_place(part_table, self.table, None)
         except OSError as error:
             raise StudyError(f"{self.table}: cannot be written: {error.strerror or error}") from error
         finally:
             part_table.unlink(missing_ok=True)
         if written_path != self.table:
-            raise StudyError(kept_both(self.table, written_path))
+            raise StudyError(name_taken_message(self.table, written_path))
 
     def _read(self, task: Shard) -> pa.Table:
         """Return a part; check that it holds each of its episodes once."""

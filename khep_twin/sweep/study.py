@@ -32,7 +32,7 @@ from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import KhepTwinError, Location, Problem, StudyError
 from khep_twin.files import toml_files
 from khep_twin.files.paths import StrPath
-from khep_twin.files.toml_files import Name, Problems, TomlTable, show
+from khep_twin.files.toml_files import Name, Problems, TomlTable, format_value
 from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
 
@@ -158,14 +158,15 @@ class Study(TomlTable):
         for name in self.controllers:
             if name != "braitenberg" and not name.endswith(SUFFIX):
                 choices = ("braitenberg", f"a network's FILE{SUFFIX}")
-                yield Problem.of(("controllers",), f"controllers: {show(name)}: unknown", choices, name)
+                problem = f"controllers: {format_value(name)}: unknown"
+                yield Problem.of(("controllers",), problem, choices, name)
         if not (self.controllers or self.networks or self.programs):
             yield Problem.of((), "no controller", "controllers, a [[network]] or a [[program]]")
         if "homing" in self.fitness and self.home is None:
             yield Problem(("fitness",), 'fitness = "homing": there is no [home]')
         for key, values in self._lists():
             for value in sorted({str(value) for value in values if values.count(value) > 1}):
-                yield Problem.of(key, f"{key[-1]} has {show(value)} twice", "once")
+                yield Problem.of(key, f"{key[-1]} has {format_value(value)} twice", "once")
         controllers: set[str] = {*self.controllers}
         columns = {*COLUMNS, *METRICS}
         for kind, tables, known_names in (
@@ -214,7 +215,7 @@ class StudyFile:
 
     def error(self, location: Location, text: str) -> StudyError:
         """Return an error at a location in the file."""
-        problem = Problem(location, text, file=self.source, line=self.lines.of(location))
+        problem = Problem(location, text, file=self.source, line=self.lines.find(location))
         return StudyError(problems=[problem])
 
 

@@ -1,4 +1,4 @@
-"""Names of the Khepera Toolbox for Matlab, all of them, for programs ported from it.
+"""All functions of the Khepera Toolbox for Matlab, for programs ported from it.
 
     from khep_twin.toolbox import *
 
@@ -10,9 +10,9 @@
             sim_sms(2, -1, 1)
         kheprom(btmap1)
 
-Without `sim_` and without the lines that name `btmap1` it is a program for a robot. Beside a robot, where
-there is no simulator, `khep_twin.toolbox.serial_commands` has the commands. docs/toolbox.md has the state
-of each of the toolbox's functions and windows.
+Without `sim_` and without the lines that use `btmap1` it is a program for a robot.
+`khep_twin.toolbox.serial_commands` has the commands alone, without the simulator. docs/toolbox.md lists the
+state of each function and window of the toolbox.
 """
 
 from typing import TYPE_CHECKING

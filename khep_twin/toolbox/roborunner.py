@@ -1,4 +1,4 @@
-"""The Khepera Toolbox's RoboRunner for programs: series of runs, their statistics, and its windows' page.
+"""The Khepera Toolbox's RoboRunner for programs: series of runs, their statistics, and the web page.
 
     runs = roborun2(brait, port_id=2, cycles_per_run=500, runs=3, save="out/brait")
     getstat()["fitness"].mean
@@ -16,20 +16,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from khep_twin.errors import ControllerError, KhepTwinError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.atomic import write_atomic
 from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment import series_files
+from khep_twin.lab.experiment import series_files, series_statistics
 from khep_twin.lab.experiment.controller_files import call_on_run_end, find_controller, find_on_run_end
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import AnyController, write_template
 from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun
-from khep_twin.lab.experiment.series_statistics import Summary, measured_columns, summarize, table, finite_values
 from khep_twin.toolbox.controller import ToolboxController
 from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.toolbox.serial_commands import Port, robot_at
-from khep_twin.toolbox.simulator import opened
+from khep_twin.toolbox.simulator import get_open_playpen
 from khep_twin.toolbox.windows import show
 
 if TYPE_CHECKING:
@@ -37,6 +36,9 @@ if TYPE_CHECKING:
 
 UserFunction = str | Callable[..., object]
 """Function that is called after each run, or its location, FILE.py:NAME."""
+
+_runs: list[SeriesRun] = []
+"""Latest runs."""
 
 
 def roborun2(
@@ -49,7 +51,7 @@ def roborun2(
     save: StrPath | None = None,
     user: UserFunction | Sequence[UserFunction] = (),
 ) -> list[SeriesRun]:
-    """Run a control algorithm again and again; without one, open the page that has RoboRunner's controls.
+    """Run a controller several times; without one, open the web page with RoboRunner's controls.
 
     Args:
         ctrl_name: Function of `port_id, cycles_per_run, runs, pause_stat`, a controller, or the location of
@@ -57,24 +59,24 @@ def roborun2(
         port_id: Port of the robot; without it, the robot of the playpen that is open.
         cycles_per_run: Cycles of each run; the toolbox has 500 to 10000.
         runs: Number of runs; the toolbox has 1 to 20.
-        pause: Time between two runs, in the port's own time [s].
-        save: Folder for each run's metrics and variables, written as soon as it has ended, Save@Run End.
-        user: Function called after each run, with it or with those of its variables that the function names.
+        pause: Time between two runs, by the port's clock [s].
+        save: Folder for each run's metrics and variables, written at its end, Save@Run End.
+        user: Function called after each run, with the run or with those of its variables that it names.
 
     Returns:
-        The runs, with their metrics and the variables of the algorithm as of its end.
+        The runs, with their metrics and the controller's final variables.
 
     Raises:
-        ControllerError: There is no such algorithm, or it failed.
+        ControllerError: The controller does not exist, or it failed.
         KhepTwinError: The port failed, no playpen is open, or the folder cannot be used.
     """
     if ctrl_name is None:
         play_pen()
         return []
-    typed = isinstance(ctrl_name, str)
-    controller = find_controller(ctrl_name, as_toolbox_form) if typed else as_toolbox_form(ctrl_name)
+    is_location = isinstance(ctrl_name, str)
+    controller = find_controller(ctrl_name, as_toolbox_form) if is_location else as_toolbox_form(ctrl_name)
     functions = [user] if isinstance(user, str) or callable(user) else user
-    after = [find_on_run_end(each, controller) if isinstance(each, str) else each for each in functions]
+    callbacks = [find_on_run_end(item, controller) if isinstance(item, str) else item for item in functions]
     robot = _robot(controller, port_id)
     plan = Plan(runs, cycles_per_run, pause=float(pause))
     folder = None
@@ -87,42 +89,45 @@ def roborun2(
         if folder is not None:
             folder.save(run)
         print(run.text(runs))
-        for each in after:
-            call_on_run_end(each, run)
+        for callback in callbacks:
+            call_on_run_end(callback, run)
     return list(_runs)
 
 
-def getstat(*, runs: Sequence[SeriesRun] | StrPath | None = None) -> dict[str, Summary]:
+def getstat(*, runs: Sequence[SeriesRun] | StrPath | None = None) -> dict[str, series_statistics.Summary]:
     """Return the statistics of runs: mean, standard deviation and confidence of each metric, by its name.
 
-    The runs are those of `roborun2`, or the folder that keeps them; without, those of the latest `roborun2`.
+    The runs are those that `roborun2` returned, or its folder; without, those of the latest `roborun2`.
 
     Raises:
         ControllerError: There are no runs.
     """
     rows = _rows(runs)
-    return {name: summarize(finite_values(rows, name)) for name in measured_columns([rows])}
+    columns = series_statistics.measured_columns([rows])
+    values = {name: series_statistics.finite_values(rows, name) for name in columns}
+    return {name: series_statistics.summarize(values[name]) for name in columns}
 
 
 def plotrun(
     *names: str, runs: Sequence[SeriesRun] | StrPath | None = None, picture: StrPath | None = None
 ) -> "Figure":
-    """Draw the metrics of runs, run after run, in a window where there is a screen.
+    """Draw the metrics over the runs, in a window where there is a screen.
 
     Args:
-        names: Names of the metrics, such as "fitness"; without, the usual ones.
+        names: Names of the metrics, e.g. "fitness"; without, the default ones.
         runs: Runs as for `getstat`.
         picture: PNG, SVG or PDF file to write.
 
     Raises:
-        ControllerError: There are no runs, or no such metric.
+        ControllerError: There are no runs, or a metric does not exist.
         KhepTwinError: The picture cannot be written.
     """
     from khep_twin.drawing import map as drawing
-    from khep_twin.lab.experiment.figures import draw, default_columns
+    from khep_twin.lab.experiment.figures import default_columns, draw
 
     rows = _rows(runs)
-    figure = draw(["runs"], [rows], measured_columns([rows], names) if names else default_columns(measured_columns([rows])))
+    columns = series_statistics.measured_columns([rows], names or None)
+    figure = draw(["runs"], [rows], columns if names else default_columns(columns))
     if picture is not None:
         drawing.save(figure, Path(picture))
     show(figure, "plotrun")
@@ -130,7 +135,7 @@ def plotrun(
 
 
 def user1(*, runs: Sequence[SeriesRun] | StrPath | None = None, save: StrPath | None = None) -> None:
-    """Print the statistics of runs as `getstat` takes them, and save their table as CSV, Parquet or MAT.
+    """Print the statistics of `getstat`, and save the table of runs as CSV, Parquet or MAT.
 
     Raises:
         ControllerError: There are no runs.
@@ -140,16 +145,17 @@ def user1(*, runs: Sequence[SeriesRun] | StrPath | None = None, save: StrPath | 
     tables = series_files.tables(rows)
     if save is not None and Path(save).suffix.lower() not in tables:
         raise KhepTwinError(f"user1: save = {str(save)!r}: expected a name that ends in {', '.join(tables)}")
-    print(table(["runs"], [rows], measured_columns([rows])))
+    columns = series_statistics.measured_columns([rows])
+    print(series_statistics.table(["runs"], [rows], columns))
     if save is not None:
-        write_whole(Path(save), tables[Path(save).suffix.lower()])
+        write_atomic(Path(save), tables[Path(save).suffix.lower()])
 
 
 def template(file: StrPath) -> Path:
-    """Write the toolbox's template, a function to fill in and to pass to `roborun2` or `khep-twin run`.
+    """Write the toolbox's template, a function to complete and to pass to `roborun2` or `khep-twin run`.
 
     Raises:
-        ControllerError: The file is there already, or is no FILE.py.
+        ControllerError: The file exists, or is no FILE.py.
         KhepTwinError: It cannot be written.
     """
     if Path(file).suffix != ".py":
@@ -161,12 +167,12 @@ def template(file: StrPath) -> Path:
 
 
 def play_pen(file: StrPath | None = None) -> None:
-    """Open the page in which playpens are built and robots are run, until Ctrl-C, as `khep-twin design` does.
+    """Open the web page for playpens and runs until Ctrl-C, like `khep-twin design`.
 
-    It opens a playpen file below the current folder, which may still have to be made.
+    It opens a playpen file in the current folder or below, which need not exist.
 
     Raises:
-        KhepTwinError: The page could not be opened; the page's own process prints the reason.
+        KhepTwinError: The page could not be opened; its process prints the reason.
     """
     command = [sys.executable, "-m", "khep_twin", "design", *([] if file is None else [str(file)])]
     with subprocess.Popen(command) as page:
@@ -180,10 +186,6 @@ def play_pen(file: StrPath | None = None) -> None:
         raise KhepTwinError(f"play_pen: the page ended with status {status}")
 
 
-_runs: list[SeriesRun] = []
-"""Latest runs."""
-
-
 def _robot(controller: AnyController, port_id: Port | None) -> Khepera:
     """Return the robot of a series."""
     simulated = isinstance(controller, ToolboxController) and controller.unpaced
@@ -192,8 +194,8 @@ def _robot(controller: AnyController, port_id: Port | None) -> Khepera:
             "roborun2: no port_id is given; expected 1 to 4, or a port such as '/dev/ttyUSB0'"
         )
     if simulated:
-        scene = opened()
-        return scene.robots[scene.index(port_id if isinstance(port_id, int) else 1)]
+        simulator = get_open_playpen()
+        return simulator.robots[simulator.index(port_id if isinstance(port_id, int) else 1)]
     assert port_id is not None
     if isinstance(controller, ToolboxController) and isinstance(port_id, int):
         controller.port_id = port_id

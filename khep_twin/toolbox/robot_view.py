@@ -3,10 +3,10 @@
     khepbase()                                       # once
     khepbase(rps(2), rls(2), rms(2))                 # in each cycle
 
-At each sensor stands a pair of bars, proximity (0 to 1023) and ambient light (0 to 500, as counted: long in
-the dark), beside each wheel its speed (0 to 20 pulses/10 ms, downwards when it drives backwards). It is a
-window where there is a screen; else a picture that is written anew each time.
-`khep_twin.sensing.bars` has what fills a bar.
+Each sensor has a pair of bars, proximity (0 to 1023) and ambient light (0 to 500 counts, long in the dark).
+Each wheel has a bar for its speed (0 to 20 pulses/10 ms, downwards when it drives backwards). The view is a
+window where there is a screen, or a picture that each call rewrites. `khep_twin.sensing.bars` defines the
+ranges of the bars.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -32,11 +32,14 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_BAR, _WIDTH = 0.012, 0.0028
-"""Height of a full bar, and width of any [m]."""
+_BAR_HEIGHT, _BAR_WIDTH = 0.012, 0.0028
+"""Height of a full bar, and width of a bar [m]."""
 
 _PROXIMITY, _LIGHT, _SPEED, _EMPTY = "#e4572e", "#f4c846", "#4dabf7", "#f1f1ef"
 _DPI = 90
+
+_views: "list[_View]" = []
+"""View that is open."""
 
 
 def khepbase(
@@ -49,25 +52,25 @@ def khepbase(
     """Open the view of the robot, or update the readings and speeds in it.
 
     Args:
-        prox_data: Proximity (8,), 0 to 1023; without any data the view is opened.
+        prox_data: Proximity (8,), 0 to 1023; the call without data opens the view.
         light_data: Ambient light (8,), 0 to 500.
         motor_speed: Speeds of the left and the right wheel (2,) [pulses/10 ms], -20 to 20.
-        picture: PNG to write instead of a window, when it is opened; without, "khepbase.png" where there
-            is no screen.
+        picture: PNG to write instead of a window, for the call that opens the view; by default
+            "khepbase.png" where there is no screen.
 
     Returns:
         The picture that was written; None for a window.
 
     Raises:
-        ValueError: Not all values are given, or there are too few of them.
-        KhepTwinError: The view was not opened before, or the picture cannot be written.
+        ValueError: An argument is missing or has a wrong number of values.
+        KhepTwinError: The view is not open, or the picture cannot be written.
     """
-    given = [value is not None for value in (prox_data, light_data, motor_speed)]
-    if not any(given):
+    has_values = [value is not None for value in (prox_data, light_data, motor_speed)]
+    if not any(has_values):
         _views[:] = [_View(None if picture is None else Path(picture))]
     elif picture is not None:
         raise ValueError("khepbase: picture is for the call that opens it")
-    elif not all(given):
+    elif not all(has_values):
         raise ValueError("khepbase: expected prox_data, light_data and motor_speed, or nothing to open it")
     elif not _views:
         raise KhepTwinError("khepbase: it is not open; expected khepbase() before")
@@ -84,13 +87,15 @@ class _View:
     """The drawing and its bars."""
 
     def __init__(self, picture: Path | None) -> None:
-        self.figure, axes = _sheet()
+        self.figure, axes = _draw_robot()
         feet = np.array([(-left, forward) for forward, left in SENSOR_POSITIONS]) * 1.42
-        aside = np.array([_WIDTH * 0.6, _BAR / 2])
-        self._proximity = [_bar(axes, foot - aside, _PROXIMITY) for foot in feet]
-        self._light = [_bar(axes, foot - aside * (-1, 1), _LIGHT) for foot in feet]
-        beside = [(side * (WHEEL_BASE / 2 - 0.008), 0.0) for side in (-1, 1)]
-        self._speed = [_bar(axes, np.array(foot), _SPEED, below=True) for foot in beside]
+        offset = np.array([_BAR_WIDTH * 0.6, _BAR_HEIGHT / 2])
+        wheel_feet = [(side * (WHEEL_BASE / 2 - 0.008), 0.0) for side in (-1, 1)]
+        self._bars = {
+            "proximity": [_add_bar(axes, foot - offset, _PROXIMITY) for foot in feet],
+            "light": [_add_bar(axes, foot - offset * (-1, 1), _LIGHT) for foot in feet],
+            "speed": [_add_bar(axes, np.array(foot), _SPEED, is_signed=True) for foot in wheel_feet],
+        }
         self._picture = Path("khepbase.png") if picture is None else picture
         self._window = picture is None and show(self.figure, "khepbase")
         if picture is None and not self._window and not is_replaceable(self._picture):
@@ -98,16 +103,12 @@ class _View:
 
     def set(self, proximity: Floats, light: Floats, speed: Floats) -> None:
         """Set the lengths of the bars."""
-        for name, bars, values in (
-            ("proximity", self._proximity, proximity),
-            ("light", self._light, light),
-            ("speed", self._speed, speed),
-        ):
+        for (name, bars), values in zip(self._bars.items(), (proximity, light, speed), strict=True):
             for bar, value in zip(bars, values.tolist(), strict=True):
-                bar.set_height(BARS[name].filled(value) * _BAR)
+                bar.set_height(BARS[name].filled(value) * _BAR_HEIGHT)
 
     def show(self) -> Path | None:
-        """Draw it on the screen, or into its file."""
+        """Draw the view on the screen, or write its file."""
         if self._window:
             refresh(self.figure)
             return None
@@ -117,10 +118,6 @@ class _View:
         return self._picture
 
 
-_views: list[_View] = []
-"""View that is open."""
-
-
 def _values(name: str, values: ArrayLike | None, count: int) -> Floats:
     row = np.asarray(values, np.float64).reshape(-1)
     if len(row) != count or not np.isfinite(row).all():
@@ -128,16 +125,16 @@ def _values(name: str, values: ArrayLike | None, count: int) -> Floats:
     return row
 
 
-def _sheet() -> "tuple[Figure, Axes]":
-    """Return a drawing of the robot from above, ahead being up."""
+def _draw_robot() -> "tuple[Figure, Axes]":
+    """Return a drawing of the robot from above, with its front up."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Circle, Polygon
 
-    from khep_twin.drawing.map import sheet
+    from khep_twin.drawing.map import blank_figure
     from khep_twin.drawing.symbols import INK
     from khep_twin.lab.sensor_test.sensor_figure import draw_body
 
-    figure = sheet(4.2, 4.4)
+    figure = blank_figure(4.2, 4.4)
     axes = figure.add_axes((0, 0.06, 1, 0.94))
     draw_body(axes)
     axes.set(xlim=(-0.047, 0.047), ylim=(-0.045, 0.049))
@@ -159,14 +156,15 @@ def _sheet() -> "tuple[Figure, Axes]":
     return figure, axes
 
 
-def _bar(axes: "Axes", foot: Floats, colour: str, *, below: bool = False) -> "Rectangle":
-    """Return an empty bar in its frame, which goes down from its foot, too, if it can be negative."""
+def _add_bar(axes: "Axes", foot: Floats, colour: str, *, is_signed: bool = False) -> "Rectangle":
+    """Return an empty bar in its frame, which also extends below its foot if the value is signed."""
     from matplotlib.patches import Rectangle
 
-    left = float(foot[0]) - _WIDTH / 2
-    bottom, height = (float(foot[1]) - _BAR, 2 * _BAR) if below else (float(foot[1]), _BAR)
-    frame = Rectangle((left, bottom), _WIDTH, height, facecolor=_EMPTY, edgecolor="#b8b8b8", lw=0.6)
-    bar = Rectangle((left, float(foot[1])), _WIDTH, 0, facecolor=colour, lw=0)
+    left = float(foot[0]) - _BAR_WIDTH / 2
+    bottom = float(foot[1]) - (_BAR_HEIGHT if is_signed else 0)
+    height = 2 * _BAR_HEIGHT if is_signed else _BAR_HEIGHT
+    frame = Rectangle((left, bottom), _BAR_WIDTH, height, facecolor=_EMPTY, edgecolor="#b8b8b8", lw=0.6)
+    bar = Rectangle((left, float(foot[1])), _BAR_WIDTH, 0, facecolor=colour, lw=0)
     axes.add_patch(frame)
     axes.add_patch(bar)
     return bar

@@ -22,21 +22,26 @@ from khep_twin.lab.sensor_test.sensor_test import (
     DEFAULT_SPEED,
     BrokenOffError,
     InterruptedTest,
+    QuantityName,
     SensorRun,
     SensorTest,
-    QuantityName,
     sense,
 )
+from khep_twin.renamed import renamed_arguments
 from khep_twin.toolbox.serial_commands import Port, robot_at
-from khep_twin.toolbox.simulator import opened
+from khep_twin.toolbox.simulator import get_open_playpen
 
 EXCHANGE = 0.03
-"""Cost of a reading in `simsense` [s] (assumed: about the mean of H and N at 9600 baud)."""
+"""Duration of an exchange in `simsense` [s] (assumed: about the mean of H and N at 9600 baud)."""
+
+_latest: list[SensorRun] = []
+"""Readings of the latest test."""
 
 
+@renamed_arguments(what="quantity")
 def tstsense(
     port_id: Port,
-    what: QuantityName = "proximity",
+    quantity: QuantityName = "proximity",
     *,
     linear_cm: float | None = None,
     rotate_deg: float | None = None,
@@ -48,34 +53,35 @@ def tstsense(
 ) -> tuple[NDArray[np.int64], int]:
     """Drive a robot straight or turn it, and read its sensors on the way.
 
-    Ctrl-C, a blocked wheel or a lost line end it early: the motors stop, and the rows so far are in `save`
-    and in `lasttest()`.
+    Ctrl-C, a blocked wheel or a lost connection ends the test: the motors stop, and `save` and `lasttest()`
+    contain the rows so far.
 
     Args:
         port_id: Port of the robot.
-        what: Kind of sensors, "proximity" or "light".
-        linear_cm: Distance straight on, 5 to 60, or backwards below 0 [cm].
-        rotate_deg: Angle to turn on the spot instead, 15 to 360, clockwise below 0 [degrees].
+        quantity: "proximity" or "light".
+        linear_cm: Distance, 5 to 60 forwards, negative backwards [cm].
+        rotate_deg: Angle to turn on the spot instead, 15 to 360, negative for clockwise [degrees].
         max_speed: Speed of both wheels [pulses/10 ms].
         max_acc: Acceleration of both wheels [3.125 mm/s^2].
         return_to_zero: Wait 5 s at the end and drive back.
         save: MAT file with `dv` and `dlgstr`, or a CSV or MCAP file, to write.
-        dlgstr: Description to keep with the data.
+        dlgstr: Description to save with the data.
 
     Returns:
-        `dv` (n, 10), two position counters and eight sensors per reading, and `khep_pos`, how far a wheel
-        was to go [pulses].
+        `dv` (n, 10), two position counters and eight sensors per reading, and `khep_pos`, the target distance
+        of a wheel [pulses].
 
     Raises:
         SensorTestError: The arguments are invalid, or a wheel is blocked.
         KhepTwinError: The file cannot be written.
     """
-    test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
-    return _driven(robot_at(port_id), test, save, dlgstr)
+    test = SensorTest(quantity, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
+    return _run_test(robot_at(port_id), test, save, dlgstr)
 
 
+@renamed_arguments(what="quantity")
 def simsense(
-    what: QuantityName = "proximity",
+    quantity: QuantityName = "proximity",
     *,
     linear_cm: float | None = None,
     rotate_deg: float | None = None,
@@ -86,56 +92,52 @@ def simsense(
     dlgstr: str = "",
     port_id: int = 1,
 ) -> tuple[NDArray[np.int64], int]:
-    """Run the test of `tstsense` with a robot of the playpen that is open; time passes meanwhile.
+    """Run the test of `tstsense` with a robot of the playpen that is open, in simulated time.
 
     Raises:
         PlaypenError: No playpen is open.
         SensorTestError: The arguments are invalid, or a wheel is blocked.
         KhepTwinError: The file cannot be written.
     """
-    test = SensorTest(what, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
-    scene = opened()
-    robot = Khepera(scene.robots[scene.index(port_id)].port)
-    # An exchange takes time here: else all readings would be taken at one position.
+    test = SensorTest(quantity, linear_cm, rotate_deg, max_speed, max_acc, return_to_zero)
+    simulator = get_open_playpen()
+    robot = Khepera(simulator.robots[simulator.index(port_id)].port)
+    # An exchange takes time here; without it, all readings would be at one position.
     robot.listen(lambda request, reply: robot.sleep(EXCHANGE))
-    return _driven(robot, test, save, dlgstr)
+    return _run_test(robot, test, save, dlgstr)
 
 
 def lasttest() -> tuple[NDArray[np.int64], int]:
-    """Return `dv` and `khep_pos` of the latest test, as far as it came, also of one that was interrupted.
+    """Return `dv` and `khep_pos` of the latest test, complete or interrupted.
 
     Raises:
-        SensorTestError: There was none yet.
+        SensorTestError: There was no test.
     """
     if not _latest:
         raise SensorTestError("there was no test yet; expected tstsense or simsense before")
     return _latest[-1].dv, abs(_latest[-1].test.target[1])
 
 
-def test_of(dv: object) -> SensorTest | None:
+def find_test(dv: object) -> SensorTest | None:
     """Return the latest test if it returned `dv`."""
     return _latest[-1].test if _latest and _latest[-1].dv is dv else None
 
 
-_latest: list[SensorRun] = []
-"""Readings of the latest test."""
-
-
-def _driven(
+def _run_test(
     robot: Khepera, test: SensorTest, save: StrPath | None, dlgstr: str
 ) -> tuple[NDArray[np.int64], int]:
     if save is not None:
         sensor_files.check_suffix(Path(save))  # before the robot moves
     try:
-        _keep(sense(robot, test, text=dlgstr), save)
-    except (BrokenOffError, InterruptedTest) as ended:
-        _keep(ended.run, save)
+        _store(sense(robot, test, text=dlgstr), save)
+    except (BrokenOffError, InterruptedTest) as error:
+        _store(error.run, save)
         raise
     return lasttest()
 
 
-def _keep(run: SensorRun, save: StrPath | None) -> None:
-    """Keep the readings of a test, in a file if one is given."""
+def _store(run: SensorRun, save: StrPath | None) -> None:
+    """Store the readings of a test, also in a file if one is given."""
     _latest[:] = [run]
     if save is not None and len(run.dv):
         sensor_files.save(Path(save), run)

@@ -1,4 +1,4 @@
-"""The Khepera Toolbox for Matlab's own commands, by their own names, arguments and order.
+"""The commands of the Khepera Toolbox for Matlab, with its names, arguments and order.
 
     from khep_twin.toolbox.serial_commands import ports, rps, sms
 
@@ -6,12 +6,12 @@
     motors = rps(2) @ Intercon / 400 + speed
     sms(2, motors[0], motors[1])
 
-`port_id` is 1 to 4, as in the toolbox; `ports` or the environment sets which port that is. The port's own URL
-or a `Khepera` may be given instead. A row of Matlab's, 1x2, 1x6 or 1x8, is an array of one dimension here, so
-that `motors(1)` is `motors[0]`; scipy's `savemat` makes a row of it again. A number that is no integer is
-rounded, halves away from zero, as Matlab does.
+`port_id` is 1 to 4, as in the toolbox; `ports` or the environment assigns a port to it. It may also be the
+URL of a port or a `Khepera`. A row of Matlab, 1x2, 1x6 or 1x8, is a one-dimensional array here, so that
+`motors(1)` is `motors[0]`; scipy's `savemat` converts it to a row. A number that is no integer is rounded,
+halves away from zero, as in Matlab.
 
-`khep_twin.toolbox` has these and all other names of the toolbox, the simulator's among them.
+`khep_twin.toolbox` has these and all other functions of the toolbox, including the simulator's.
 """
 
 import atexit
@@ -53,13 +53,14 @@ Port = int | str | Khepera
 Row = NDArray[np.int64]
 """Integers, one for each column of a row in Matlab."""
 
-# Ports ---------------------------------------------------------------------------------------------------
+_assigned: dict[int, str | Khepera] = {}
+_open_robots: dict[str, Khepera] = {}
 
 
 def ports(choice: Mapping[int, str | Khepera]) -> None:
-    """Set the ports 1 to 4, instead of those set before, and close the previous ports.
+    """Set the ports 1 to 4, and close the previous ones.
 
-    A port is a URL such as "/dev/ttyUSB0" or "khep://default?seed=1", or a robot that is open already.
+    A port is a URL, e.g. "/dev/ttyUSB0" or "khep://default?seed=1", or an open robot.
 
     Raises:
         PortError: A number is none of 1 to 4.
@@ -67,15 +68,15 @@ def ports(choice: Mapping[int, str | Khepera]) -> None:
     for number in choice:
         if number not in PORT_IDS:
             raise PortError(f"ports: {number!r}; expected a number from 1 to 4")
-    for robot in _open.values():
+    for robot in _open_robots.values():
         robot.close()
-    _open.clear()
-    _chosen.clear()
-    _chosen.update(choice)
+    _open_robots.clear()
+    _assigned.clear()
+    _assigned.update(choice)
 
 
 def robot_at(port_id: Port) -> Khepera:
-    """Return the robot at a port, which is opened when it is first asked for.
+    """Return the robot at a port, which is opened at first use.
 
     Raises:
         PortError: The number is none of 1 to 4, or has no port, or the port cannot be opened.
@@ -85,44 +86,41 @@ def robot_at(port_id: Port) -> Khepera:
     port = port_id if isinstance(port_id, str) else _port(port_id)
     if isinstance(port, Khepera):
         return port
-    if port not in _open:
-        _open[port] = Khepera(port)
-    return _open[port]
+    if port not in _open_robots:
+        _open_robots[port] = Khepera(port)
+    return _open_robots[port]
 
 
 @contextmanager
 def assigned_port(robot: Khepera, port_id: int | None = None) -> Generator[int]:
-    """Let `port_id`, and the numbers that have no port yet, stand for an open robot within the context.
+    """Assign `port_id`, and all numbers without a port, to an open robot within the context.
 
-    Yield a number that stands for it: `port_id`, or without it the first one that is free.
+    Yield a number of the robot: `port_id`, or without it the first free one.
     """
-    before = dict(_chosen)
-    free = [number for number in PORT_IDS if _meaning(number) is None]
+    saved = dict(_assigned)
+    free = [number for number in PORT_IDS if _find_port(number) is None]
     number = port_id or (free or PORT_IDS)[0]
-    _chosen.update(dict.fromkeys({*free, number}, robot))
+    _assigned.update(dict.fromkeys({*free, number}, robot))
     try:
         yield number
     finally:
-        _chosen.clear()
-        _chosen.update(before)
-
-
-# Motors --------------------------------------------------------------------------------------------------
+        _assigned.clear()
+        _assigned.update(saved)
 
 
 def con(port_id: Port, Kp: SupportsFloat, Ki: SupportsFloat, Kd: SupportsFloat) -> None:
     """Set the gains of the speed controller; 3800, 800, 100 after a reset (command A)."""
-    robot_at(port_id).configure_speed_controller(*_whole("con", Kp=Kp, Ki=Ki, Kd=Kd))
+    robot_at(port_id).configure_speed_controller(*_to_integers("con", Kp=Kp, Ki=Ki, Kd=Kd))
 
 
 def skp(port_id: Port, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
-    """Send the wheels to these positions [pulses of 0.08 mm], at most 2^23 - 2 from 0 (command C)."""
-    robot_at(port_id).set_target(*_whole("skp", pos_left=pos_left, pos_right=pos_right))
+    """Move the wheels to positions [pulses of 0.08 mm], at most 2^23 - 2 from 0 (command C)."""
+    robot_at(port_id).set_target(*_to_integers("skp", pos_left=pos_left, pos_right=pos_right))
 
 
 def sms(port_id: Port, speed_left: SupportsFloat, speed_right: SupportsFloat) -> None:
-    """Drive the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127 (command D)."""
-    robot_at(port_id).set_speed(*_whole("sms", speed_left=speed_left, speed_right=speed_right))
+    """Drive the wheels at speeds [pulses/10 ms = 8 mm/s], -127 to 127 (command D)."""
+    robot_at(port_id).set_speed(*_to_integers("sms", speed_left=speed_left, speed_right=speed_right))
 
 
 def rms(port_id: Port) -> Row:
@@ -132,16 +130,16 @@ def rms(port_id: Port) -> Row:
 
 def cpid(port_id: Port, Kp: SupportsFloat, Ki: SupportsFloat, Kd: SupportsFloat) -> None:
     """Set the gains of the position controller; 3000, 20, 4000 after a reset (command F)."""
-    robot_at(port_id).configure_position_controller(*_whole("cpid", Kp=Kp, Ki=Ki, Kd=Kd))
+    robot_at(port_id).configure_position_controller(*_to_integers("cpid", Kp=Kp, Ki=Ki, Kd=Kd))
 
 
 def spc(port_id: Port, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
     """Set the position counters [pulses] (command G)."""
-    robot_at(port_id).set_position(*_whole("spc", pos_left=pos_left, pos_right=pos_right))
+    robot_at(port_id).set_position(*_to_integers("spc", pos_left=pos_left, pos_right=pos_right))
 
 
 def rpc(port_id: Port) -> Row:
-    """Return the position counters, left and right (2,) [pulses], 12.5 to a millimetre (command H)."""
+    """Return the position counters, left and right (2,) [pulses], 12.5 per millimetre (command H)."""
     return _row(robot_at(port_id).position())
 
 
@@ -156,8 +154,8 @@ def cspc(
 
     Speeds [pulses/10 ms], accelerations [3.125 mm/s^2]; 20, 64 after a reset.
     """
-    left = _whole("cspc", max_speed_left=max_speed_left, acc_left=acc_left)
-    right = _whole("cspc", max_speed_right=max_speed_right, acc_right=acc_right)
+    left = _to_integers("cspc", max_speed_left=max_speed_left, acc_left=acc_left)
+    right = _to_integers("cspc", max_speed_right=max_speed_right, acc_right=acc_right)
     robot_at(port_id).configure_profile(*left, *right)
 
 
@@ -167,7 +165,7 @@ def rmc(port_id: Port) -> Row:
     T is 1 on the target. M is 0 for speed, 1 for position and 2 for a fixed duty with ROM 5.02, and with the
     toolbox's ROM 4.06 it is 0 for position and 1 for speed. E is the controller's error.
     """
-    # As the robot reports them: the host's own status translates the modes of all ROMs into one.
+    # As the robot reports them: `Khepera.status` converts the modes of all ROMs to one form.
     robot = robot_at(port_id)
     answer = robot.ask("K")
     try:
@@ -180,17 +178,14 @@ def rmc(port_id: Port) -> Row:
     return _row(tuple(values))
 
 
-# Sensors and lights ---------------------------------------------------------------------------------------
-
-
 def rad(port_id: Port, channel_number: SupportsFloat) -> int:
     """Return one channel of the converter, 0 to 1023; 1024 would be 4.09 V (command I)."""
-    return robot_at(port_id).converter(*_whole("rad", channel_number=channel_number))
+    return robot_at(port_id).converter(*_to_integers("rad", channel_number=channel_number))
 
 
 def cls(port_id: Port, led_number: SupportsFloat, action_number: SupportsFloat) -> None:
     """Switch LED 0 or 1; action 0 off, 1 on, 2 toggle (command L)."""
-    robot_at(port_id).set_led(*_whole("cls", led_number=led_number, action_number=action_number))
+    robot_at(port_id).set_led(*_to_integers("cls", led_number=led_number, action_number=action_number))
 
 
 def rps(port_id: Port) -> Row:
@@ -202,23 +197,20 @@ def rps(port_id: Port) -> Row:
 
 
 def rls(port_id: Port) -> Row:
-    """Return ambient light (8,) in the order of `rps`; about 500 dark, less where bright (command O)."""
+    """Return ambient light (8,) in the order of `rps`; about 500 in the dark, less in light (command O)."""
     return _row(robot_at(port_id).ambient())
 
 
-# Turrets -------------------------------------------------------------------------------------------------
-
-
 def kturret(port_id: Port, turret: SupportsFloat, message: str) -> Row:
-    """Pass a message on to a turret; return the integers of its reply, 64 pixels for 2 and "N" (command T).
+    """Send a message to a turret; return the integers of its reply, e.g. 64 pixels for 2 and "N" (command T).
 
-    The toolbox had no such command; its name is that of K-Team's own functions for Matlab.
+    The toolbox has no command for turrets; the name is that of K-Team's functions for Matlab.
 
     Raises:
         ProtocolError: The turret is absent, does not know the message, or replies with other than integers.
     """
     robot = robot_at(port_id)
-    (number,) = _whole("kturret", turret=turret)
+    (number,) = _to_integers("kturret", turret=turret)
     answer = robot.turret(number, message)
     letter, *fields = answer.split(",")
     try:
@@ -230,19 +222,15 @@ def kturret(port_id: Port, turret: SupportsFloat, message: str) -> Row:
     return _row(tuple(values))
 
 
-# The rest ------------------------------------------------------------------------------------------------
-
-_chosen: dict[int, str | Khepera] = {}
-_open: dict[str, Khepera] = {}
-# A program that ends, by Ctrl-C too, leaves no robot driving on.
+# Stop all robots when the program ends, also by Ctrl-C.
 atexit.register(ports, {})
 
 
 def _port(port_id: int) -> str | Khepera:
-    """Return the port that a number stands for."""
+    """Return the port of a number."""
     if port_id not in PORT_IDS:
         raise PortError(key="port_id", value=port_id, expected="1 to 4, or a port such as '/dev/ttyUSB0'")
-    port = _meaning(port_id)
+    port = _find_port(port_id)
     if port is None:
         raise PortError(
             f"port_id = {port_id}: no port is chosen; expected ports({{{port_id}: '/dev/ttyUSB0'}}), or "
@@ -251,11 +239,11 @@ def _port(port_id: int) -> str | Khepera:
     return port
 
 
-def _meaning(port_id: int) -> str | Khepera | None:
-    return _chosen.get(port_id) or os.environ.get(f"{VARIABLE}{int(port_id)}")
+def _find_port(port_id: int) -> str | Khepera | None:
+    return _assigned.get(port_id) or os.environ.get(f"{VARIABLE}{int(port_id)}")
 
 
-def _whole(command: str, **values: SupportsFloat) -> list[int]:
+def _to_integers(command: str, **values: SupportsFloat) -> list[int]:
     """Return integers, rounded with halves away from zero."""
     numbers: list[int] = []
     for name, value in values.items():
@@ -265,9 +253,9 @@ def _whole(command: str, **values: SupportsFloat) -> list[int]:
             number = math.inf
         if not abs(number) < 2**31:
             raise ValueError(f"{command}: {name} = {number}; expected a number of less than 2^31")
-        # Not trunc(x + 0.5), which makes a 1 of the largest number below a half.
-        whole = math.trunc(number)
-        numbers.append(whole + int(math.copysign(abs(number - whole) >= 0.5, number)))
+        # Not trunc(x + 0.5), which rounds the largest number below a half to 1.
+        integer = math.trunc(number)
+        numbers.append(integer + int(math.copysign(abs(number - integer) >= 0.5, number)))
     return numbers
 
 

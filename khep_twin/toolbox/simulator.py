@@ -5,13 +5,12 @@
     a = sim_rps(2)
     kheprom(btmap1)                     # 50 ms pass
 
-A command takes no time at all: it reaches the board's registers at once and is answered from them, and what
-it started happens while `kheprom` lets time pass. Between two of them time stands still for the robot. It is
-the board and the physics of every other twin: speeds have sizes, wheels differ, counters count pulses.
+A command takes no simulated time: it reads and writes the board's registers immediately, and its effects
+follow while `kheprom` advances time. Between commands, simulated time stands still. Board and physics are
+those of every other twin: speeds have magnitudes, wheels differ, counters count pulses.
 
-One playpen is open at a time, as in the toolbox; what needs it raises a `PlaypenError` without it, and for a
-`btmap1` that is another one. In one with a single robot `port_id` is ignored; where
-there are several it is the robot's number, from 1.
+One playpen is open at a time, as in the toolbox; functions raise a `PlaypenError` without it or with another
+`btmap1`. With a single robot `port_id` is ignored; with several it is the robot's number, from 1.
 """
 
 import atexit
@@ -37,13 +36,15 @@ from khep_twin.toolbox import serial_commands
 from khep_twin.toolbox.serial_commands import Row
 
 CYCLE = 0.05
-"""Cycle of `kheprom` by default [s] (assumed: about what `rps` and `sms` take on a robot)."""
+"""Default cycle of `kheprom` [s] (assumed: about the time of `rps` and `sms` on a robot)."""
+
+_current: "OpenPlaypen | None" = None
 
 
 class OpenPlaypen:
-    """Playpen that is open in the simulator: the `btmap1` that a program passes on.
+    """Playpen that is open in the simulator, the `btmap1` of a program.
 
-    Its `twin` has the ground truth, its `robots` are the host's ends of lines that take no time.
+    Its `twin` has the ground truth; its `robots` are hosts whose serial lines take no simulated time.
     """
 
     def __init__(self, twin: Twin, robots: tuple[Khepera, ...] = ()) -> None:
@@ -57,17 +58,17 @@ class OpenPlaypen:
         return self.twin.world.time_ns / NS_PER_S
 
     def index(self, port_id: int) -> int:
-        """Return the index of the robot that a port's number stands for, from 0."""
+        """Return the index of a port's robot, from 0."""
         if len(self.robots) == 1:
             return 0
         numbers = range(1, len(self.robots) + 1)
         if port_id not in numbers:
-            found = f"port_id = {port_id!r}: no such robot"
-            raise PortError(found, key="port_id", value=port_id, expected=numbers)
+            text = f"port_id = {port_id!r}: no such robot"
+            raise PortError(text, key="port_id", value=port_id, expected=numbers)
         return int(port_id) - 1
 
     def pass_time(self, duration: float) -> None:
-        """Let time pass [s]."""
+        """Advance simulated time [s]."""
         self.twin.advance_to(self.twin.world.time_ns + to_ns(duration))
 
 
@@ -79,9 +80,9 @@ def open_default(
     lighting: str | None = None,
     log: StrPath | None = None,
 ) -> OpenPlaypen:
-    """Open four walls with a robot in their middle, RoboRunner's Open Default; close what was open.
+    """Open four walls with a robot in the middle, RoboRunner's Open Default; close the previous playpen.
 
-    The arguments are those of `open_custom`; lamps come by `place_lamp`.
+    The arguments are those of `open_custom`; `place_lamp` adds lamps.
     """
     return open_custom("default", seed=seed, noise=noise, rom=rom, lighting=lighting, log=log)
 
@@ -95,31 +96,30 @@ def open_custom(
     lighting: str | None = None,
     log: StrPath | None = None,
 ) -> OpenPlaypen:
-    """Open a playpen, RoboRunner's Open Custom; close what was open.
+    """Open a playpen, RoboRunner's Open Custom; close the previous one.
 
     Args:
         playpen: Name of a shipped one, a playpen file, a scanned MAT file of the toolbox or a PNG, or the
-            matrix `btmap1` of one (rows, columns), 44 where something stands, its first row at the bottom.
+            matrix `btmap1` of a scan (rows, columns), with 44 for solid pixels, its first row at the bottom.
         seed: Seed of every random stream.
         noise: Add noise to the sensors.
         rom: Version of the robots' ROM, if not the playpen's; with "4.06" `sim_rmc` has the toolbox's modes.
-        lighting: Lamp Control, "all", "random" or "sequenced", or "off" for no lamps at all; without, as the
-            playpen has it.
+        lighting: Lamp Control, "all", "random" or "sequenced", or "off" for no lamps; without, the playpen's.
         log: File to record the run in.
 
     Raises:
         PlaypenError: It cannot be used.
-        BitmapError: The matrix or picture cannot become a playpen.
+        BitmapError: The matrix or picture cannot be converted to a playpen.
         PortError: No robot stands in it.
         LogError: The log cannot be written.
     """
     global _current
     options = TwinOptions(seed=seed, robot=None, noise=noise, rom=rom, unpaced=True, log=log and str(log))
-    chosen = with_lighting(_playpen(playpen), lighting)
-    if not chosen.robots:
-        raise PlaypenError(f"{chosen.name}: no robot stands in it; expected a [[robot]] in its file")
+    selected = with_lighting(_load_playpen(playpen), lighting)
+    if not selected.robots:
+        raise PlaypenError(f"{selected.name}: no robot stands in it; expected a [[robot]] in its file")
     close_playpen()
-    _current = OpenPlaypen(open_twin(chosen, options))
+    _current = OpenPlaypen(open_twin(selected, options))
     return _current
 
 
@@ -127,11 +127,11 @@ def close_playpen() -> None:
     """Close the playpen that is open and complete its log, RoboRunner's Close Playpen."""
     global _current
     if _current is not None:
-        before, _current = _current, None
-        before.twin.close()
+        previous, _current = _current, None
+        previous.twin.close()
 
 
-def opened(btmap1: object = None) -> OpenPlaypen:
+def get_open_playpen(btmap1: object = None) -> OpenPlaypen:
     """Return the playpen that is open.
 
     Raises:
@@ -145,48 +145,48 @@ def opened(btmap1: object = None) -> OpenPlaypen:
 
 
 @contextmanager
-def opened_for(robot: Khepera) -> Generator[OpenPlaypen | None]:
-    """Let the twin in this process behind a robot be the playpen that is open, within the context.
+def use_twin_of(robot: Khepera) -> Generator[OpenPlaypen | None]:
+    """Make a robot's twin in this process the open playpen within the context, and yield it.
 
-    It is None for a robot that is no twin in this process.
+    Yield None for a robot that is no twin in this process.
     """
     global _current
-    before, twin = _current, getattr(robot.port, "twin", None)
-    if isinstance(twin, Twin) and (before is None or robot not in before.robots):
+    previous, twin = _current, getattr(robot.port, "twin", None)
+    if isinstance(twin, Twin) and (previous is None or robot not in previous.robots):
         _current = OpenPlaypen(twin, (robot,))
     try:
         yield _current if isinstance(twin, Twin) else None
     finally:
-        _current = before
+        _current = previous
 
 
 def kheprom(btmap1: OpenPlaypen, cycle: float = CYCLE) -> None:
     """Advance the simulated robots by one cycle [s]."""
-    opened(btmap1).pass_time(cycle)
+    get_open_playpen(btmap1).pass_time(cycle)
 
 
 def upsv(btmap1: OpenPlaypen) -> None:
-    """Convert all sensors of the simulated robots as of now; `kheprom` does so by itself as time passes."""
-    scan(opened(btmap1).twin.world)
+    """Convert all sensors of the simulated robots now; `kheprom` does so as time passes."""
+    scan(get_open_playpen(btmap1).twin.world)
 
 
 def ulsv() -> None:
     """Convert all sensors as `upsv` does; the lamps are those of the playpen that is open."""
-    scan(opened().twin.world)
+    scan(get_open_playpen().twin.world)
 
 
 def sim_skp(port_id: int, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
-    """Send the wheels to these positions [pulses of 0.08 mm], any mixture of path and turn."""
+    """Move the wheels to positions [pulses of 0.08 mm], also unequal ones."""
     serial_commands.skp(_robot(port_id), pos_left, pos_right)
 
 
 def sim_sms(port_id: int, speed_left: SupportsFloat, speed_right: SupportsFloat) -> None:
-    """Drive the wheels at these speeds [pulses/10 ms = 8 mm/s], each at its own."""
+    """Drive the wheels at separate speeds [pulses/10 ms = 8 mm/s]."""
     serial_commands.sms(_robot(port_id), speed_left, speed_right)
 
 
 def sim_rms(port_id: int) -> Row:
-    """Return the measured speed, left and right (2,) [pulses/10 ms], in position mode, too."""
+    """Return the measured speed, left and right (2,) [pulses/10 ms], also in position mode."""
     return serial_commands.rms(_robot(port_id))
 
 
@@ -201,7 +201,7 @@ def sim_rpc(port_id: int) -> Row:
 
 
 def sim_rmc(port_id: int) -> Row:
-    """Return motion control, [T, M, E] left and right (6,); M as `rmc` has it, E is updated."""
+    """Return motion control, [T, M, E] left and right (6,); M as for `rmc`, E is updated."""
     return serial_commands.rmc(_robot(port_id))
 
 
@@ -216,13 +216,13 @@ def sim_rls(port_id: int) -> Row:
 
 
 def userdata(btmap1: OpenPlaypen, port_id: int = 1) -> NDArray[np.float64]:
-    """Return the toolbox's data of the robot's drawing: 31 numbers in its columns' order (31,).
+    """Return the toolbox's data of the robot's drawing, in the order of its columns (31,).
 
-    They are true x and y [mm] and rotation from 0 to 360 [degrees], proximity (8), light (8), the speeds that
-    are set (2) [pulses/10 ms], [T, M, E] twice, position counters (2) and targets (2) [pulses].
+    They are true x and y [mm] and rotation from 0 to 360 [degrees], proximity (8), light (8), the speed
+    setpoints (2) [pulses/10 ms], [T, M, E] twice, position counters (2) and targets (2) [pulses].
     """
-    scene = opened(btmap1)
-    robot = scene.twin.robots[scene.index(port_id)]
+    simulator = get_open_playpen(btmap1)
+    robot = simulator.twin.robots[simulator.index(port_id)]
     x, y, heading = robot.pose
     wheels = [robot.registers[side : side + len(Wheel)] for side in (LEFT, RIGHT)]
     return np.concatenate(
@@ -238,17 +238,16 @@ def userdata(btmap1: OpenPlaypen, port_id: int = 1) -> NDArray[np.float64]:
     )
 
 
-_current: OpenPlaypen | None = None
-# A log is whole though the program forgot to close the playpen.
+# Complete the log if the program does not close the playpen.
 atexit.register(close_playpen)
 
 
 def _robot(port_id: int) -> Khepera:
-    scene = opened()
-    return scene.robots[scene.index(port_id)]
+    simulator = get_open_playpen()
+    return simulator.robots[simulator.index(port_id)]
 
 
-def _playpen(source: StrPath | Playpen | NDArray[np.generic]) -> Playpen:
+def _load_playpen(source: StrPath | Playpen | NDArray[np.generic]) -> Playpen:
     """Return a playpen from any of its sources."""
     if isinstance(source, Playpen):
         return source
@@ -260,8 +259,8 @@ def _playpen(source: StrPath | Playpen | NDArray[np.generic]) -> Playpen:
     path = Path(source)
     if path.suffix.lower() not in (".mat", ".png"):
         return Playpen.load(source)
-    found = bitmap_files.read(path)
-    solid = found.solid[::-1] if found.scanned else found.solid
+    image = bitmap_files.read(path)
+    solid = image.solid[::-1] if image.is_scan else image.solid
     try:
         return bitmap.to_playpen(solid, "imported").playpen
     except BitmapError as error:

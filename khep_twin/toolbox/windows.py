@@ -1,6 +1,6 @@
 """Windows for the Khepera Toolbox's pictures, where there is a screen.
 
-They stay open when a program has ended, until the user closes them or presses Ctrl-C.
+They stay open after the end of a program, until the user closes them or presses Ctrl-C.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -18,9 +18,15 @@ if TYPE_CHECKING:
     from matplotlib.backend_bases import FigureCanvasBase, FigureManagerBase
     from matplotlib.figure import Figure
 
+_EVENT_INTERVAL_S = 0.03
+"""Interval at which the windows' events are handled [s]."""
+
+_windows: list["FigureManagerBase"] = []
+"""Open windows; matplotlib closes a window without a reference."""
+
 
 def show(figure: "Figure", title: str) -> bool:
-    """Open a window with a figure and go on at once; return False where matplotlib finds no screen."""
+    """Open a window with a figure without waiting; return False if matplotlib finds no screen."""
     import matplotlib
     from matplotlib.backends.registry import BackendFilter, backend_registry
 
@@ -45,12 +51,12 @@ def refresh(figure: "Figure") -> None:
 
 
 def wait_until_closed() -> None:
-    """Keep the windows of a program that has ended until they are closed, with its robots at rest.
+    """Wait until the user has closed the windows of a program that has ended, with its robots at rest.
 
-    At a prompt, which keeps the windows itself, and after an error or Ctrl-C, return at once.
+    Do not wait at a prompt, which keeps the windows open, and after an error or Ctrl-C.
     """
-    failed = hasattr(sys, "last_type")
-    if not _windows or failed or hasattr(sys, "ps1") or sys.flags.interactive:
+    has_failed = hasattr(sys, "last_type")
+    if not _windows or has_failed or hasattr(sys, "ps1") or sys.flags.interactive:
         return
     ports({})
     close_playpen()
@@ -58,15 +64,9 @@ def wait_until_closed() -> None:
     try:
         while _windows:
             _windows[-1].canvas.flush_events()
-            time.sleep(_LOOK)
+            time.sleep(_EVENT_INTERVAL_S)
     except KeyboardInterrupt:
         _windows.clear()
 
 
 atexit.register(wait_until_closed)
-
-_LOOK = 0.03
-"""Interval at which the windows' events are handled [s]."""
-
-_windows: list["FigureManagerBase"] = []
-"""Windows kept, because one without a reference is closed."""

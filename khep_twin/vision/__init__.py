@@ -1,1 +1,1 @@
-"""The K213 in the world: its body, and its images plain and compiled."""
+"""The K213 in a world: its body, and its images by plain and compiled code."""

@@ -1,11 +1,11 @@
-"""The K213 in the physics: what its camera sees, and the light on it."""
+"""The K213 turret in a world: images of its camera, and readings of its light sensor."""
 
 from importlib.resources import files
 from pathlib import Path
 
 from khep_twin.board.k213 import PIXELS, REVISION, TICK_MS, VERSION, K213Electronics, K213Register
 from khep_twin.board.turrets import TurretContext, TurretKind
-from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
+from khep_twin.sensing.line_faces import fixed_faces, moving_faces, read_poses
 from khep_twin.units import K213_NUMBER, K213_PIXELS
 from khep_twin.vision.camera import LineCamera, eye_of
 
@@ -13,10 +13,7 @@ from khep_twin.vision.camera import LineCamera, eye_of
 class K213Body:
     """K213 of one robot in a compiled scene, a `TurretBody`.
 
-    An image is that of the moment at which a scan ends: what moves during a scan does not blur it.
-
-    Args:
-        context: Its place in the world.
+    An image shows the scene at the end of a scan: motion during the scan does not blur it.
     """
 
     def __init__(self, context: TurretContext) -> None:
@@ -26,7 +23,7 @@ class K213Body:
         self._pixels = context.registers[PIXELS]
         self._eye = model.camera(context.prefix + "eye").id
         moving = moving_faces(model, int(model.cam_bodyid[self._eye]))
-        self._camera = LineCamera(fixed_faces(model), moving, places(context.data))
+        self._camera = LineCamera(fixed_faces(model), moving, read_poses(context.data))
 
     def sense(self) -> None:
         """Take an image where a scan ends in this control period."""

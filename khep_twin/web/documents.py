@@ -20,7 +20,7 @@ from pathlib import Path
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.files import toml_files
-from khep_twin.files.atomic import resolved, unusable, write_whole
+from khep_twin.files.atomic import resolve, unusable, write_atomic
 from khep_twin.files.toml_files import SIZE_LIMIT
 from khep_twin.playpen import Playpen
 from khep_twin.web.drafts import Draft, blank, draft_of, text_of
@@ -51,7 +51,7 @@ class Documents:
     """Playpens below a folder; file names are relative to it."""
 
     def __init__(self, root: Path) -> None:
-        self.root = resolved(root)
+        self.root = resolve(root)
         self._save_lock = threading.Lock()
 
     def path(self, name: str, *suffixes: str) -> Path:
@@ -82,7 +82,7 @@ class Documents:
         relative_path = Path(name)
         if relative_path.is_absolute() or ".." in relative_path.parts:
             raise OutsideError(f"{name}: outside the folder that the designer was started in")
-        path = resolved(self.root / relative_path)
+        path = resolve(self.root / relative_path)
         if not path.is_relative_to(self.root):
             raise OutsideError(f"{name}: leads out of the folder that the designer was started in")
         return path
@@ -208,7 +208,7 @@ class Documents:
             text = text_of(draft, _valid_base(self._base_text(base, current_text)))
             # Another program may have written the file meanwhile.
             self._current_text(name, version, overwrite)
-            write_whole(path, text.encode("utf-8"))
+            write_atomic(path, text.encode("utf-8"))
         draft_path.unlink(missing_ok=True)
         return version_of(text)
 
@@ -232,7 +232,7 @@ class Documents:
         if content is None:
             path.unlink(missing_ok=True)
         else:
-            write_whole(path, json.dumps(content).encode("utf-8"))
+            write_atomic(path, json.dumps(content).encode("utf-8"))
 
     def drafts(self, name: str | None) -> list[dict[str, object]]:
         """Return the readable drafts of a file, newest first, each with its "page" and its "time" [s]."""

@@ -51,7 +51,7 @@ def playpen_of(draft: Mapping[str, object]) -> Playpen:
         PlaypenError: The draft is invalid; one line per problem.
     """
     name = str(draft.get("name", "draft"))[:64]
-    return toml_files.check(Playpen, toml_files.frozen(draft), name, PlaypenError)
+    return toml_files.check(Playpen, toml_files.freeze(draft), name, PlaypenError)
 
 
 def text_of(draft: Mapping[str, object], base: str | None) -> str:

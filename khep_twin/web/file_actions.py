@@ -13,7 +13,7 @@ from starlette.responses import FileResponse, Response
 from khep_twin import playpen as playpens
 from khep_twin.drawing.render import render
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, choices
-from khep_twin.files.atomic import read_regular, unusable, write_whole
+from khep_twin.files.atomic import read_regular, unusable, write_atomic
 from khep_twin.files.text import decode
 from khep_twin.host.discovery import found_ports
 from khep_twin.playpen import Playpen, bitmap, bitmap_files
@@ -68,7 +68,7 @@ class Programs:
                 raise ConflictError(f"{name}: was changed by another page or program")
             if reason := unusable(path):
                 raise ControllerError(f"{name}: cannot be written: {reason}")
-            write_whole(path, text.encode("utf-8"))
+            write_atomic(path, text.encode("utf-8"))
         return version_of(text)
 
     def _text(self, name: str) -> str | None:
@@ -190,7 +190,7 @@ def import_file(data: bytes, request: HttpRequest) -> dict[str, object]:
     if not 0.001 <= mm_per_pixel <= 1000:
         raise KhepTwinError(f"{mm_per_pixel:g} mm per pixel: expected 0.001 to 1000")
     picture = bitmap_files.decode(data)
-    solid = picture.solid[::-1] if picture.scanned else picture.solid
+    solid = picture.solid[::-1] if picture.is_scan else picture.solid
     converted = bitmap.to_playpen(solid, drafts.name_of(Path(name).stem), mm_per_pixel=mm_per_pixel)
     return {"file": None, "version": None, "draft": drafts.draft_of(converted.playpen)}
 

@@ -1,7 +1,7 @@
 """Messages from the designer to its open pages: the kinds, each with its keys.
 
-The page has one function for each kind, in a table of `main.js`, `run.js` or `challenges.js`; a test compares
-both lists of kinds. A message with a `tab` is for this page only; others ignore it.
+The page has one function for each kind, in `messageHandlers` of `run.js`, `challenges.js` or `drafts.js`; a
+test compares both lists of kinds. A message with a `tab` is for this page only; others ignore it.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -69,8 +69,8 @@ class OutsideHost:
         if self._partial_line:
             self.robot.send(bytes(self._partial_line))
             self._partial_line.clear()
-        self._connection.take(now)
-        self._connection.give()
+        self._connection.receive(now)
+        self._connection.deliver()
 
     def insert_command(self, pass_time: Callable[[int], None]) -> None:
         """Execute one line of the host if there is one and no reply is pending."""
@@ -81,9 +81,9 @@ class OutsideHost:
         received = self.port.receive(max(_LINE_LIMIT - len(self._partial_line), 0), is_answered)
         for notice in received.notices:
             self._notify(notice)
-        if received.left:
+        if received.hosts_left:
             # The host's last bytes still reach the robot; the replies are dropped.
-            if last := bytes(self._partial_line) + received.last:
+            if last := bytes(self._partial_line) + received.last_data:
                 self.robot.send(last)
             self.robot.disconnect()
             self._partial_line.clear()
@@ -99,7 +99,7 @@ class OutsideHost:
         self.robot.send(line)
         while (next_ns := self._connection.next_ns()) != NEVER_NS:
             pass_time(next_ns)
-            self._connection.give()
+            self._connection.deliver()
 
 
 class SessionEndedError(KhepTwinError):

@@ -242,7 +242,7 @@ def request_of(data: bytes, kind: type[RequestType], action: str) -> RequestType
     Raises:
         RequestError: The request is invalid.
     """
-    return toml_files.check(kind, toml_files.frozen(object_of(data)), action, RequestError)
+    return toml_files.check(kind, toml_files.freeze(object_of(data)), action, RequestError)
 
 
 def object_of(data: bytes) -> dict[str, object]:
@@ -262,7 +262,7 @@ def object_of(data: bytes) -> dict[str, object]:
     except ValueError as error:
         raise RequestError(f"no JSON: {error}; expected a JSON object") from None
     if not isinstance(value, dict):
-        raise RequestError(f"{toml_files.show(value)}: expected a JSON object")
+        raise RequestError(f"{toml_files.format_value(value)}: expected a JSON object")
     return cast(dict[str, object], value)
 
 

@@ -12,7 +12,7 @@ from starlette.routing import Route, WebSocketRoute
 
 from khep_twin import __version__
 from khep_twin import playpen as playpens
-from khep_twin.board.turrets import installed
+from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.toml_files import summary
 from khep_twin.lab.experiment.controllers import BUILT_IN
@@ -110,10 +110,10 @@ class Page:
             "library": {name: summary("playpens", name) for name in playpens.names()},
             "controllers": list(BUILT_IN),
             "bars": {name: asdict(bar) for name, bar in BARS.items()},
-            "colours": {"sensors": colours.OF_SENSORS, "wheels": colours.WHEELS},
+            "colours": {"sensors": colours.ALL_SENSORS, "wheels": colours.WHEELS},
             "turrets": {
                 name: {"description": kind.description, "parts": start_parts(name)}
-                for name, kind in installed().items()
+                for name, kind in installed_turrets().items()
             },
             "shapes": {model: robot_shape(model, model) for model in BODIES},
             "runs": running_twin,

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.turrets import installed
+from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import TurretError
 from khep_twin.world import World
 
@@ -147,7 +147,7 @@ def start_parts(name: str) -> list[dict[str, object]]:
     Raises:
         TurretError: The turret's MJCF file cannot be compiled.
     """
-    kind = installed()[name]
+    kind = installed_turrets()[name]
     if kind.scene is None:
         return []
     try:

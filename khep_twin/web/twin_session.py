@@ -15,11 +15,11 @@ from khep_twin.interventions.move_robot import current_playpen, place_robot
 from khep_twin.interventions.switching import switch
 from khep_twin.lab.experiment.multi_robot import drive_together
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.starts import no_room
-from khep_twin.ports.endpoints import open_any
-from khep_twin.ports.event_sources import exact_timeouts
+from khep_twin.playpen.starts import find_obstruction
+from khep_twin.ports.endpoints import open_any_port
+from khep_twin.ports.event_sources import set_exact_timeouts
 from khep_twin.ports.host_port import HostPort
-from khep_twin.ports.service_registry import registered
+from khep_twin.ports.service_registry import registered_ports
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import BODIES
 from khep_twin.web import messages
@@ -68,7 +68,7 @@ class TwinActor(SessionActor):
         """Report to a page why a held robot has no room at a position; the reason is empty if it has."""
 
         def report(twin: PacedTwin) -> None:
-            reason = no_room(current_playpen(twin.world), robot, x_mm, y_mm)
+            reason = find_obstruction(current_playpen(twin.world), robot, x_mm, y_mm)
             self.publish({"kind": "room", "robot": robot, "reason": reason, "tab": page})
 
         self._request(report, page)
@@ -117,19 +117,21 @@ class TwinActor(SessionActor):
     def _serve(self) -> None:
         with ExitStack() as stack:
             twin = stack.enter_context(open_twin(self.playpen, replace(self._options, robot=None)))
-            ports = [stack.enter_context(closing(open_any(robot.firmware.baud))) for robot in twin.robots]
+            ports = [
+                stack.enter_context(closing(open_any_port(robot.firmware.baud))) for robot in twin.robots
+            ]
             hosts = [OutsideHost(twin, *pair, self._note) for pair in zip(twin.robots, ports, strict=True)]
             if self.log is not None:
                 twin.record(self.log)
             with suppress(PortError):
                 description = f"twin in {self.playpen.name}, in a page"
-                stack.enter_context(registered([port.path for port in ports], description))
+                stack.enter_context(registered_ports([port.path for port in ports], description))
 
             def publish_picture() -> None:
                 self.output.flush()
                 self.publish(self._picture(paced, hosts))
 
-            exact_timeouts()
+            set_exact_timeouts()
             paced = PacedTwin(twin, hosts, publish_picture)
             stack.callback(twin.close)
             paced.speed, paced.paused = self.speed, self.paused
@@ -199,7 +201,7 @@ class TwinActor(SessionActor):
                 }
             )
         lamps = [
-            {"power_w": round(power, 3), "off": world.lamps.turned_off(index)}
+            {"power_w": round(power, 3), "off": world.lamps.is_switched_off(index)}
             for index, power in enumerate(world.lamps.powers)
         ]
         return {

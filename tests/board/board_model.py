@@ -1,7 +1,7 @@
-"""A second, plain telling of what the board answers, to compare the firmware with: no lines, no physics.
+"""A second, simple model of the board's replies to compare the firmware with, without lines and physics.
 
-It is written from docs/protocol.md, not from the firmware. What only a profile on its way can tell (the
-position error, and when the target is reached) it leaves open: there it says what must hold.
+It is written from docs/protocol.md, not from the firmware. For values that depend on a profile in progress
+(the position error, and when the target is reached) it only checks conditions.
 """
 
 from dataclasses import dataclass, field
@@ -18,19 +18,19 @@ BANNER = [
 ]
 
 
-def cut(value: int, low: int, high: int) -> int:
-    """A value held in a range."""
-    return sorted((low, value, high))[1]
+def clip(value: int, letter_out: int, high: int) -> int:
+    """Clip a value to a range."""
+    return sorted((letter_out, value, high))[1]
 
 
 def in_32_bits(value: int) -> int:
-    """A value as a signed 32-bit number."""
+    """Wrap a value to a signed 32-bit number."""
     return int.from_bytes((value & 0xFFFFFFFF).to_bytes(4, "big"), "big", signed=True)
 
 
 @dataclass
 class WheelModel:
-    """What the board knows of one wheel."""
+    """State of one wheel on the board."""
 
     position: int = 0
     speed: int = 0
@@ -41,14 +41,14 @@ class WheelModel:
     on_target: int = 1
 
     def turn(self, pulses: int) -> None:
-        """A tick in which the encoder counts so many pulses."""
+        """Run a tick in which the encoder counts some pulses."""
         self.position = in_32_bits(self.position + pulses)
         self.speed = pulses
         if self.mode == SPEED:
             self.error = self.setpoint - pulses
 
     def run(self, mode: int, value: int) -> None:
-        """A new order."""
+        """Set a new mode and setpoint."""
         if mode == SPEED:
             self.setpoint = value
         elif mode == POSITION:
@@ -58,18 +58,18 @@ class WheelModel:
         self.mode, self.on_target = mode, 0
 
     def status_fits(self, on_target: int, mode: int, error: int) -> bool:
-        """Whether the wheel's part of a reply to K is right."""
+        """Return whether the wheel's part of a reply to K is right."""
         if mode != self.mode:
             return False
         if mode != POSITION:
             return (on_target, error) == (self.on_target, self.error)
-        there = abs(in_32_bits(self.target - self.position)) <= 2
-        return on_target in (0, 1) and (not on_target or (there and abs(error) <= 2))
+        is_near = abs(in_32_bits(self.target - self.position)) <= 2
+        return on_target in (0, 1) and (not on_target or (is_near and abs(error) <= 2))
 
 
 @dataclass
 class BoardModel:
-    """The whole board with a gripper."""
+    """State of the board with a gripper."""
 
     wheels: tuple[WheelModel, WheelModel] = field(default_factory=lambda: (WheelModel(), WheelModel()))
     proximity: list[int] = field(default_factory=lambda: [0] * 8)
@@ -81,12 +81,12 @@ class BoardModel:
     arm_target: int = 152
 
     def convert(self, proximity: int, ambient: int) -> None:
-        """One sensor of the scan."""
+        """Store one sensor of the scan."""
         self.proximity[self.scan], self.ambient[self.scan] = proximity, ambient
         self.scan = (self.scan + 1) % 8
 
     def tick(self, left: int, right: int) -> None:
-        """A control period."""
+        """Run a control period."""
         for wheel, pulses in zip(self.wheels, (left, right), strict=True):
             wheel.turn(pulses)
         if self.demo and self.scan == 0:
@@ -95,13 +95,13 @@ class BoardModel:
                 wheel.run(SPEED, int(drive / 400) + 10)
 
     def reset(self) -> None:
-        """As at power-up, but for what is measured."""
+        """Reset all except measured values."""
         self.wheels = (WheelModel(), WheelModel())
         self.demo, self.baud = False, 9600
 
     def answer(self, letter: str, values: list[int]) -> str | None:
-        """The reply to a well-formed command; None where only `fits` can tell."""
-        low = letter.lower()
+        """Return the reply to a well-formed command; None if `status_fits` must check it."""
+        letter_out = letter.lower()
         left, right = self.wheels
         if len(values) != COUNTS[letter]:
             return ERROR
@@ -111,14 +111,14 @@ class BoardModel:
             case "C" | "D" | "P":
                 limit, mode = {"C": (2**23 - 2, POSITION), "D": (127, SPEED), "P": (255, PWM)}[letter]
                 for wheel, value in zip(self.wheels, values, strict=True):
-                    wheel.run(mode, cut(value, -limit, limit))
+                    wheel.run(mode, clip(value, -limit, limit))
             case "E":
                 return f"e,{left.speed},{right.speed}"
             case "G":
                 for wheel, value in zip(self.wheels, values, strict=True):
-                    place = in_32_bits(value)
-                    wheel.target += place - wheel.position
-                    wheel.position = place
+                    position = in_32_bits(value)
+                    wheel.target += position - wheel.position
+                    wheel.position = position
             case "H":
                 return f"h,{left.position},{right.position}"
             case "I":
@@ -130,17 +130,17 @@ class BoardModel:
             case "L":
                 return "l" if values[0] in (0, 1) and values[1] in (0, 1, 2) else ERROR
             case "N" | "O":
-                return ",".join([low, *map(str, self.proximity if letter == "N" else self.ambient)])
+                return ",".join([letter_out, *map(str, self.proximity if letter == "N" else self.ambient)])
             case "R":
                 return "r,255" if 0 <= values[0] < 64 else ERROR
             case "W":
                 return "w" if 0 <= values[0] < 256 and 0 <= values[1] < 64 else ERROR
             case _:
                 pass
-        return low
+        return letter_out
 
     def status_fits(self, reply: str) -> bool:
-        """Whether a reply to K is right; what it tells of a target is taken over."""
+        """Return whether a reply to K is right; adopt its flags of reached targets."""
         letter, *fields = reply.split(",")
         numbers = [int(value) for value in fields]
         if letter != "k" or len(numbers) != 6:
@@ -153,15 +153,15 @@ class BoardModel:
         return fits
 
     def turret(self, number: int, letter: str, values: list[int]) -> str:
-        """The reply to a message to a turret; the gripper's body stands still."""
+        """Return the reply to a message to a turret; the gripper's body does not move."""
         counts = dict(B=0, D=1, E=1, F=0, G=0, H=1, J=0)
         if number != 1 or letter not in counts:
             return NO_ORDER
         if len(values) != counts[letter] or (letter in "DH" and values[0] not in (0, 1)):
             return ERROR
-        told = {"B": ",1,0", "F": ",255", "G": ",0", "J": ",0"}
+        replies = {"B": ",1,0", "F": ",255", "G": ",0", "J": ",0"}
         if letter == "H":
             return f"t,1,h,{152 if values[0] else 200}"
         if letter == "E":
-            self.arm_target = cut(values[0], 152, 255)
-        return f"t,1,{letter.lower()}{told.get(letter, '')}"
+            self.arm_target = clip(values[0], 152, 255)
+        return f"t,1,{letter.lower()}{replies.get(letter, '')}"

@@ -1,4 +1,4 @@
-"""Charger and cells: the discharge curve, what the board measures of it, and what it does to the robot."""
+"""Charger and cells: the discharge curve, its measurement by the board, and its effects on the robot."""
 
 import pytest
 import scenes
@@ -6,7 +6,7 @@ from notes import Notes
 
 from khep_twin import playpen as playpens
 from khep_twin import units
-from khep_twin.board.battery import CHARGER, DISCHARGE, discharged, voltage
+from khep_twin.board.battery import CHARGER, DISCHARGE, cell_voltage, voltage
 from khep_twin.board.kernel import DUTIES
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
@@ -32,16 +32,16 @@ def test_the_charger_keeps_its_voltage() -> None:
 
 @pytest.mark.parametrize(("used_min", "volts"), FIGURE.items())
 def test_the_cells_run_down_as_in_the_manuals_figure(used_min: float, volts: float) -> None:
-    assert discharged(used_min) == pytest.approx(volts, abs=0.08)
-    assert voltage(used_min / 2, round(used_min / 2 * MINUTE_NS)) == discharged(used_min)
+    assert cell_voltage(used_min) == pytest.approx(volts, abs=0.08)
+    assert voltage(used_min / 2, round(used_min / 2 * MINUTE_NS)) == cell_voltage(used_min)
 
 
 def test_the_cells_fall_below_4_volts_after_41_minutes_and_never_rise() -> None:
-    voltages = [discharged(minutes / 10) for minutes in range(600)]
+    voltages = [cell_voltage(minutes / 10) for minutes in range(600)]
     assert voltages == sorted(voltages, reverse=True)
     assert next(minutes / 10 for minutes in range(600) if voltages[minutes] < 4) == pytest.approx(41, abs=0.1)
     assert len(DISCHARGE) <= 10
-    assert discharged(1000) == DISCHARGE[-1][1]
+    assert cell_voltage(1000) == DISCHARGE[-1][1]
 
 
 def test_channel_0_reads_half_the_supply_and_channel_6_the_current() -> None:
@@ -51,7 +51,7 @@ def test_channel_0_reads_half_the_supply_and_channel_6_the_current() -> None:
         assert robot.converter(6) == round(units.IDLE_CURRENT * 1000) == 236
     robot, _ = connect(battery_used_min=20)
     with robot:
-        assert robot.converter(0) / 1024 * 4.096 * 2 == pytest.approx(discharged(20), abs=0.01)
+        assert robot.converter(0) / 1024 * 4.096 * 2 == pytest.approx(cell_voltage(20), abs=0.01)
 
 
 def test_a_robot_that_pushes_draws_the_current_of_its_torque() -> None:
@@ -76,7 +76,7 @@ def test_a_lower_voltage_drives_slower_at_the_same_duty() -> None:
             robot.sleep(1)
             ways.append(world.robots[0].pose[1])
     # The gears' friction takes the same voltage of both.
-    full, empty = (40 / units.DUTY_LIMIT * discharged(used_min) for used_min in (0.3, 39.0))
+    full, empty = (40 / units.DUTY_LIMIT * cell_voltage(used_min) for used_min in (0.3, 39.0))
     motors = MotorCalibration()
     dead = motors.friction_torque_n_m * motors.resistance / motors.constant
     ratio = (empty - dead) / (full - dead)

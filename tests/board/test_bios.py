@@ -6,7 +6,7 @@ from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, DEMO_SPEED_PULSES, LEFT, PROXIMITY, SETPOINTS
 from khep_twin.board.protocol import Tool
 from khep_twin.board.rom import ROMS
-from khep_twin.board.turrets import find
+from khep_twin.board.turrets import find_turrets
 from khep_twin.clock import NS_PER_S
 from khep_twin.firmware import Firmware, parse
 from khep_twin.host import Khepera
@@ -28,17 +28,17 @@ def firmware() -> Firmware:
     "tool", ["help", "help list", "help D", "list", "k-team", "net", "memory", "process"]
 )
 def test_a_tool_with_output_prints_it_in_lines(firmware: Firmware, tool: str) -> None:
-    told = lines(firmware.receive(tool.encode() + b"\n"))
-    assert told
-    assert all(line.strip() for line in told)
+    reply_lines = lines(firmware.receive(tool.encode() + b"\n"))
+    assert reply_lines
+    assert all(line.strip() for line in reply_lines)
 
 
 def test_the_list_names_every_tool_and_command(firmware: Firmware) -> None:
-    told = "\n".join(lines(firmware.receive(b"list\n")))
+    reply_lines = "\n".join(lines(firmware.receive(b"list\n")))
     for name in ("run", "serial", "help", "list", "k-team", "net", "memory", "process", "restart", "sfill"):
-        assert f"TO  {name} " in told
+        assert f"TO  {name} " in reply_lines
         assert isinstance(parse(name.encode()), Tool)
-    assert told.count("PR  ") == 18
+    assert reply_lines.count("PR  ") == 18
 
 
 @pytest.mark.parametrize(
@@ -106,22 +106,30 @@ def test_run_demo_starts_it_and_restart_ends_it(firmware: Firmware) -> None:
 
 
 def test_mode_7_reports_a_self_test_at_a_reset() -> None:
-    told = lines(Firmware(ROMS["5.02"], 7).receive(b"restart\n"))
-    assert told[0].startswith("ROM of minirobot KHEPERA")
-    assert "Self test" in told
+    reply_lines = lines(Firmware(ROMS["5.02"], 7).receive(b"restart\n"))
+    assert reply_lines[0].startswith("ROM of minirobot KHEPERA")
+    assert "Self test" in reply_lines
 
 
-@pytest.mark.parametrize(("rom", "had"), [("5.02", [0, 1, 2, 3, 7]), ("khepera2", [0, 1, 2, 3, 7, 8, 9])])
-def test_every_mode_is_there_or_refused_with_a_reason(rom: str, had: list[int]) -> None:
+@pytest.mark.parametrize(
+    ("rom", "available"), [("5.02", [0, 1, 2, 3, 7]), ("khepera2", [0, 1, 2, 3, 7, 8, 9])]
+)
+def test_every_mode_is_there_or_refused_with_a_reason(rom: str, available: list[int]) -> None:
     assert sorted(ROMS[rom].modes) == list(range(16))
-    assert [mode for mode in range(16) if not ROMS[rom].refused(mode)] == had
+    assert [mode for mode in range(16) if not ROMS[rom].refusal_reason(mode)] == available
 
 
 def test_a_refusal_says_why_and_what_is_right() -> None:
-    assert ROMS["5.02"].refused(4).startswith("mode 4 runs a user's program")
-    assert ROMS["5.02"].refused(9).startswith("mode 9 is a mode of the Khepera II; the twin has it with rom")
-    assert ROMS["khepera2"].refused(14).startswith("mode E rewrites the robot's memory")
-    assert ROMS["khepera2"].refused(99).endswith("a running mode that the twin has (0, 1, 2, 3, 7, 8, 9)")
+    assert ROMS["5.02"].refusal_reason(4).startswith("mode 4 runs a user's program")
+    assert (
+        ROMS["5.02"]
+        .refusal_reason(9)
+        .startswith("mode 9 is a mode of the Khepera II; the twin has it with rom")
+    )
+    assert ROMS["khepera2"].refusal_reason(14).startswith("mode E rewrites the robot's memory")
+    assert (
+        ROMS["khepera2"].refusal_reason(99).endswith("a running mode that the twin has (0, 1, 2, 3, 7, 8, 9)")
+    )
 
 
 @pytest.mark.parametrize(("mode", "baud"), [(1, 9600), (2, 19200), (3, 38400), (8, 57600), (9, 115200)])
@@ -130,6 +138,6 @@ def test_a_running_mode_sets_the_speed_of_the_line(mode: int, baud: int) -> None
 
 
 def test_net_lists_the_turrets() -> None:
-    turrets = {kind: kind.make() for kind in find(["gripper"])}
-    told = lines(Firmware(ROMS["5.02"], 1, turrets).receive(b"net\n"))
-    assert told == ["1  gripper  arm with two fingers  revision 1.0"]
+    turrets = {kind: kind.make() for kind in find_turrets(["gripper"])}
+    reply_lines = lines(Firmware(ROMS["5.02"], 1, turrets).receive(b"net\n"))
+    assert reply_lines == ["1  gripper  arm with two fingers  revision 1.0"]

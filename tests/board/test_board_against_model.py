@@ -1,7 +1,7 @@
-"""Thousands of random commands, and the firmware agrees with a model of the board on every reply.
+"""The firmware agrees with a model of the board on the replies to thousands of random commands.
 
-The suite takes a share of them; `KHEP_COMMANDS=50000` takes 50,000 and more, as the part `model` of a night
-does, and `KHEP_FIRST=1000` begins with another seed.
+The suite runs some of them; `KHEP_COMMANDS=50000` runs 50,000 and more, as the part `model` of a night
+does, and `KHEP_FIRST=1000` starts with another seed.
 """
 
 import os
@@ -16,7 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_a
 from khep_twin.board import kernel
 from khep_twin.board.gripper import Register
 from khep_twin.board.rom import ROMS
-from khep_twin.board.turrets import find
+from khep_twin.board.turrets import find_turrets
 from khep_twin.firmware import Firmware
 
 COMMANDS_WANTED = int(os.environ.get("KHEP_COMMANDS", "2000"))
@@ -61,8 +61,8 @@ TOOLS = {
 }
 
 
-def written(number: int, style: int) -> str:
-    """A number in one of the ways in which hosts write it."""
+def format_number(number: int, style: int) -> str:
+    """Return a number in one of the formats of hosts."""
     plain = str(number)
     if style == 1 and number >= 0:
         return "+" + plain
@@ -73,7 +73,7 @@ def written(number: int, style: int) -> str:
 
 @st.composite
 def lines(draw: st.DrawFn) -> tuple[str, str, Any]:
-    """A line, its kind and what it consists of."""
+    """Return a line, its kind and its contents."""
     kind = draw(st.sampled_from(["command"] * 12 + ["turret"] * 3 + ["arity", "field", "word", "tool"]))
     if kind == "word":
         return draw(st.sampled_from(WORDS)), kind, None
@@ -84,15 +84,15 @@ def lines(draw: st.DrawFn) -> tuple[str, str, Any]:
     if kind == "turret":
         number, letter = draw(st.sampled_from([1, 1, 1, 2, 31])), draw(st.sampled_from("BDEFGHJX"))
         values = draw(st.lists(st.integers(-2, 300), max_size=2))
-        text = ",".join([f"T,{number},{letter}", *(written(value, style) for value in values)])
+        text = ",".join([f"T,{number},{letter}", *(format_number(value, style) for value in values)])
         return text, kind, (number, letter, values)
     letter = draw(st.sampled_from(sorted(COUNTS)))
     count = COUNTS[letter] + (draw(st.sampled_from([-1, 1, 2])) if kind == "arity" else 0)
     values = [draw(NUMBERS) for _ in range(max(count, 0))]
-    fields = [written(value, style) for value in values]
+    fields = [format_number(value, style) for value in values]
     if kind == "field":
-        place = draw(st.integers(0, len(fields)))
-        fields[place : place + 1] = [draw(st.sampled_from(WRONG_FIELDS))]
+        index = draw(st.integers(0, len(fields)))
+        fields[index : index + 1] = [draw(st.sampled_from(WRONG_FIELDS))]
         return ",".join([letter, *fields]), kind, None
     return ",".join([letter, *fields]), "command", (letter, values)
 
@@ -104,38 +104,38 @@ class Session(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        (kind,) = find(["gripper"])
+        (kind,) = find_turrets(["gripper"])
         self.gripper = kind.make()
         self.firmware = Firmware(ROMS["5.02"], 1, {kind: self.gripper})
         self.model = BoardModel()
         self.encoders = [0, 0]
 
     @rule(
-        said=st.lists(st.tuples(lines(), ENDS), min_size=4, max_size=24),
+        script=st.lists(st.tuples(lines(), ENDS), min_size=4, max_size=24),
         cuts=st.lists(st.integers(0, 200)),
     )
-    def say(self, said: list[tuple[tuple[str, str, Any], str]], cuts: list[int]) -> None:
-        """Sends some lines in pieces cut anywhere, and compares the replies one by one."""
-        data = "".join(line[0] + end for line, end in said).encode("latin-1")
-        places = [0, *sorted(place for place in cuts if place < len(data)), len(data)]
-        pieces = pairwise(places)
-        replies = b"".join(self.firmware.receive(data[start:end]) for start, end in pieces)
-        told = replies.decode("ascii").split("\r\n")
-        assert told.pop() == ""
-        for (text, kind, content), _ in said:
+    def say(self, script: list[tuple[tuple[str, str, Any], str]], cuts: list[int]) -> None:
+        """Send lines in pieces of any sizes, and compare the replies one by one."""
+        data = "".join(line[0] + end for line, end in script).encode("latin-1")
+        starts = [0, *sorted(index for index in cuts if index < len(data)), len(data)]
+        pieces = pairwise(starts)
+        output = b"".join(self.firmware.receive(data[start:end]) for start, end in pieces)
+        replies = output.decode("ascii").split("\r\n")
+        assert replies.pop() == ""
+        for (text, kind, content), _ in script:
             Session.n_commands += 1
             for expected in self.expected(kind, content):
-                reply = told.pop(0)
+                reply = replies.pop(0)
                 if expected is None:
                     assert self.model.status_fits(reply), (text, reply, self.model.wheels)
                 else:
                     assert reply == expected, text
-        assert not told
+        assert not replies
         assert self.firmware.baud == self.model.baud
         assert self.gripper.registers[Register.ARM_TARGET] == self.model.arm_target
 
     def expected(self, kind: str, content: Any) -> list[str | None]:
-        """The replies that the model gives; None for one that it only checks."""
+        """Return the replies of the model; None for one that it only checks."""
         match kind:
             case "command":
                 return [self.model.answer(*content)]
@@ -157,7 +157,7 @@ class Session(RuleBasedStateMachine):
 
     @rule(left=st.integers(-200, 200), right=st.integers(-200, 200), ticks=st.integers(1, 5))
     def turn(self, left: int, right: int, ticks: int) -> None:
-        """Lets the wheels turn, whatever the motors are told."""
+        """Turn the wheels, independently of the motors."""
         for _ in range(ticks):
             self.encoders[0] += left
             self.encoders[1] += right
@@ -169,7 +169,7 @@ class Session(RuleBasedStateMachine):
         supply=st.tuples(st.integers(0, 1023), st.integers(0, 999)),
     )
     def convert(self, counts: list[tuple[int, int]], supply: tuple[int, int]) -> None:
-        """Converts some sensors, and the supply."""
+        """Convert some sensors and the supply."""
         for proximity, ambient in counts:
             kernel.convert(self.firmware.register_view, proximity, ambient)
             self.model.convert(proximity, ambient)

@@ -1,4 +1,4 @@
-"""Plain and compiled, the board's arithmetic gives the same bits."""
+"""The board's arithmetic gives the same bits plain and compiled."""
 
 import inspect
 from collections.abc import Callable
@@ -19,14 +19,14 @@ N_ORDERS = 10_000
 
 
 def functions() -> dict[str, Callable[..., Any]]:
-    """All functions of the kernel."""
-    found = inspect.getmembers(kernel, inspect.isfunction)
-    return {name: each for name, each in found if each.__module__ == kernel.__name__}
+    """Return the functions of the kernel by name."""
+    members = inspect.getmembers(kernel, inspect.isfunction)
+    return {name: function for name, function in members if function.__module__ == kernel.__name__}
 
 
 @cache
 def compiled_kernel() -> SimpleNamespace:
-    """The kernel's functions, as compiled code calls them."""
+    """Return the kernel's functions in compiled form."""
     import numba
 
     from khep_twin.simulation.compiled import register
@@ -36,10 +36,10 @@ def compiled_kernel() -> SimpleNamespace:
 
 
 def orders(rng: np.random.Generator) -> Callable[[Any, Any], None]:
-    """One random order to the board or to its clock: a function of a kernel and of registers."""
+    """Draw an order to the board or its clock: a function of a kernel and of registers."""
     wheel = int(rng.choice([LEFT, RIGHT]))
     small, large = int(rng.integers(-127, 128)), int(rng.integers(-(2**23) + 2, 2**23 - 1))
-    whole = int(rng.integers(-(2**31), 2**31))
+    position = int(rng.integers(-(2**31), 2**31))
     gain = int(rng.choice([0, 1, 20, 100, 3800, 32767]))
     left, right = (int(pulses) for pulses in rng.integers(-200, 201, 2))
     register = int(rng.integers(Board.SPEED_KP, Board.POSITION_KD + 1))
@@ -54,8 +54,8 @@ def orders(rng: np.random.Generator) -> Callable[[Any, Any], None]:
         lambda module, registers: module.set_speed(registers, wheel, small),
         lambda module, registers: module.set_duty(registers, wheel, 2 * small),
         lambda module, registers: module.set_target(registers, wheel, large),
-        lambda module, registers: module.set_position(registers, wheel, whole),
-        lambda module, registers: module.convert(registers, abs(small), abs(whole) % 1024),
+        lambda module, registers: module.set_position(registers, wheel, position),
+        lambda module, registers: module.convert(registers, abs(small), abs(position) % 1024),
         lambda module, registers: module.measure(registers, abs(small), abs(large) % 1000),
         lambda module, registers: module.wander(registers),
         lambda module, registers: registers.__setitem__(register, gain),

@@ -1,4 +1,4 @@
-"""Faults on purpose: each does what it says, by its own chance, and is told."""
+"""Injected faults: their effects, probabilities and log messages."""
 
 from typing import Any
 
@@ -92,11 +92,11 @@ def test_late_replies_are_late_by_what_is_asked() -> None:
 def test_a_stuck_sensor_reads_what_it_read_last() -> None:
     port, notes = open_with("stuck:2@1")
     port.sleep(1.1)
-    seen = []
+    readings = []
     for _ in range(30):
-        seen.append([int(count) for count in ask(port, b"O").split(b",")[1:]])
-    assert len({counts[2] for counts in seen}) == 1
-    assert len({counts[3] for counts in seen}) > 5
+        readings.append([int(count) for count in ask(port, b"O").split(b",")[1:]])
+    assert len({counts[2] for counts in readings}) == 1
+    assert len({counts[3] for counts in readings}) > 5
     assert notes.told == ["fault stuck:2@1 begins"]
 
 

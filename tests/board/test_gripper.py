@@ -1,4 +1,4 @@
-"""The gripper's electronics: orders, replies and the way of the setpoints."""
+"""The gripper's electronics: orders, replies and motion of the setpoints."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The gripper in the physics, by what it tells over the serial line and by the truth."""
+"""The gripper in the physics, by its replies on the serial line and by the true state."""
 
 import math
 from collections.abc import Iterator
@@ -106,12 +106,12 @@ def test_the_barrier_darkens_ray_by_ray() -> None:
         gripper = Gripper(robot)
         gripper.lower()
         gripper.wait()
-        seen = []
+        readings = []
         robot.set_speed(2, 2)
         while world.robots[0].pose[0] < 0.325:
-            seen.append(gripper.barrier())
-        assert sorted(set(seen)) == [0, 85, 170, 255]
-        assert seen == sorted(seen)
+            readings.append(gripper.barrier())
+        assert sorted(set(readings)) == [0, 85, 170, 255]
+        assert readings == sorted(readings)
 
 
 def test_the_resistivity_is_that_of_the_surface() -> None:

@@ -109,9 +109,9 @@ def test_the_profile_ends_on_its_target(start: int, way: int, speed: int, accele
     cruise = max(speed, 1)
     ramp = min(cruise * 256 / acceleration, (abs(way) * 256 / acceleration) ** 0.5)
     for _ in range(int(abs(way) / cruise + 2 * ramp) + 60):
-        before = registers[LEFT + Wheel.PROFILE_SPEED]
+        old_speeds = registers[LEFT + Wheel.PROFILE_SPEED]
         kernel.tick(registers, 0, 0)
-        assert abs(registers[LEFT + Wheel.PROFILE_SPEED] - before) <= acceleration
+        assert abs(registers[LEFT + Wheel.PROFILE_SPEED] - old_speeds) <= acceleration
     if speed or not way:
         assert registers[LEFT + Wheel.PROFILE_POSITION] == (start + way) * 256
         assert registers[LEFT + Wheel.PROFILE_SPEED] == 0
@@ -246,23 +246,23 @@ def profile(registers: kernel.Registers, ticks: int) -> tuple[list[float], list[
     return places, speeds
 
 
-@pytest.mark.parametrize("ahead", [-1000, -25, 0, 25, 100, 799, 801, 3000])
+@pytest.mark.parametrize("distance", [-1000, -25, 0, 25, 100, 799, 801, 3000])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_new_target_never_brakes_or_pushes_harder_than_j_allows(
-    registers: kernel.Registers, ahead: int, sign: int
+    registers: kernel.Registers, distance: int, sign: int
 ) -> None:
     kernel.set_target(registers, LEFT, sign * 5000)
-    places, before = profile(registers, 120)
-    target = int(places[-1]) + sign * ahead
+    places, old_speeds = profile(registers, 120)
+    target = int(places[-1]) + sign * distance
     kernel.set_target(registers, LEFT, target)
     places, speeds = profile(registers, 600)
-    steps = np.abs(np.diff([before[-1], *speeds]))
+    steps = np.abs(np.diff([old_speeds[-1], *speeds]))
     assert steps.max() <= 0.25
     assert places[-1] == target
     assert speeds[-1] == 0
     # Where 20 pulses/tick cannot be stopped in time, it runs 800 pulses on and comes back.
     farthest = max(sign * place for place in places)
-    assert farthest == pytest.approx(max(sign * target, sign * (target - sign * ahead) + 790), abs=25)
+    assert farthest == pytest.approx(max(sign * target, sign * (target - sign * distance) + 790), abs=25)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The step responses of docs/protocol.md, measured anew: a robot of 70 g on the floor, default gains."""
+"""The step responses of docs/protocol.md, measured again: a robot of 70 g on the floor, default gains."""
 
 import re
 from pathlib import Path
@@ -29,8 +29,8 @@ def response(command: str, register: Wheel, ticks: int) -> np.ndarray:
 
 def rows(letter: str) -> dict[int, list[int]]:
     """Rows of the table about a command: its argument, then numbers."""
-    found = re.findall(rf"^\| `{letter},(\d+),\d+` \|(.*)\|$", TABLE, re.MULTILINE)
-    return {int(step): [int(cell) for cell in register_view.split("|")] for step, register_view in found}
+    matches = re.findall(rf"^\| `{letter},(\d+),\d+` \|(.*)\|$", TABLE, re.MULTILINE)
+    return {int(step): [int(cell) for cell in register_view.split("|")] for step, register_view in matches}
 
 
 def settled(values: np.ndarray, goal: int, band: float) -> int:

@@ -11,7 +11,7 @@ from khep_twin.board import turrets
 from khep_twin.board.gripper_body import GRIPPER
 from khep_twin.board.protocol import turret_reply
 from khep_twin.board.rom import ROMS
-from khep_twin.board.turrets import TurretKind, find, installed, raised_by
+from khep_twin.board.turrets import TurretKind, find_turrets, installed_turrets, mount_heights
 from khep_twin.errors import TurretError
 from khep_twin.firmware import Firmware
 from khep_twin.playpen import Playpen
@@ -57,13 +57,13 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
         )
 
     monkeypatch.setattr(turrets, "entry_points", entry_points)
-    installed.cache_clear()
+    installed_turrets.cache_clear()
     yield names
-    installed.cache_clear()
+    installed_turrets.cache_clear()
 
 
 def test_the_gripper_comes_with_the_twin() -> None:
-    (kind,) = find(["gripper"])
+    (kind,) = find_turrets(["gripper"])
     assert (kind.name, kind.number) == ("gripper", 1)
     assert kind.scene is not None
     assert kind.scene.exists()
@@ -71,7 +71,7 @@ def test_the_gripper_comes_with_the_twin() -> None:
 
 def test_any_package_may_offer_a_turret(offered: list[str]) -> None:
     offered += ["RADIO"]
-    assert find(["radio"]) == (RADIO,)
+    assert find_turrets(["radio"]) == (RADIO,)
 
 
 @pytest.mark.parametrize(
@@ -91,17 +91,17 @@ def test_turrets_that_cannot_be_plugged_on_are_one_line(
 ) -> None:
     offered += ["RADIO", "SECOND", "MAST", "BOARD", "ARM"]
     with pytest.raises(TurretError) as caught:
-        find(names)
+        find_turrets(names)
     assert str(caught.value) == line
 
 
 def test_each_turret_of_a_stack_is_raised_by_those_below_it(offered: list[str]) -> None:
     offered += ["MAST", "BOARD", "ARM", "RADIO"]
-    assert list(installed()) == ["arm", "board", "radio", "mast"]
-    assert raised_by(find(["arm", "board", "mast"])) == pytest.approx((0, 0.01, 0.03))
+    assert list(installed_turrets()) == ["arm", "board", "radio", "mast"]
+    assert mount_heights(find_turrets(["arm", "board", "mast"])) == pytest.approx((0, 0.01, 0.03))
     # One without a body and a height has no place in the stack.
-    assert raised_by(find(["radio", "arm"])) == (0, 0)
-    assert raised_by(find(["mast", "radio"])) == (0, 0)
+    assert mount_heights(find_turrets(["radio", "arm"])) == (0, 0)
+    assert mount_heights(find_turrets(["mast", "radio"])) == (0, 0)
 
 
 def test_the_body_of_a_turret_stands_on_the_one_below_it(
@@ -131,7 +131,7 @@ def test_the_body_of_a_turret_stands_on_the_one_below_it(
 def test_a_package_that_offers_no_turret_is_named(offered: list[str], names: list[str], part: str) -> None:
     offered += names
     with pytest.raises(TurretError) as caught:
-        installed()
+        installed_turrets()
     assert part in str(caught.value)
     assert "\n" not in str(caught.value)
 

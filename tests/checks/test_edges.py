@@ -10,8 +10,8 @@ SHARE = 4
 
 
 def test_a_share_of_the_search_finds_nothing() -> None:
-    found = {number: trouble(number, made, seconds=3.0) for number, made in playpens(0, SHARE)}
-    assert found == dict.fromkeys(found)
+    problems = {number: trouble(number, playpen, seconds=3.0) for number, playpen in playpens(0, SHARE)}
+    assert problems == dict.fromkeys(problems)
 
 
 def test_a_number_is_always_the_same_playpen_and_some_pass_the_check() -> None:

@@ -4,11 +4,11 @@ from checks.kills import MOST_LOST, kill
 
 
 def test_a_killed_server_loses_at_most_a_second_of_wall_time() -> None:
-    found = kill("serve", 2, latest=1.5)
+    problems = kill("serve", 2, latest=1.5)
     # Pauses in which the machine let nobody do anything are not the log's.
-    assert max(found.lost, found.lost_replies) <= MOST_LOST["serve"] + 2 * found.stall
+    assert max(problems.lost, problems.lost_replies) <= MOST_LOST["serve"] + 2 * problems.stall
 
 
 def test_a_killed_run_in_lock_step_loses_at_most_five_simulated_seconds() -> None:
-    found = kill("run", 1, latest=1.0)
-    assert max(found.lost, found.lost_replies) <= MOST_LOST["run"] + 0.1
+    problems = kill("run", 1, latest=1.0)
+    assert max(problems.lost, problems.lost_replies) <= MOST_LOST["run"] + 0.1

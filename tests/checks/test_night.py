@@ -24,13 +24,13 @@ MAKEFILE = (ROOT / "Makefile").read_text()
 PROLOGUE = "number, first, count = {seed} - 1, {first}, {count}; "
 
 
-def part(program: str, wanted: float = 10, share: float = 4, alone: bool = False) -> Part:
+def part(program: str, count: float = 10, share: float = 4, alone: bool = False) -> Part:
     """A part whose processes run a line of Python, with the number and the count of their share."""
     return Part(
         "part",
         "a part",
         "things",
-        wanted,
+        count,
         share,
         f"-c {shlex.quote(PROLOGUE + program.replace('{', '{{').replace('}', '}}'))}",
         done=r"^did (\d+)$",
@@ -40,9 +40,9 @@ def part(program: str, wanted: float = 10, share: float = 4, alone: bool = False
     )
 
 
-def run(found: Part, folder: Path, cores: int = 2, share: float = 1.0) -> tuple[int, State]:
-    status = Night([found], share, folder, cores).run()
-    return status, State(found, folder)
+def run(part_to_run: Part, folder: Path, cores: int = 2, share: float = 1.0) -> tuple[int, State]:
+    status = Night([part_to_run], share, folder, cores).run()
+    return status, State(part_to_run, folder)
 
 
 GOOD = 'print(f"figure: {number}"); print(f"did {count:.0f}")'
@@ -52,7 +52,7 @@ def test_a_part_is_done_in_shares_and_not_again(tmp_path: Path) -> None:
     status, state = run(part(GOOD), tmp_path)
     assert status == 0
     assert state.done == 10
-    assert sorted((each.number, each.count) for each in state.runs) == [(0, 4), (1, 4), (2, 2)]
+    assert sorted((part_run.number, part_run.count) for part_run in state.runs) == [(0, 4), (1, 4), (2, 2)]
     _, again = run(part(GOOD), tmp_path)
     assert again.runs == state.runs
 
@@ -63,8 +63,8 @@ def test_a_share_of_a_night_is_done_first_and_the_rest_later(tmp_path: Path) -> 
 
 
 def test_counts_come_from_the_output(tmp_path: Path) -> None:
-    _, state = run(part('print(f"did {count - 1:.0f}")', wanted=7, share=4), tmp_path, cores=1)
-    assert [each.count for each in state.runs] == [3, 3, 0]
+    _, state = run(part('print(f"did {count - 1:.0f}")', count=7, share=4), tmp_path, cores=1)
+    assert [part_run.count for part_run in state.runs] == [3, 3, 0]
 
 
 def test_a_finding_ends_its_part_and_is_tried_again(
@@ -156,13 +156,13 @@ OUTPUTS = {
 
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_the_count_of_each_tool_is_read(name: str) -> None:
-    (found,) = (each for each in PARTS if each.name == name)
+    (night_part,) = (candidate for candidate in PARTS if candidate.name == name)
     output, count = OUTPUTS[name]
-    assert found.count(output) == count
+    assert night_part.count(output) == count
 
 
 def test_an_interrupted_fuzzer_has_done_what_it_told_last() -> None:
-    (parser,) = (each for each in PARTS if each.name == "fuzz-board")
+    (parser,) = (candidate for candidate in PARTS if candidate.name == "fuzz-board")
     assert parser.count_under_way("#2\tINITED cov\n#4096\tpulse  cov: 3\n") == 4096
 
 
@@ -173,11 +173,11 @@ def test_quick_parts_run_with_a_tiny_share(tmp_path: Path) -> None:
     pytest.importorskip("atheris")
     command = [sys.executable, "-m", "checks", "night", "run", *QUICK]
     command += ["--share", "0.0005", "--folder", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=300, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    for found in PARTS:
-        state = State(found, tmp_path)
-        assert (state.done >= wanted_of(found, 0.0005)) == (found.name in QUICK)
+    process = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=300, check=False)
+    assert process.returncode == 0, process.stdout + process.stderr
+    for night_part in PARTS:
+        state = State(night_part, tmp_path)
+        assert (state.done >= wanted_of(night_part, 0.0005)) == (night_part.name in QUICK)
     page = (tmp_path / "page.md").read_text()
     assert page.count("nothing found so far") == len(QUICK)
     assert page.count("| not run |") == len(PARTS) - len(QUICK)
@@ -194,33 +194,33 @@ def test_parts_may_follow_the_options_as_make_gives_them(
 
 
 def test_shares_of_a_part_draw_other_things() -> None:
-    for found in PARTS:
-        if found.wanted == found.share:  # which is one thing
+    for night_part in PARTS:
+        if night_part.wanted == night_part.share:  # which is one thing
             continue
-        shares = [Share(number, found.share * number, found.share) for number in range(3)]
-        told = {(tuple(found.command(share)), tuple(found.environment(share).items())) for share in shares}
-        assert len(told) == 3, found.name
+        shares = [Share(number, night_part.share * number, night_part.share) for number in range(3)]
+        commands = {(tuple(night_part.command(share)), tuple(night_part.environment(share).items())) for share in shares}
+        assert len(commands) == 3, night_part.name
 
 
 def test_the_page_tells_each_part_and_its_findings_as_text(tmp_path: Path) -> None:
     finding = "it broke here\n```\nDone 5 runs in 1 second(s)"
     state = State(PARTS[1], tmp_path)
     state.add(night.Run(0, 5, 5, 3.0, 1, "python x.py", "2026-01-01 00:00", "abc", [], finding))
-    found = rows(tmp_path)
-    text = markdown(found, "now")
-    assert all(each.what in text for each in PARTS)
+    page_rows = rows(tmp_path)
+    text = markdown(page_rows, "now")
+    assert all(night_part.what in text for night_part in PARTS)
     assert text.count("```") == 2
     assert "1 finding" in text
 
 
 def test_every_check_is_part_of_a_night() -> None:
-    run_by = {found.command(Share(0, 0, found.share))[3] for found in PARTS if "checks" in found.words}
+    run_by = {night_part.command(Share(0, 0, night_part.share))[3] for night_part in PARTS if "checks" in night_part.words}
     assert run_by == set(CHECKS) - {"night"}
 
 
 def test_the_files_that_parts_name_are_there_and_make_runs_them() -> None:
-    for found in PARTS:
-        words = found.command(Share(0, 0, found.share))
+    for night_part in PARTS:
+        words = night_part.command(Share(0, 0, night_part.share))
         for word in words:
             if re.fullmatch(r"tests/.*\.py", word):
                 assert (ROOT / word).is_file(), word

@@ -51,7 +51,7 @@ HANGING = {
 
 
 def started(
-    words: Sequence[str], folder: Path, hang_up: signal.Handlers = signal.SIG_DFL, **more: str
+    words: Sequence[str], folder: Path, hang_up: signal.Handlers = signal.SIG_DFL, **variables: str
 ) -> "subprocess.Popen[str]":
     """A process that hears all signals, also those that whoever runs the tests has switched off."""
 
@@ -59,14 +59,14 @@ def started(
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         signal.signal(signal.SIGHUP, hang_up)
 
-    executed = {} if hang_up == signal.SIG_DFL and "PYTHONPATH" not in more else {"preexec_fn": on_bytes}
+    executed = {} if hang_up == signal.SIG_DFL and "PYTHONPATH" not in variables else {"preexec_fn": on_bytes}
     return (subprocess.Popen if executed else Forked)(
         words,
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | more,
+        env=os.environ | variables,
         **executed,
     )
 
@@ -75,15 +75,15 @@ def ended(process: "subprocess.Popen[str]", *numbers: signal.Signals) -> tuple[i
     """Waits for its first line and sends signals, each after what was said about the one before."""
     assert process.stdout is not None
     assert process.stderr is not None
-    told = ""
+    errors = ""
     with process:
         assert process.stdout.readline() == "here\n"
         for number in numbers[:-1]:
             process.send_signal(number)
-            told += process.stderr.readline()
+            errors += process.stderr.readline()
         process.send_signal(numbers[-1])
-        told += process.communicate(timeout=LONG)[1]
-    return process.returncode, told
+        errors += process.communicate(timeout=LONG)[1]
+    return process.returncode, errors
 
 
 def script(text: str) -> list[str]:
@@ -119,11 +119,11 @@ def test_a_second_signal_ends_a_run_whose_controller_never_returns(
     text += "    print('here', flush=True)\n" + textwrap.indent(textwrap.dedent(HANGING[how]), "    ")
     (tmp_path / "mine.py").write_text(text)
     process = started([*PROGRAM, "run", "mine.py", "--log", "run.mcap"], tmp_path)
-    code, told = ended(process, number, number)
+    code, errors = ended(process, number, number)
     assert code == 128 + number
     first = f"khep-twin: {number.name}: stopping the motors, waiting for the end of this cycle; ends in 3 s"
-    assert told.startswith(first)
-    assert "Traceback" not in told
+    assert errors.startswith(first)
+    assert "Traceback" not in errors
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.py", "run.mcap"]
     lines = [line.text for line in read_log(tmp_path / "run.mcap").robots["khepera0"].serial]
     assert [line for line in lines if line.startswith("D")][-1] == "D,0,0"
@@ -158,9 +158,9 @@ def test_what_does_not_end_is_ended_without_a_second_signal(tmp_path: Path) -> N
                 except KeyboardInterrupt:
                     print("interrupted", file=sys.stderr)
     """
-    code, told = ended(started(script(text), tmp_path), signal.SIGTERM)
+    code, errors = ended(started(script(text), tmp_path), signal.SIGTERM)
     assert code == 143
-    assert told == (
+    assert errors == (
         "khep-twin: SIGTERM: waiting for nothing; ends in 3 s at most, or at another signal\ninterrupted\n"
     )
     assert (tmp_path / "cleared").exists()
@@ -183,9 +183,9 @@ def test_what_comes_to_its_end_by_itself_is_not_interrupted(tmp_path: Path) -> N
 def test_a_controller_that_hangs_as_it_is_loaded_is_ended(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("import time\nprint('here', flush=True)\ntime.sleep(1000)\n")
     process = started([*PROGRAM, "run", "mine.py"], tmp_path)
-    code, told = ended(process, signal.SIGTERM, signal.SIGTERM)
+    code, errors = ended(process, signal.SIGTERM, signal.SIGTERM)
     assert code == 143
-    assert told == "khep-twin: SIGTERM: coming to an end; ends in 3 s at most, or at another signal\n"
+    assert errors == "khep-twin: SIGTERM: coming to an end; ends in 3 s at most, or at another signal\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -212,8 +212,8 @@ def test_a_module_is_imported_whole_before_it_is_interrupted(tmp_path: Path) -> 
         except KeyboardInterrupt:
             sys.exit(128 + asked_by())
     """
-    code, told = ended(started(script(text), tmp_path), signal.SIGHUP)
-    assert code == 129, told
+    code, errors = ended(started(script(text), tmp_path), signal.SIGHUP)
+    assert code == 129, errors
     assert (tmp_path / "whole").exists()
 
 
@@ -282,6 +282,6 @@ def test_a_robot_that_is_held_stands_and_is_not_moved_any_more() -> None:
 
 @pytest.mark.parametrize("name", share([name for name in KINDS if "hangs" not in name], 6))
 def test_a_command_that_is_ended_at_a_random_moment_leaves_nothing_behind(name: str) -> None:
-    found = end(name, 4, begun=True)
+    problems = end(name, 4, begun=True)
     # How long it takes on a busy machine is for `python -m checks signals` to say.
-    assert not [fault for fault in found.faults if not fault.startswith("took")]
+    assert not [fault for fault in problems.faults if not fault.startswith("took")]

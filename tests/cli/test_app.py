@@ -50,7 +50,7 @@ def test_the_version_and_the_help_come_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("typed", "told"),
+    ("typed", "message"),
     [
         ("frobnicate", "frobnicate: no such command; (choices: run, rollout, series, "),
         ("plaipen", "plaipen: no such command; did you mean 'playpen'? (choices: run, "),
@@ -75,8 +75,8 @@ def test_the_version_and_the_help_come_at_once() -> None:
         ("serve mine.py", "mine.py: no such file; expected the path of a file or a shipped name"),
     ],
 )
-def test_what_is_typed_wrong_gets_one_line(typed: str, told: str) -> None:
-    assert complaint(*typed.split()).startswith(told)
+def test_what_is_typed_wrong_gets_one_line(typed: str, message: str) -> None:
+    assert complaint(*typed.split()).startswith(message)
 
 
 def test_nothing_typed_gets_the_help() -> None:
@@ -116,8 +116,8 @@ def test_an_own_controller_is_run_for_its_cycles(tmp_path: Path) -> None:
     result = khep_twin("run", "mine.py:turn", "--cycles", "5", folder=tmp_path)
     first, *metrics = result.stdout.splitlines()
     assert first == "5 cycles in 0.6 s"
-    seen, true = metrics[:2], metrics[2:]
-    assert seen == ["fitness             0.09191", "speed mean          0 pulses/10 ms"]
+    measured, true = metrics[:2], metrics[2:]
+    assert measured == ["fitness             0.09191", "speed mean          0 pulses/10 ms"]
     assert true[0] == "distance m          0"
     assert re.search(r"^coverage +0\.\d+ of the floor$", true[-1])
 
@@ -231,10 +231,10 @@ def test_a_mistake_is_one_line_that_says_what_is_right(typed: str, line: str) ->
     ],
 )
 def test_a_file_that_is_there_is_kept(typed: str, tmp_path: Path) -> None:
-    kept = dict.fromkeys(("mine", "mine.csv", "mine.py", "mine.png", "series-002.mcap"), "a year's work")
-    kept |= dict.fromkeys(("mine.html", "mine.rrd"), "a year's work")
-    kept["mine.toml"] = GOOD.replace('name = "obstacles"', 'name = "mine"')
-    for name, text in kept.items():
+    kept_files = dict.fromkeys(("mine", "mine.csv", "mine.py", "mine.png", "series-002.mcap"), "a year's work")
+    kept_files |= dict.fromkeys(("mine.html", "mine.rrd"), "a year's work")
+    kept_files["mine.toml"] = GOOD.replace('name = "obstacles"', 'name = "mine"')
+    for name, text in kept_files.items():
         (tmp_path / name).write_text(text)
     with chdir(tmp_path):
         result = CliRunner().invoke(app, typed.split())
@@ -243,7 +243,7 @@ def test_a_file_that_is_there_is_kept(typed: str, tmp_path: Path) -> None:
         r"khep-twin: (mine|series-002)\S*: is there already; expected another name, or --force to replace it"
     )
     assert re.fullmatch(expected, result.stderr.strip())
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == kept
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == kept_files
 
 
 def test_a_file_is_replaced_by_force_or_where_it_is_empty(tmp_path: Path) -> None:
@@ -251,11 +251,11 @@ def test_a_file_is_replaced_by_force_or_where_it_is_empty(tmp_path: Path) -> Non
     words = ["playpen", "compile", "default", "-o", str(file)]
     file.touch()
     assert CliRunner().invoke(app, words).exit_code == 0
-    whole = file.read_text()
+    page = file.read_text()
     assert CliRunner().invoke(app, words).exit_code == 2
     file.write_text("another one")
     assert CliRunner().invoke(app, [*words, "--force"]).exit_code == 0
-    assert file.read_text() == whole
+    assert file.read_text() == page
 
 
 def test_the_readmes_run_can_be_repeated(tmp_path: Path) -> None:
@@ -350,6 +350,6 @@ def test_unknown_options_are_refused_with_help() -> None:
 
 
 def test_a_warning_about_a_port_is_one_line() -> None:
-    done = run_python([sys.executable, "-m", "khep_twin", "conform", "khep://default?mode=2"], timeout=60)
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stderr.startswith("khep-twin: khep://default?mode=2: the host has its line at 9600 baud")
+    process = run_python([sys.executable, "-m", "khep_twin", "conform", "khep://default?mode=2"], timeout=60)
+    assert len(process.stderr.splitlines()) == 1
+    assert process.stderr.startswith("khep-twin: khep://default?mode=2: the host has its line at 9600 baud")

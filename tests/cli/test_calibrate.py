@@ -30,10 +30,10 @@ def hidden(folder: Path) -> calibration.Calibration:
             update={"gain_counts_mm2": tuple(1.15 * gain for gain in near.gain_counts_mm2)}
         ),
     }
-    found = KHEPERA1.model_copy(update=update)
-    (folder / "hidden.toml").write_text(dump(found))
+    calibrated = KHEPERA1.model_copy(update=update)
+    (folder / "hidden.toml").write_text(dump(calibrated))
     (folder / "bench.toml").write_text(BENCH.replace("hidden.toml", str(folder / "hidden.toml")))
-    return found
+    return calibrated
 
 
 @pytest.mark.parametrize(("walls_mm", "duty_s"), share([((12, 26), 0.4), ((12, 20, 26), 0.75)], 2))
@@ -47,17 +47,17 @@ def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(
     lines = good(*words, "--picture", "fit.png", folder=tmp_path).splitlines()
     assert f"step 1 of {3 + len(walls_mm)}: straight" in lines
     assert "Put the robot with its front 26 mm from a flat white wall, looking straight at it." in lines
-    found = calibration.read(str(tmp_path / "mine.toml"))[0]
-    assert found.wheels.radius_mm == pytest.approx(robot.wheels.radius_mm, rel=0.004)
-    assert found.wheels.base_mm == pytest.approx(robot.wheels.base_mm, rel=0.005)
-    assert found.motors.no_load_speed_rad_s == pytest.approx(robot.motors.no_load_speed_rad_s, rel=0.02)
-    assert found.motors.stall_torque_n_m == pytest.approx(robot.motors.stall_torque_n_m, rel=0.1)
-    gains = zip(found.proximity.gain_counts_mm2, robot.proximity.gain_counts_mm2, strict=True)
+    calibrated = calibration.read(str(tmp_path / "mine.toml"))[0]
+    assert calibrated.wheels.radius_mm == pytest.approx(robot.wheels.radius_mm, rel=0.004)
+    assert calibrated.wheels.base_mm == pytest.approx(robot.wheels.base_mm, rel=0.005)
+    assert calibrated.motors.no_load_speed_rad_s == pytest.approx(robot.motors.no_load_speed_rad_s, rel=0.02)
+    assert calibrated.motors.stall_torque_n_m == pytest.approx(robot.motors.stall_torque_n_m, rel=0.1)
+    gains = zip(calibrated.proximity.gain_counts_mm2, robot.proximity.gain_counts_mm2, strict=True)
     assert all(math.isclose(one, other, rel_tol=0.15) for one, other in gains)
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
-    recordings = {each.name for each in (tmp_path / "mine-session").iterdir()}
-    others = {f"wall-{distance_mm}.csv" for distance_mm in walls_mm}
-    assert recordings == {"straight.mcap", "turns.mcap", "duty.mcap", "tests.txt"} | others
+    recordings = {path.name for path in (tmp_path / "mine-session").iterdir()}
+    wall_files = {f"wall-{distance_mm}.csv" for distance_mm in walls_mm}
+    assert recordings == {"straight.mcap", "turns.mcap", "duty.mcap", "tests.txt"} | wall_files
     assert "mine.toml: is there already" in complaint(*words, folder=tmp_path, codes=[2])
 
 
@@ -73,14 +73,14 @@ def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) 
             assert process.stdout is not None
             process.stdin.write("s\ns\n\n")
             process.stdin.flush()
-            shown = [*iter(process.stdout.readline, "step 4 of 4: wall\n")]
+            lines = [*iter(process.stdout.readline, "step 4 of 4: wall\n")]
             process.send_signal(signal.SIGINT)
             assert process.wait(60) == 130
             assert process.stderr is not None
             assert "the same command resumes from mine-session" in process.stderr.read()
         ended = run_python(command, input="s\ns\n", cwd=tmp_path)
-    assert "step 2 of 4: skipped\n" in shown
-    assert "step 3 of 4: duty.mcap=duty\n" in shown
+    assert "step 2 of 4: skipped\n" in lines
+    assert "step 3 of 4: duty.mcap=duty\n" in lines
     assert (tmp_path / "mine-session" / "tests.txt").read_text() == "duty.mcap=duty\n"
     assert ended.returncode == 1
     assert "step 3 of 4: done before: duty.mcap=duty" in ended.stdout

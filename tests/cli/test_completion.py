@@ -21,12 +21,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("mine.toml", "mine.py", "mine.mcap", "notes.txt"):
         (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
-    found = [FoundPort("/tmp/twin", "twin in default", True), FoundPort("/dev/ttyUSB7", "USB serial", False)]
-    monkeypatch.setattr(discovery, "found_ports", lambda: found)
+    ports = [FoundPort("/tmp/twin", "twin in default", True), FoundPort("/dev/ttyUSB7", "USB serial", False)]
+    monkeypatch.setattr(discovery, "found_ports", lambda: ports)
     return tmp_path
 
 
-def shown(capsys: pytest.CaptureFixture[str], **variables: str) -> str:
+def complete(capsys: pytest.CaptureFixture[str], **variables: str) -> str:
     """Runs the command as a shell's completion does, by variables of the environment."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["khep-twin"])
@@ -42,7 +42,7 @@ def in_bash(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
     """What bash is told for the last of these words."""
     line = "\n".join(["khep-twin", *words])
     variables = {"COMP_WORDS": line, "COMP_CWORD": str(len(words)), "_KHEP_TWIN_COMPLETE": "complete_bash"}
-    return shown(capsys, **variables).split()
+    return complete(capsys, **variables).split()
 
 
 @pytest.mark.parametrize(
@@ -77,14 +77,14 @@ def test_bash_completes_a_port_behind_its_colon(capsys: pytest.CaptureFixture[st
 
 def test_zsh_is_reported_what_there_is_and_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     variables = {"_TYPER_COMPLETE_ARGS": "khep-twin conform khep://d", "_KHEP_TWIN_COMPLETE": "complete_zsh"}
-    told = shown(capsys, **variables)
-    assert r'"khep\\://default":"Four walls and a robot' in told
+    output = complete(capsys, **variables)
+    assert r'"khep\\://default":"Four walls and a robot' in output
     variables["_TYPER_COMPLETE_ARGS"] = "khep-twin playpen check elsewhere/"
-    assert shown(capsys, **variables).strip() == "_files"
+    assert complete(capsys, **variables).strip() == "_files"
 
 
 @pytest.mark.parametrize(
-    ("typed", "told"),
+    ("typed", "message"),
     [
         ("conform", "such as khep://default, or a log, FILE.mcap. (choices: "),
         ("playpen draw", f"(choices: {', '.join(SHIPPED)}, mine.toml)"),
@@ -94,22 +94,22 @@ def test_zsh_is_reported_what_there_is_and_what_it_is(capsys: pytest.CaptureFixt
     ],
 )
 def test_a_missing_argument_names_the_choices(
-    typed: str, told: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    typed: str, message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["khep-twin", *typed.split()])
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2
-    shown = capsys.readouterr().err
-    assert told in shown
-    assert shown.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
 
 
 def test_the_shipped_playpens_are_listed_a_line_each_as_in_their_guide() -> None:
     listed = CliRunner().invoke(app, ["playpen", "list"]).stdout.splitlines()
-    told = dict(re.split(r"  +", line, maxsplit=1) for line in listed)
-    assert list(told) == SHIPPED
+    descriptions = dict(re.split(r"  +", line, maxsplit=1) for line in listed)
+    assert list(descriptions) == SHIPPED
     assert all(len(line) <= 100 for line in listed)
     guide = (Path(__file__).parents[2] / "docs" / "playpens.md").read_text()
     rows = dict(re.findall(r"^\| `([\w-]+)` \| (.*) \|$", guide.split("## The format")[0], re.MULTILINE))
-    assert rows == {name: text[0].lower() + text[1:] for name, text in told.items()}
+    assert rows == {name: text[0].lower() + text[1:] for name, text in descriptions.items()}

@@ -34,7 +34,7 @@ def test_it_prints_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["../mine.toml"], "expected a file below"),
         (["mine.txt"], "ends in .toml"),
@@ -46,13 +46,13 @@ def test_it_prints_its_address_in_one_line_and_ends_when_asked(tmp_path: Path) -
         (["folder.toml"], "folder.toml"),
     ],
 )
-def test_a_mistake_is_reported_in_one_line(tmp_path: Path, arguments: list[str], told: str) -> None:
+def test_a_mistake_is_reported_in_one_line(tmp_path: Path, arguments: list[str], message: str) -> None:
     (tmp_path / "broken.toml").write_text("nonsense = 1\n")
     (tmp_path / "folder.toml").mkdir()
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        given = [each.format(taken=taken.getsockname()[1]) for each in arguments]
-        done = khep_twin("design", *given, "--no-browser", folder=tmp_path)
-    assert done.returncode in (1, 2)
-    assert told in " ".join(done.stderr.split())
-    assert "Traceback" not in done.stderr
-    assert done.stdout == ""
+    with socket.create_server(("127.0.0.1", 0)) as occupied:
+        options = [argument.format(taken=occupied.getsockname()[1]) for argument in arguments]
+        process = khep_twin("design", *options, "--no-browser", folder=tmp_path)
+    assert process.returncode in (1, 2)
+    assert message in " ".join(process.stderr.split())
+    assert "Traceback" not in process.stderr
+    assert process.stdout == ""

@@ -34,16 +34,16 @@ class Terminal:
     """A terminal with `khep-twin drive` in it."""
 
     def __init__(self, *arguments: str, size: tuple[int, int] = (24, 80), kind: str = "xterm") -> None:
-        self.descriptor, self._own = pty.openpty()
-        fcntl.ioctl(self._own, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
-        self.before = termios.tcgetattr(self._own)
+        self.descriptor, self._terminal_end = pty.openpty()
+        fcntl.ioctl(self._terminal_end, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
+        self.before = termios.tcgetattr(self._terminal_end)
         self.text = ""
         self.late = SchedulingDelay()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "khep_twin", "drive", *arguments],
-            stdin=self._own,
-            stdout=self._own,
-            stderr=self._own,
+            stdin=self._terminal_end,
+            stdout=self._terminal_end,
+            stderr=self._terminal_end,
             env={**os.environ, "TERM": kind, "LINES": "", "COLUMNS": ""},
             start_new_session=True,
             preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
@@ -53,12 +53,12 @@ class Terminal:
         """Presses keys."""
         os.write(self.descriptor, keys)
 
-    def wait_for(self, pattern: str, *, held: bool = False) -> None:
+    def wait_for(self, pattern: str, *, holds_key: bool = False) -> None:
         """Reads the screen until something new on it matches; `held` if only while a key is held."""
         end = time.monotonic() + LONG
         while not re.search(pattern, self.text):
             if time.monotonic() > end:
-                if held:
+                if holds_key:
                     self.late.excuse(MOST_LATE)
                 raise AssertionError(f"no {pattern!r} in {self.text!r}")
             if select.select([self.descriptor], [], [], 0.1)[0]:
@@ -78,13 +78,13 @@ class Terminal:
 
     def restored(self) -> bool:
         """Whether the terminal's settings are what they were, and its screen is given back."""
-        return termios.tcgetattr(self._own) == self.before and "\x1b[?1049l" in self.text
+        return termios.tcgetattr(self._terminal_end) == self.before and "\x1b[?1049l" in self.text
 
     def hang_up(self) -> None:
         """Closes the terminal's window."""
-        os.close(self._own)
+        os.close(self._terminal_end)
         os.close(self.descriptor)
-        self._own = self.descriptor = -1
+        self._terminal_end = self.descriptor = -1
 
     def close(self) -> None:
         """Ends it all."""
@@ -117,7 +117,7 @@ def orders(fake: FakeRobot) -> list[str]:
 
 def test_keys_drive_and_the_sensors_are_on_the_screen(fake: FakeRobot, terminal: Terminal) -> None:
     terminal.wait_for(r"back left .*#+ 1023")
-    for keys, shown in (
+    for keys, display in (
         (b"w", "forward"),
         (b"\x1b[B", "back"),
         (b"A", "left"),
@@ -127,10 +127,10 @@ def test_keys_drive_and_the_sensors_are_on_the_screen(fake: FakeRobot, terminal:
         (b"+", "10"),
     ):
         terminal.type(keys)
-        terminal.wait_for(shown, held=True)
+        terminal.wait_for(display, holds_key=True)
     terminal.type(b"l")
     # Of "off" only a letter changes on the screen, unless a key is released in the same moment.
-    terminal.wait_for("n ", held=True)
+    terminal.wait_for("n ", holds_key=True)
     terminal.type(b"q")
     assert terminal.end() == 0
     assert terminal.restored()
@@ -148,7 +148,7 @@ def test_a_key_that_is_released_stops_the_robot(fake: FakeRobot, terminal: Termi
     for _ in range(10):
         terminal.type(b"w")
         time.sleep(0.03)
-    terminal.wait_for("forward", held=True)
+    terminal.wait_for("forward", holds_key=True)
     terminal.wait_for("stop")
     terminal.late.excuse(MOST_LATE)
     assert orders(fake) == ["D,0,0", "D,5,5", "D,0,0"]
@@ -160,7 +160,7 @@ def test_whatever_ends_it_the_motors_stop_and_the_terminal_is_as_it_was(
 ) -> None:
     terminal.wait_for("stop, speed 5")
     terminal.type(b"w")
-    terminal.wait_for("forward", held=True)
+    terminal.wait_for("forward", holds_key=True)
     if how == "ctrl-z":
         # It is no way to leave a robot alone: nothing happens.
         terminal.type(b"\x1a")
@@ -178,7 +178,7 @@ def test_whatever_ends_it_the_motors_stop_and_the_terminal_is_as_it_was(
 def test_a_terminal_that_closes_stops_the_robot(fake: FakeRobot, terminal: Terminal) -> None:
     terminal.wait_for("stop, speed 5")
     terminal.type(b"w")
-    terminal.wait_for("forward", held=True)
+    terminal.wait_for("forward", holds_key=True)
     terminal.hang_up()
     terminal.process.wait(LONG)
     assert fake.requests[-1] == "D,0,0"
@@ -199,9 +199,9 @@ def test_a_lost_line_is_reported_when_the_terminal_is_back(fake: FakeRobot, term
     fake.disconnect(for_good=True)
     assert terminal.end() == 1
     assert terminal.restored()
-    told = terminal.text.split("\x1b[?1049l")[1]
-    assert re.search(r"khep-twin: socket://\S+ the port failed at .*the motors may still run", told)
-    assert "Traceback" not in told
+    output = terminal.text.split("\x1b[?1049l")[1]
+    assert re.search(r"khep-twin: socket://\S+ the port failed at .*the motors may still run", output)
+    assert "Traceback" not in output
 
 
 def test_a_small_terminal_says_how_large_it_must_be(fake: FakeRobot) -> None:
@@ -215,18 +215,18 @@ def test_a_small_terminal_says_how_large_it_must_be(fake: FakeRobot) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "kind", "told"),
+    ("arguments", "kind", "message"),
     [
         (["{url}"], "nonsense", "TERM=nonsense: this terminal cannot be drawn on .*expected TERM=xterm"),
         (["{url}", "--log", "a.mcap"], "xterm", r"expected serve --log, or serve --relay socket://"),
         (["khep://nowhere"], "xterm", "nowhere: no such file"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(fake: FakeRobot, arguments: list[str], kind: str, told: str) -> None:
+def test_what_cannot_be_done_is_one_line(fake: FakeRobot, arguments: list[str], kind: str, message: str) -> None:
     window = Terminal(*[argument.format(url=fake.url) for argument in arguments], kind=kind)
     try:
         assert window.end() == 1
-        assert re.search(told, window.text)
+        assert re.search(message, window.text)
         assert "Traceback" not in window.text
     finally:
         window.close()
@@ -238,7 +238,7 @@ def test_a_drive_on_a_twin_in_this_process_takes_its_time_and_is_logged(tmp_path
     try:
         window.wait_for("stop, speed 5")
         window.type(b"w")
-        window.wait_for("forward", held=True)
+        window.wait_for("forward", holds_key=True)
         window.wait_for("stop")
         window.type(b"q")
         assert window.end() == 0

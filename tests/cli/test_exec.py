@@ -35,14 +35,14 @@ def test_a_program_drives_the_twin_and_its_code_and_log_are_kept(
     programs: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     words = ("exec", "--log", "run.mcap", "--after", "0.5", "--", str(programs / "drive"))
-    done = khep_twin(*words, folder=tmp_path)
-    assert done.returncode == 3
+    process = khep_twin(*words, folder=tmp_path)
+    assert process.returncode == 3
     assert "revision B 0" in capfd.readouterr().out
-    assert "view run.mcap" in done.stderr
+    assert "view run.mcap" in process.stderr
     run = read_log(tmp_path / "run.mcap")
     assert (run.robots["khepera0"].proximity.shape[1], run.metadata["program"]) == (12, "drive")
-    done = khep_twin("repeat", "run.mcap", folder=tmp_path)
-    assert "a program drove it; expected a log of a serial line" in done.stderr
+    process = khep_twin("repeat", "run.mcap", folder=tmp_path)
+    assert "a program drove it; expected a log of a serial line" in process.stderr
 
 
 def test_the_same_seed_gives_the_same_log_with_threads_and_children(programs: Path, tmp_path: Path) -> None:
@@ -59,13 +59,13 @@ def test_two_programs_share_a_playpen_and_the_end_of_their_time(
     forever = str(programs / "forever")
     also = ("--also", f"{programs / 'drive'} now")
     words = ("exec", "--playpen", "arena4-two", "--seconds", "3", *also, "--", forever)
-    done = khep_twin(*words, folder=tmp_path)
+    process = khep_twin(*words, folder=tmp_path)
     assert "revision B 0" in capfd.readouterr().out
-    assert done.returncode == 3
+    assert process.returncode == 3
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("--playpen", "obstacles"), "obstacles: no Khepera IV; expected a robot with model"),
         (("--playpen", "arena4-two", "--robot", "2"), "--robot 2: not a Khepera IV of arena4-two; expected"),
@@ -73,11 +73,11 @@ def test_two_programs_share_a_playpen_and_the_end_of_their_time(
         (("--also", "'true"), "expected a program and its arguments"),
     ],
 )
-def test_what_does_not_fit_is_one_line(words: tuple[str, ...], told: str, tmp_path: Path) -> None:
-    done = khep_twin("exec", *words, "--", "true", folder=tmp_path)
-    assert done.returncode in (1, 2)
-    assert told in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_what_does_not_fit_is_one_line(words: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    process = khep_twin("exec", *words, "--", "true", folder=tmp_path)
+    assert process.returncode in (1, 2)
+    assert message in process.stderr
+    assert process.stderr.count("\n") == 1
 
 
 def test_a_killed_twin_leaves_no_program_and_a_log_that_can_be_recovered(

@@ -91,9 +91,9 @@ def test_a_name_whose_bytes_are_no_text_is_printed_as_a_shell_takes_it(tmp_path:
     )
     result = run_python([*words], cwd=tmp_path, timeout=60, text=False)
     assert result.returncode == 0, result.stderr
-    told = result.stdout.splitlines()[-1]
-    assert told.startswith(b"log      b\xfcse.mcap ")
-    assert told.endswith(b" view \"$(printf 'b\\374se.mcap')\"")
+    line = result.stdout.splitlines()[-1]
+    assert line.startswith(b"log      b\xfcse.mcap ")
+    assert line.endswith(b" view \"$(printf 'b\\374se.mcap')\"")
     good("branch", f"{name}.mcap", "--at", "0.1", "-o", f"{name}-2.mcap", folder=tmp_path)
     good("view", f"{name}.mcap", f"{name}-2.mcap", "--save", f"{name}.rrd", folder=tmp_path)
     assert (tmp_path / f"{name}.rrd").read_bytes().startswith(b"RRF2")

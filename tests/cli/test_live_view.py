@@ -21,12 +21,12 @@ def test_a_served_twin_is_seen_while_a_host_drives_it() -> None:
     with served("default", "--foxglove-at", "127.0.0.1:0") as (process, path):
         assert process.stderr is not None
         told = process.stderr.readline()
-        found = re.match(
+        match = re.match(
             r"khep-twin: Foxglove connects to (ws://127\.0\.0\.1:\d+); a layout .*: (.*)\n", told
         )
-        assert found is not None, told
-        assert json.loads(Path(found[2]).read_text())["configById"]
-        with client(found[1]) as watcher, Khepera(path) as robot:
+        assert match is not None, told
+        assert json.loads(Path(match[2]).read_text())["configById"]
+        with client(match[1]) as watcher, Khepera(path) as robot:
             watcher.subscribe("/khepera0/serial", "/khepera0/speed", "/scene")
             watcher.until("/scene")
             robot.set_speed(7, 3)
@@ -42,10 +42,10 @@ def test_a_run_is_held_to_the_wall_clock_and_its_log_is_the_same(tmp_path: Path)
     words = ("run", "--seconds", "1", "--seed", "3")
     good(*words, "--log", "plain.mcap", folder=tmp_path)
     began = time.monotonic()
-    shown = khep_twin(*words, "--log", "shown.mcap", "--foxglove-at", ":0", folder=tmp_path)
+    process = khep_twin(*words, "--log", "shown.mcap", "--foxglove-at", ":0", folder=tmp_path)
     assert time.monotonic() - began >= 0.9
-    assert shown.returncode == 0
-    assert shown.stderr.startswith("khep-twin: Foxglove connects to ws://127.0.0.1:")
+    assert process.returncode == 0
+    assert process.stderr.startswith("khep-twin: Foxglove connects to ws://127.0.0.1:")
     assert (tmp_path / "shown.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes()
 
 

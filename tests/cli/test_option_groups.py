@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from khep_twin.cli.option_groups import LogOptions, RobotOptions, grouped, option_names
 from khep_twin.cli.options import typed_options
 
-SEEN: list[object] = []
+ARGUMENTS: list[object] = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ def box(
     colour: Annotated[str | None, typer.Option(help="Colour.")] = None,
 ) -> None:
     """Make a box."""
-    SEEN[:] = [name, size, colour, typed_options(context)]
+    ARGUMENTS[:] = [name, size, colour, typed_options(context)]
 
 
 app = typer.Typer(rich_markup_mode=None)
@@ -45,23 +45,23 @@ app.command()(box)
 
 def test_a_group_takes_what_is_typed_and_its_defaults() -> None:
     assert CliRunner().invoke(app, ["--tall", "--colour", "red", "mine"]).exit_code == 0
-    assert SEEN == ["mine", Size(10, tall=True), "red", {"tall", "colour", "name"}]
+    assert ARGUMENTS == ["mine", Size(10, tall=True), "red", {"tall", "colour", "name"}]
     assert CliRunner().invoke(app, []).exit_code == 0
-    assert SEEN == ["box", Size(), None, set()]
+    assert ARGUMENTS == ["box", Size(), None, set()]
 
 
 def test_options_stand_in_the_help_in_the_order_of_the_signature() -> None:
-    shown = CliRunner().invoke(app, ["--help"]).stdout
-    assert "Make a box." in shown
-    assert shown.index("--width-mm") < shown.index("--tall") < shown.index("--colour")
+    help_text = CliRunner().invoke(app, ["--help"]).stdout
+    assert "Make a box." in help_text
+    assert help_text.index("--width-mm") < help_text.index("--tall") < help_text.index("--colour")
     assert [*inspect.signature(box).parameters] == ["context", "name", "width_mm", "tall", "colour"]
 
 
 @pytest.mark.parametrize("typed", [["--width-mm", "0"], ["--width-mm", "13"], ["--size", "1"]])
 def test_what_a_group_does_not_take_is_refused(typed: list[str]) -> None:
-    SEEN[:] = []
+    ARGUMENTS[:] = []
     assert CliRunner().invoke(app, typed).exit_code == 2
-    assert SEEN == []
+    assert ARGUMENTS == []
 
 
 def test_names_are_those_of_the_fields() -> None:

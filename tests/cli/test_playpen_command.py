@@ -32,9 +32,9 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("file", ["old scan.mat", "scan.mat", "painted.png"])
 def test_scan_and_picture_become_the_playpen_as_it_was_drawn(file: str, folder: Path) -> None:
     good("playpen", "import", file, "-o", "out.toml", folder=folder)
-    found = Playpen.load(folder / "out.toml")
-    np.testing.assert_array_equal(seen_from_above(found), DRAWN[10:-10, 10:-10])
-    assert found.name == Path(file).stem.replace(" ", "-")
+    imported = Playpen.load(folder / "out.toml")
+    np.testing.assert_array_equal(seen_from_above(imported), DRAWN[10:-10, 10:-10])
+    assert imported.name == Path(file).stem.replace(" ", "-")
     text = (folder / "out.toml").read_text()
     assert text.startswith(f'# Imported from "{file}" by khep-twin playpen import.\n\nversion = 1\n')
     good("playpen", "check", "out.toml", folder=folder)
@@ -51,26 +51,26 @@ def test_the_command_reports_what_it_found_and_made(folder: Path) -> None:
         "robot    at (290, 240), heading 90 degrees\n"
         "playpen  scan.toml\n"
     )
-    told = good("playpen", "import", "painted.png", folder=folder)
-    assert "flip     its first row is the top; --flip for the other way\n" in told
+    output = good("playpen", "import", "painted.png", folder=folder)
+    assert "flip     its first row is the top; --flip for the other way\n" in output
 
 
 @pytest.mark.parametrize(("file", "option"), [("scan.mat", "--no-flip"), ("painted.png", "--flip")])
 def test_the_other_way_up_is_an_option(file: str, option: str, folder: Path) -> None:
     good("playpen", "import", file, option, "-o", "out.toml", folder=folder)
-    found = Playpen.load(folder / "out.toml")
-    np.testing.assert_array_equal(seen_from_above(found), DRAWN[::-1][10:-10, 10:-10])
+    imported = Playpen.load(folder / "out.toml")
+    np.testing.assert_array_equal(seen_from_above(imported), DRAWN[::-1][10:-10, 10:-10])
 
 
 def test_options_name_scale_and_place(folder: Path) -> None:
     words = "--name maze --mm-per-pixel 2 --height-mm 80 --robot 500,240.5,-45 -o out.toml".split()
-    told = good("playpen", "import", "scan.mat", *words, folder=folder)
-    found = Playpen.load(folder / "out.toml")
-    (robot,) = found.robots
+    output = good("playpen", "import", "scan.mat", *words, folder=folder)
+    imported = Playpen.load(folder / "out.toml")
+    (robot,) = imported.robots
     assert (robot.x_mm, robot.y_mm, robot.heading_deg) == (500, 240.5, -45)
-    assert (found.name, found.arena.width_mm, found.arena.wall_thickness_mm) == ("maze", 1160, 20)
-    assert {block.height_mm for block in found.blocks} == {80}
-    assert "robot    at (500, 240.5), heading -45 degrees\n" in told
+    assert (imported.name, imported.arena.width_mm, imported.arena.wall_thickness_mm) == ("maze", 1160, 20)
+    assert {block.height_mm for block in imported.blocks} == {80}
+    assert "robot    at (500, 240.5), heading -45 degrees\n" in output
 
 
 def test_a_playpen_may_have_no_robot(folder: Path) -> None:
@@ -109,8 +109,8 @@ def test_what_cannot_be_imported_is_reported_in_one_line_and_nothing_is_written(
     values: dict[str, Any], words: str, line: str, tmp_path: Path
 ) -> None:
     savemat(tmp_path / "x.mat", values)
-    given = ("playpen", "import", "x.mat", *words.split(), "-o", "out.toml")
-    assert complaint(*given, folder=tmp_path, codes=[1]) == f"x.mat: {line}"
+    arguments = ("playpen", "import", "x.mat", *words.split(), "-o", "out.toml")
+    assert complaint(*arguments, folder=tmp_path, codes=[1]) == f"x.mat: {line}"
     assert not (tmp_path / "out.toml").exists()
 
 
@@ -132,10 +132,10 @@ def test_a_mistake_in_the_command_is_reported_in_one_line(words: str, line: str,
 
 def test_the_page_on_the_import_reports_what_the_command_does(tmp_path: Path, monkeypatch: Any) -> None:
     (paints,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    (told,) = re.findall(r"```\n(bitmap .*?)```", PAGE, re.DOTALL)
+    (example,) = re.findall(r"```\n(bitmap .*?)```", PAGE, re.DOTALL)
     monkeypatch.chdir(tmp_path)
     exec(compile(paints, "import.md", "exec"), {})
-    assert good("playpen", "import", "scan.mat", "-o", "scan.toml", folder=tmp_path) == told
+    assert good("playpen", "import", "scan.mat", "-o", "scan.toml", folder=tmp_path) == example
     (block,) = Playpen.load(tmp_path / "scan.toml").blocks
     assert (block.x_mm, block.y_mm) == (300, 120)
 
@@ -152,8 +152,8 @@ def test_a_calibration_that_is_missing_is_named_with_its_playpen_and_robot(tmp_p
         'version = 1\nname = "a"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
         '[[robot]]\nx_mm = 99\ny_mm = 99\nheading_deg = 0\ncalibration = "none.toml"\n'
     )
-    done = khep_twin("playpen", "check", "arena.toml", folder=tmp_path)
-    assert re.match(r"khep-twin: arena.toml: robot 1: calibration = .*none.toml: ", done.stderr), done.stderr
+    process = khep_twin("playpen", "check", "arena.toml", folder=tmp_path)
+    assert re.match(r"khep-twin: arena.toml: robot 1: calibration = .*none.toml: ", process.stderr), process.stderr
 
 
 def test_a_scene_of_many_robots_is_announced_and_a_check_warns_of_it(
@@ -161,20 +161,20 @@ def test_a_scene_of_many_robots_is_announced_and_a_check_warns_of_it(
 ) -> None:
     check("default")
     World("default")
-    told = capsys.readouterr()
-    assert (told.out, told.err) == ("default: 1 robot: no problem\n", "")
+    output = capsys.readouterr()
+    assert (output.out, output.err) == ("default: 1 robot: no problem\n", "")
     for module in ("khep_twin.playpen.model", "khep_twin.simulation.mujoco_forms"):
         monkeypatch.setattr(f"{module}.MANY_ROBOTS", 0)
     check("default")
     World("default")
-    told = capsys.readouterr()
-    assert told.out.splitlines()[1].startswith("note: with more than 0 robots a playpen compiles slowly")
+    output = capsys.readouterr()
+    assert output.out.splitlines()[1].startswith("note: with more than 0 robots a playpen compiles slowly")
     making = "khep_twin: making the scene of 1 robots"
-    assert re.fullmatch(rf"{making}, which takes long\n{making}: \d+ s\n", told.err)
+    assert re.fullmatch(rf"{making}, which takes long\n{making}: \d+ s\n", output.err)
 
 
 def test_a_log_of_another_playpen_is_not_drawn(tmp_path: Path) -> None:
     khep_twin("run", "braitenberg", "--seconds", 1, "--log", "run.mcap", folder=tmp_path)
-    done = khep_twin("playpen", "draw", "two-lamps", "--log", "run.mcap", folder=tmp_path)
-    assert done.stderr == "khep-twin: run.mcap: a run in playpen default; expected one in two-lamps\n"
+    process = khep_twin("playpen", "draw", "two-lamps", "--log", "run.mcap", folder=tmp_path)
+    assert process.stderr == "khep-twin: run.mcap: a run in playpen default; expected one in two-lamps\n"
     assert not tmp_path.joinpath("two-lamps.png").exists()

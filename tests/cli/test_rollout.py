@@ -10,7 +10,7 @@ from khep_twin import playpen
 from khep_twin.log.reader import read_log
 from khep_twin.playpen import Playpen
 
-OWN = """
+CONTROLLER = """
 def controller(proximity, ambient):
     return 10 - proximity[3] / 100, 10 - proximity[2] / 100
 
@@ -23,7 +23,7 @@ def three(proximity, ambient, memory):
 
 
 def test_a_rollout_reports_how_it_went_and_the_same_again(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text(OWN)
+    (tmp_path / "own.py").write_text(CONTROLLER)
     options = ("own.py:controller", "--playpen", "looping-maze", "--seed", "1", "--seconds", "2")
     first, second = (good("rollout", *options, folder=tmp_path) for _ in range(2))
     assert first == second
@@ -34,15 +34,15 @@ def test_a_rollout_reports_how_it_went_and_the_same_again(tmp_path: Path) -> Non
 
 def test_a_rollout_in_a_plane_takes_about_the_same_path(tmp_path: Path) -> None:
     words = ("rollout", "--playpen", "looping-maze", "--noise", "off", "--seconds", "2")
-    ways = [float(good(*words, *more, folder=tmp_path).split()[-1]) for more in ((), ("--planar",))]
+    ways = [float(good(*words, *options, folder=tmp_path).split()[-1]) for options in ((), ("--planar",))]
     assert ways[1] == pytest.approx(ways[0], abs=2e-3)
 
 
 def test_the_path_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> None:
     words = ("rollout", "--planar", "--playpen", "looping-maze", "--seconds", "4.5", "--period", "50")
-    told = good(*words, "--picture", "way.png", folder=tmp_path)
+    output = good(*words, "--picture", "way.png", folder=tmp_path)
     # Without a picture many periods pass at once.
-    assert told == good(*words, folder=tmp_path) + "picture  way.png\n"
+    assert output == good(*words, folder=tmp_path) + "picture  way.png\n"
     assert (tmp_path / "way.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -60,7 +60,7 @@ def test_the_path_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> N
     ],
 )
 def test_a_mistake_gets_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text(OWN)
+    (tmp_path / "own.py").write_text(CONTROLLER)
     assert message in complaint("rollout", *arguments, folder=tmp_path)
     assert not list(tmp_path.glob("*.mcap*"))
 
@@ -76,11 +76,11 @@ heading_deg = 90
 def test_an_episode_with_robots_and_faults_is_logged_and_its_log_is_read(tmp_path: Path) -> None:
     (tmp_path / "two.toml").write_text(playpen.dump(Playpen.load("obstacles")) + TWO)
     options = ("--playpen", "two.toml", "--seconds", "1", "--fault", "dead:left@0.5", "--log", "run.mcap")
-    told = good("rollout", *options, "--picture", "run.png", folder=tmp_path)
-    assert re.search(r"^ +khepera0 +khepera1\n(.*\n)*distance m +0\.\d+ +0\.\d+$", told, re.MULTILINE)
-    found = read_log(tmp_path / "run.mcap")
-    assert [len(robot.registers) for robot in found.robots.values()] == [51, 51]
-    assert [event.text for event in found.events] == ["fault dead:left@0.5 begins"] * 2
+    output = good("rollout", *options, "--picture", "run.png", folder=tmp_path)
+    assert re.search(r"^ +khepera0 +khepera1\n(.*\n)*distance m +0\.\d+ +0\.\d+$", output, re.MULTILINE)
+    run = read_log(tmp_path / "run.mcap")
+    assert [len(robot.registers) for robot in run.robots.values()] == [51, 51]
+    assert [event.text for event in run.events] == ["fault dead:left@0.5 begins"] * 2
     assert (tmp_path / "run.png").stat().st_size > 10_000
     assert "run.mcap" in complaint("rollout", *options, folder=tmp_path, codes=[2])
     line = complaint("repeat", "run.mcap", folder=tmp_path, codes=[1])

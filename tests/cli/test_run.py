@@ -54,7 +54,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 @contextmanager
-def begun(folder: Path, *words: object) -> "Iterator[subprocess.Popen[str]]":
+def started(folder: Path, *words: object) -> "Iterator[subprocess.Popen[str]]":
     """`khep-twin run`, of which a run has ended."""
     command = [*PROGRAM, "run", *map(str, words)]
     with Forked(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -69,7 +69,7 @@ def begun(folder: Path, *words: object) -> "Iterator[subprocess.Popen[str]]":
             process.kill()
 
 
-def heard(folder: Path, short: bool = False) -> list[dict[str, str]]:
+def read_rows(folder: Path, short: bool = False) -> list[dict[str, str]]:
     """What does not hang on the kind of port; with `short` not on the time at which it was asked, either."""
     names = ["run", "cycles", "fitness", "near_share", "proximity_max", "proximity_mean", "speed_mean"]
     names += ["ambient_mean", "ambient_min", "speed"]
@@ -84,7 +84,7 @@ def test_a_script_comes_out_the_same_in_this_process_and_behind_a_terminal(tmp_p
     good(*words, "--port", "khep://obstacles?noise=off", "--save", "b", folder=tmp_path)
     with served("obstacles", "--noise", "off", "--clock", "wire") as (_, path):
         good(*words, "--port", path, "--save", "c", folder=tmp_path)
-    assert heard(tmp_path / "a") == heard(tmp_path / "b") == heard(tmp_path / "c")
+    assert read_rows(tmp_path / "a") == read_rows(tmp_path / "b") == read_rows(tmp_path / "c")
     assert [row["speed"] for row in rows(tmp_path / "c")] == ["4", "5", "6", "7"]
     for number in range(1, 5):
         one, other = (loadmat(tmp_path / name / f"run-00{number}.mat")["seen"] for name in "ac")
@@ -105,7 +105,7 @@ def test_in_real_time_it_comes_out_the_same_up_to_timing(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("script", "more"),
+    ("script", "options"),
     share(
         [
             (PLAIN, ("--start", "grid:3x1", "--start", "playpen")),
@@ -116,22 +116,22 @@ def test_in_real_time_it_comes_out_the_same_up_to_timing(tmp_path: Path) -> None
     ),
 )
 def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
-    script: str, more: Sequence[str], tmp_path: Path
+    script: str, options: Sequence[str], tmp_path: Path
 ) -> None:
     (tmp_path / "mine.py").write_text(script)
-    words = ("mine.py", "--playpen", "obstacles", "--cycles", "40", *more)
-    with begun(tmp_path, *words, "--runs", "40", "--save", "series", "--log", "run.mcap") as process:
+    words = ("mine.py", "--playpen", "obstacles", "--cycles", "40", *options)
+    with started(tmp_path, *words, "--runs", "40", "--save", "series", "--log", "run.mcap") as process:
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
-    kept = len(rows(tmp_path / "series"))
-    assert errors.endswith(f"stopped before its end; {kept} of 40 runs are saved; resume with --resume\n")
+    n_rows = len(rows(tmp_path / "series"))
+    assert errors.endswith(f"stopped before its end; {n_rows} of 40 runs are saved; resume with --resume\n")
     assert "khep-twin series series" in output
     log = read_log(sorted(tmp_path.glob("run*.mcap"))[-1])
     # The last setpoints of the log are those of motors that stand.
     assert [line.text for line in log.robots["khepera0"].serial if line.text.startswith("D")][-1] == "D,0,0"
     assert not [*tmp_path.glob("*.part")]
-    total = str(kept + 2)
+    total = str(n_rows + 2)
     told = good("run", *words, "--runs", total, "--save", "series", "--resume", folder=tmp_path)
     assert told.count("run ") >= 2
     good("run", *words, "--runs", total, "--save", "whole", folder=tmp_path)
@@ -147,13 +147,13 @@ def test_only_the_same_series_goes_on(tmp_path: Path) -> None:
     words = ("run", "mine.py", "--cycles", "3", "--save", "s")
     good(*words, folder=tmp_path)
     before = (tmp_path / "s" / "series.json").read_bytes()
-    for more, line in (
+    for options, line in (
         (("--seed", "1"), "s: was made with another seed: 0, now 1; expected the same"),
         (("--playpen", "obstacles"), "s: was made with another playpen: "),
         (("--start", "playpen"), "s: was made with another starts: [], now ['playpen']"),
         (("--lighting", "random"), 's: was made with another playpen: mode = "all", now mode = "random"'),
     ):
-        assert complaint(*words, "--resume", *more, folder=tmp_path).startswith(line)
+        assert complaint(*words, "--resume", *options, folder=tmp_path).startswith(line)
     assert complaint(*words, folder=tmp_path).startswith("s: has a series of 1 runs already; expected --res")
     mine.write_text(PLAIN.replace("300", "301"))
     assert "another controller source: sha256" in complaint(*words, "--resume", folder=tmp_path)
@@ -187,10 +187,10 @@ def test_a_resumed_series_replaces_logs_of_its_own_controller_only(tmp_path: Pat
     good(*words, "--log", "own.mcap", folder=tmp_path)
     good("run", "--cycles", "3", "--log", "other.mcap", folder=tmp_path)
     other = (tmp_path / "other.mcap").read_bytes()
-    more = ("--runs", "2", "--resume", "--log")
-    assert "is there already" in complaint(*words, *more, "other.mcap", folder=tmp_path)
+    options = ("--runs", "2", "--resume", "--log")
+    assert "is there already" in complaint(*words, *options, "other.mcap", folder=tmp_path)
     assert (tmp_path / "other.mcap").read_bytes() == other
-    good(*words, *more, "own.mcap", folder=tmp_path)
+    good(*words, *options, "own.mcap", folder=tmp_path)
 
 
 def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
@@ -200,14 +200,14 @@ def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
         "    print('after', run.number, run.cycles, len(seen), run.variables['near'])\n"
     )
     words = ("run", "mine.py", "--on-run-end", "mine.py", "--cycles", "3", "--noise", "off", "--save", "s")
-    told = good(*words, "--runs", "2", folder=tmp_path)
-    assert [line for line in told.splitlines() if line.startswith("after")] == [
+    output = good(*words, "--runs", "2", folder=tmp_path)
+    assert [line for line in output.splitlines() if line.startswith("after")] == [
         "after 1 3 1 0",
         "after 2 3 2 0",
     ]
-    told = good(*words, "--runs", "3", "--resume", folder=tmp_path)
-    assert [line for line in told.splitlines() if line.startswith("after")] == ["after 3 3 1 0"]
-    assert told.count("as before") == 2
+    output = good(*words, "--runs", "3", "--resume", folder=tmp_path)
+    assert [line for line in output.splitlines() if line.startswith("after")] == ["after 3 3 1 0"]
+    assert output.count("as before") == 2
     for text, line in (
         ("def after(run):\n    run.nothing", "bad.py:2: AttributeError: "),
         ("def after(run, more): ...", "bad.py: 'after' takes (run, more); expected one run"),
@@ -215,8 +215,8 @@ def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
         ("x = (", "bad.py:1: SyntaxError"),
     ):
         (tmp_path / "bad.py").write_text(text)
-        told = complaint("run", "--on-run-end", "bad.py", "--cycles", "1", folder=tmp_path)
-        assert told.removeprefix(f"{tmp_path}/").startswith(line)
+        output = complaint("run", "--on-run-end", "bad.py", "--cycles", "1", folder=tmp_path)
+        assert output.removeprefix(f"{tmp_path}/").startswith(line)
     assert "no such function; expected" in complaint("run", "--on-run-end", "bad", folder=tmp_path)
 
 
@@ -251,10 +251,10 @@ def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
         command, cwd=tmp_path, stdin=terminal, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     ) as process:
         assert process.stderr is not None
-        assert os.read(process.stderr.fileno(), 100).startswith(b"run 1: put")
+        assert os.read(process.stderr.fileno(), 100).startswith(b"run 1: place")
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 130
-        assert b"0 of 1 runs are kept" in process.stderr.read()
+        assert b"0 of 1 runs are saved" in process.stderr.read()
     os.close(host)
     os.close(terminal)
     good("run", "--cycles", "1", "--save", "s", "--resume", folder=tmp_path)
@@ -265,7 +265,7 @@ def test_a_twin_that_is_killed_in_mid_run_is_one_error_and_nothing_is_lost(tmp_p
     options = ("obstacles", "--clock", "wire", "--log", str(tmp_path / "served.mcap"), "--link", str(link))
     with served(*options) as (twin, _):
         words = ("--port", link, "--cycles", "20", "--runs", "100000", "--save", "series")
-        with begun(tmp_path, *words) as process:
+        with started(tmp_path, *words) as process:
             # A log is written in pieces: a twin that is killed before the first has none.
             written, end = part.stat().st_size, time.monotonic() + 60
             while part.stat().st_size == written:
@@ -286,7 +286,7 @@ def test_a_twin_that_is_killed_in_mid_run_is_one_error_and_nothing_is_lost(tmp_p
 def test_a_terminal_that_closes_and_a_peer_that_goes_are_one_error(tmp_path: Path) -> None:
     with FakeRobot() as robot:
         words = ("--port", robot.url, "--cycles", "5", "--runs", "100000", "--save", "series")
-        with begun(tmp_path, *words) as process:
+        with started(tmp_path, *words) as process:
             robot.disconnect(for_good=True)
             _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
@@ -308,8 +308,8 @@ def test_a_terminal_that_closes_and_a_peer_that_goes_are_one_error(tmp_path: Pat
 
 def test_starts_have_logs_and_tracks_of_their_own(tmp_path: Path) -> None:
     words = ("--start", "grid:2x1", "--runs", 3, "--cycles", 9, "--log", "run.mcap", "--picture", "p.svg")
-    told = good("run", *words, folder=tmp_path)
-    assert "log      run-001.mcap to run-003.mcap" in told
+    output = good("run", *words, folder=tmp_path)
+    assert "log      run-001.mcap to run-003.mcap" in output
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "p.svg",
         *(f"run-00{number}.mcap" for number in (1, 2, 3)),
@@ -322,10 +322,10 @@ def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
     for name, seed in (("one", 1), ("other", 2)):
         words = ("run", "--start", "random", "--seed", seed, "--runs", "3", "--cycles", "9", "--save", name)
         good(*words, folder=tmp_path)
-    told = good(
+    output = good(
         "series", "one", "other", "--picture", "s.png", "--columns", "fitness,distance_m", folder=tmp_path
     )
-    lines = told.splitlines()
+    lines = output.splitlines()
     assert [line.split()[0] for line in lines[1:4]] == ["fitness", "other", "less"]
     assert lines[-1] == "picture  s.png"
     assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
@@ -384,9 +384,9 @@ def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Seq
 def test_the_firmware_of_a_khepera_2_alone_is_reported_in_one_line(
     tmp_path: Path, kind: Sequence[str]
 ) -> None:
-    done = khep_twin(*kind, "--rom", "khepera2", "--seconds", "0.2", folder=tmp_path)
-    assert done.returncode == 0
-    assert done.stderr == (
+    process = khep_twin(*kind, "--rom", "khepera2", "--seconds", "0.2", folder=tmp_path)
+    assert process.returncode == 0
+    assert process.stderr == (
         "khep-twin: --rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
         "--model khepera2 changes all three\n"
     )
@@ -433,12 +433,12 @@ def user2(near, total):
 def test_a_function_in_the_toolboxs_form_is_run_in_a_series(tmp_path: Path) -> None:
     (tmp_path / "tb.py").write_text(TOOLBOX)
     words = (*ACROSS, "--pause", "1", "--save", "kept", "--on-run-end", "tb.py:user2", "--log", "run.mcap")
-    told = good("run", "tb.py:brait", *words, folder=tmp_path)
-    kept = rows(tmp_path / "kept")
-    assert [row["total"] for row in kept] == ["60", "120", "180", "240"]
-    assert [row["cycle_count"] for row in kept] == ["60"] * 4
-    assert all(float(row["fitness"]) > 0 for row in kept)
-    assert [f"user2 {row['near']} {row['total']}" in told for row in kept] == [True] * 4
+    output = good("run", "tb.py:brait", *words, folder=tmp_path)
+    saved = rows(tmp_path / "kept")
+    assert [row["total"] for row in saved] == ["60", "120", "180", "240"]
+    assert [row["cycle_count"] for row in saved] == ["60"] * 4
+    assert all(float(row["fitness"]) > 0 for row in saved)
+    assert [f"user2 {row['near']} {row['total']}" in output for row in saved] == [True] * 4
     variables = loadmat(tmp_path / "kept" / "run-002.mat")
     assert variables["near"].item() == variables["var1"].item()
     texts = [line.text for line in read_log(tmp_path / "run.mcap").events]
@@ -449,25 +449,25 @@ def test_a_function_in_the_toolboxs_form_is_run_in_a_series(tmp_path: Path) -> N
 def test_a_function_for_the_toolboxs_simulator_is_run_in_its_own_playpen_or_another(tmp_path: Path) -> None:
     (tmp_path / "tb.py").write_text(TOOLBOX)
     words = ("run", "tb.py:samp", "--cycles", 40, "--save")
-    told = good(*words, "own", "--on-run-end", "tb.py:user1", folder=tmp_path)
-    assert "40 cycles in 2.0 s" in told
-    assert "user1" in told
+    error = good(*words, "own", "--on-run-end", "tb.py:user1", folder=tmp_path)
+    assert "40 cycles in 2.0 s" in error
+    assert "user1" in error
     # The lamps of two-lamps are seen; in the dark default there are none.
     good(*words, "dark", "--playpen", "default", folder=tmp_path)
-    own, dark = (loadmat(tmp_path / name / "run-001.mat")["light"].min() for name in ("own", "dark"))
-    assert own < dark - 20
-    told = complaint("run", "tb.py:samp", "--seconds", 5, folder=tmp_path)
-    assert "samp: counts its cycles; expected cycles, no seconds" in told
+    lit, dark = (loadmat(tmp_path / name / "run-001.mat")["light"].min() for name in ("own", "dark"))
+    assert lit < dark - 20
+    error = complaint("run", "tb.py:samp", "--seconds", 5, folder=tmp_path)
+    assert "samp: counts its cycles; expected cycles, no seconds" in error
 
 
 def test_a_function_in_the_toolboxs_form_is_stopped_in_the_middle_of_its_run(tmp_path: Path) -> None:
     (tmp_path / "tb.py").write_text(TOOLBOX)
     words = ("tb.py:brait", "--cycles", 100, "--runs", 5000, "--save", "series")
-    with begun(tmp_path, *words) as process:
+    with started(tmp_path, *words) as process:
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "runs are kept" in errors
+    assert "runs are saved" in errors
 
 
 def test_a_template_in_the_toolboxs_form_runs_as_it_stands(tmp_path: Path) -> None:
@@ -491,7 +491,7 @@ def after(run):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("raise GeneratorExit", "GeneratorExit"),
         ("raise GeneratorExit('mine')", "GeneratorExit: mine"),
@@ -504,7 +504,7 @@ def after(run):
 )
 @pytest.mark.parametrize("where", ["cycle", "after"])
 def test_whatever_a_controller_raises_is_its_fault_and_its_log_is_whole(
-    text: str, told: str, where: str, tmp_path: Path
+    text: str, message: str, where: str, tmp_path: Path
 ) -> None:
     parts = (text, "pass") if where == "cycle" else ("pass", text)
     (tmp_path / "mine.py").write_text(BAD_END.format(*parts))
@@ -512,7 +512,7 @@ def test_whatever_a_controller_raises_is_its_fault_and_its_log_is_whole(
     words = ("run", "mine.py:controller", "--on-run-end", "mine.py", "--cycles", "20", "--log", "run.mcap")
     result = khep_twin(*words, folder=tmp_path)
     assert result.returncode == 1
-    assert result.stderr == f"khep-twin: {tmp_path / 'mine.py'}:{line}: {told}\n"
+    assert result.stderr == f"khep-twin: {tmp_path / 'mine.py'}:{line}: {message}\n"
     assert [line.text for line in read_log(tmp_path / "run.mcap").robots["khepera0"].serial][-2:] == [
         "D,0,0",
         "d",
@@ -535,13 +535,13 @@ def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, t
     assert "mine.toml" in (folder / "arena.toml").read_text()
     words = ("--playpen", "arena.toml", "--start", "playpen", "--runs", "2", "--cycles", "3")
     files = ("--on-run-end", "then.py", "--log", "run.mcap", "--picture", "run.png", "--save", "series")
-    told = good("run", "goes.py", *words, *files, folder=folder)
-    assert told.splitlines()[-3].startswith("picture  run.png")
-    assert told.splitlines()[-2].startswith("log      run-001.mcap to run-002.mcap")
-    assert told.splitlines()[-1].startswith("series   series ")
-    made = {"run-001.mcap", "run-002.mcap", "run.png", "series"}
+    output = good("run", "goes.py", *words, *files, folder=folder)
+    assert output.splitlines()[-3].startswith("picture  run.png")
+    assert output.splitlines()[-2].startswith("log      run-001.mcap to run-002.mcap")
+    assert output.splitlines()[-1].startswith("series   series ")
+    new_files = {"run-001.mcap", "run-002.mcap", "run.png", "series"}
     typed = {"goes.py", "then.py", "arena.toml", "mine.toml", "away"}
-    assert {path.name for path in folder.iterdir()} == typed | made
+    assert {path.name for path in folder.iterdir()} == typed | new_files
     assert len(rows(folder / "series")) == 2
     assert (folder / "away" / "away" / "own").exists()
     assert read_log(folder / "run-002.mcap").robots["khepera0"].serial
@@ -566,6 +566,6 @@ def test_a_fork_of_a_controller_leaves_the_log_whole(tmp_path: Path) -> None:
     )
     # Longer than the time between two pieces of the log; the fork goes on with the same run.
     words = "run", "forks.py", "--playpen", "default", "--seconds", "8", "--log", "run.mcap"
-    done = subprocess.run([*PROGRAM, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run([*PROGRAM, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
     assert good("repeat", "run.mcap", folder=tmp_path).startswith("identical: 8.")

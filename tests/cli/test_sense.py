@@ -42,8 +42,8 @@ def folder(tmp_path: Path) -> Path:
 def test_a_test_is_written_in_every_form_and_drawn(folder: Path) -> None:
     outputs = [word for suffix in ("csv", "mat", "mcap") for word in ("-o", f"run.{suffix}")]
     words = ("--linear", 5, *outputs, "--picture", "run.png", "--text", "wall")
-    told = good("sense", "khep://bench.toml?noise=off", *words, folder=folder)
-    assert "left 10        0 to 1023 counts" in told
+    output = good("sense", "khep://bench.toml?noise=off", *words, folder=folder)
+    assert "left 10        0 to 1023 counts" in output
     runs = [load(folder / f"run.{suffix}") for suffix in ("csv", "mat", "mcap")]
     assert all((run.dv == runs[0].dv).all() and run.test == runs[0].test for run in runs)
     assert runs[0].dv[-1, 0] == pytest.approx(625, abs=2)
@@ -85,12 +85,12 @@ def drives(part: Path) -> bool:
     """Whether a log that grows has the order to drive."""
     try:
         with GrowingLog(part.with_suffix("")) as log:
-            found: list[Entry] = []
+            entries: list[Entry] = []
             while block := log.read_new():
-                found += block
+                entries += block
     except LogError:  # it has only just begun
         return False
-    return any(b"C," in message.data for message in found)
+    return any(b"C," in message.data for message in entries)
 
 
 def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
@@ -141,5 +141,5 @@ def test_a_mistake_is_one_line_before_the_robot_moves(typed: str, line: str, tmp
 
 def test_a_picture_of_a_kind_that_cannot_be_drawn_is_refused_before_the_robot_moves(tmp_path: Path) -> None:
     words = ("khep://default", "--linear", "5", "--picture", "a.gif")
-    told = complaint("sense", *words, folder=tmp_path, codes=[2])
-    assert "a.gif: expected a name that ends in .png" in told
+    error = complaint("sense", *words, folder=tmp_path, codes=[2])
+    assert "a.gif: expected a name that ends in .png" in error

@@ -35,26 +35,26 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_tells_where_the_robot_is_and_what_was_learned(log: Path) -> None:
-    done = khep_twin("shadow", "obstacles", log, *SOME)
-    assert done.returncode == 0, done.stderr
-    state, pose, reckoning, wheels = done.stdout.splitlines()
+    process = khep_twin("shadow", "obstacles", log, *SOME)
+    assert process.returncode == 0, process.stderr
+    state, pose, reckoning, wheels = process.stdout.splitlines()
     assert re.fullmatch(
         r"state      followed at the end; followed \S+ %, unsure \S+ %, lost \S+ % of the time", state
     )
-    found = [float(number) for number in re.findall(r"(\S+) mm \+-", pose)]
-    assert found == pytest.approx(Truth.load(log.with_suffix(".npz")).poses[-1, :2] * 1e3, abs=20)
+    positions = [float(number) for number in re.findall(r"(\S+) mm \+-", pose)]
+    assert positions == pytest.approx(Truth.load(log.with_suffix(".npz")).poses[-1, :2] * 1e3, abs=20)
     assert reckoning.startswith("reckoning  ")
     assert wheels.startswith("wheels     radius 7.")
-    assert "s followed in" in done.stderr
+    assert "s followed in" in process.stderr
 
 
 def test_a_host_that_never_asks_n_is_followed_by_its_counters_which_is_said(tmp_path: Path) -> None:
     script = tmp_path / "counts.py"
     script.write_text("def controller(robot):\n    robot.position()\n    robot.set_speed(5, 5)\n")
     good("run", script, "--playpen", "obstacles", "--seconds", 2, "--log", tmp_path / "counts.mcap")
-    done = khep_twin("shadow", "obstacles", tmp_path / "counts.mcap", *SOME)
-    assert done.returncode == 0, done.stderr
-    assert "no reply to N was heard; expected some: the pose is by commands and counters alone" in done.stderr
+    process = khep_twin("shadow", "obstacles", tmp_path / "counts.mcap", *SOME)
+    assert process.returncode == 0, process.stderr
+    assert "no reply to N was heard; expected some: the pose is by commands and counters alone" in process.stderr
 
 
 def test_it_follows_the_same_way_each_time_and_by_the_seed_another(log: Path) -> None:
@@ -80,9 +80,9 @@ def test_an_alarm_is_a_line_and_ends_it_where_that_is_wanted(
             yield update
 
     monkeypatch.setattr(Shadow, "feed", feed)
-    told = khep_twin("shadow", "obstacles", log, *SOME, "--until", 4)
-    assert told.returncode == 0
-    first, second, *_ = told.stdout.splitlines()
+    process = khep_twin("shadow", "obstacles", log, *SOME, "--until", 4)
+    assert process.returncode == 0
+    first, second, *_ = process.stdout.splitlines()
     assert first.strip().startswith("2.0")
     assert first.endswith("s  stuck sensor 3: proximity, since 1.90 s, 97% sure")
     assert second.endswith("s  stuck sensor 3: proximity, since 1.90 s, over")
@@ -104,11 +104,11 @@ def test_a_robot_that_is_lost_and_found_is_a_line_each_and_ends_it_where_that_is
             yield replace(update, state=state, alarms=(), ended=())
 
     monkeypatch.setattr(Shadow, "feed", feed)
-    told = khep_twin("shadow", "obstacles", log, *SOME, "--exit-on", "alarm")
-    assert told.returncode == 0
-    lost, found, state, *_ = told.stdout.splitlines()
+    process = khep_twin("shadow", "obstacles", log, *SOME, "--exit-on", "alarm")
+    assert process.returncode == 0
+    lost, followed, state, *_ = process.stdout.splitlines()
     assert re.fullmatch(r" +2\.\d\d s  lost: its place is searched for", lost)
-    assert re.fullmatch(r" +4\.\d\d s  found: at \d+, \d+ mm, -?\d+ degrees", found)
+    assert re.fullmatch(r" +4\.\d\d s  found: at \d+, \d+ mm, -?\d+ degrees", followed)
     assert state.startswith("state      followed at the end; followed ")
     ended = khep_twin("shadow", "obstacles", log, *SOME, "--exit-on", "alarm", "--exit-on", "lost")
     assert ended.returncode == 5
@@ -123,12 +123,12 @@ def test_a_robot_that_is_lost_and_found_is_a_line_each_and_ends_it_where_that_is
         (["--within", "10"], "--within 10: expected MM,DEG, such as 10,5"),
         (["--robot", "1"], "obstacles: robot 1; expected 0, as it has 1"),
         (["--poll"], "--poll is for a robot at --relay, not for a log"),
-        (["--relay", "loop://"], "--relay follows a robot, not a log; expected either"),
+        (["--relay", "loop://"], "--relay follows a robot, not a log; expected one of them"),
         (["-o", "LOG"], "this is an input file; expected a separate file"),
     ],
 )
 def test_what_cannot_be_is_one_line(log: Path, options: list[str], message: str) -> None:
-    words = [str(log) if each == "LOG" else each for each in options]
+    words = [str(log) if option == "LOG" else option for option in options]
     assert message in complaint("shadow", "obstacles", log, *words)
 
 
@@ -136,18 +136,18 @@ def test_a_calibration_is_taken_from_what_a_shadow_has_learned(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as strict:
-        strict.setattr("khep_twin.lab.fit.shadow_fit.DETERMINED", 0.01)
+        strict.setattr("khep_twin.lab.fit.shadow_fit.MAX_DEVIATION_RATIO", 0.01)
         early = khep_twin("fit", "--from", log, "--playpen", "obstacles")
         assert "determines nothing better than it was known" in early.stderr
-    monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.DETERMINED", 0.8)  # by a log of five seconds
+    monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.MAX_DEVIATION_RATIO", 0.8)  # by a log of five seconds
     shadow, found = tmp_path / "shadow.mcap", tmp_path / "mine.toml"
     good("shadow", "obstacles", log, "-o", shadow)
-    told = good("fit", "--from", shadow, "-o", found)
-    assert "(95 %)" in told
+    output = good("fit", "--from", shadow, "-o", found)
+    assert "(95 %)" in output
     assert calibration.read(str(found))[0].source.endswith("; learned by a shadow in shadow.mcap")
     # The log of a relay is followed first, in the same way.
     again = khep_twin("fit", "--from", log, "--playpen", "obstacles")
-    assert again.stdout == told.replace(f"calibration   {found}\n", "")
+    assert again.stdout == output.replace(f"calibration   {found}\n", "")
     for words, message in (
         (["--from", log], "no shadow's log; expected one, or --playpen with a relay's log"),
         (["--from", shadow, "--ruler-mm", "1"], "--ruler-mm is for recorded tests, not for --from"),
@@ -178,33 +178,33 @@ def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: 
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
         process.send_signal(signal.SIGINT)
-        told, errors = process.communicate(timeout=60)
+        output, errors = process.communicate(timeout=60)
     assert process.returncode == 0, errors
-    assert [line[:10].rstrip() for line in told.splitlines()] == ["state", "pose", "reckoning", "wheels"]
+    assert [line[:10].rstrip() for line in output.splitlines()] == ["state", "pose", "reckoning", "wheels"]
     polled = [entry.text for entry in read_log(line).robots["khepera0"].serial if entry.text == "H"]
     assert polled
     assert len(read_arrays(shadow)[1]["/shadow/residuals"][0]) >= 3
     assert len(read_arrays(shadow)[1]["/shadow/learned"][0]) >= 1
 
 
-@pytest.mark.parametrize(("code", "asked"), [(4, True), (5, True), (1, False)])
+@pytest.mark.parametrize(("code", "is_requested"), [(4, True), (5, True), (1, False)])
 def test_a_relay_ends_with_a_shadow_that_has_ended_as_asked_and_goes_on_without_another(
-    code: int, asked: bool, capsys: pytest.CaptureFixture[str]
+    code: int, is_requested: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    here, there = socket.socketpair()
-    with here, there, subprocess.Popen(["true"]) as program:
-        process = ShadowProcess(program, here)
+    relay_end, shadow_end = socket.socketpair()
+    with relay_end, shadow_end, subprocess.Popen(["true"]) as program:
+        process = ShadowProcess(program, relay_end)
         line = process.listener(lambda: 0)
         line.flush()
         assert not process.has_ended_on_event()
-        there.send(bytes([code]))
-        there.close()
+        shadow_end.send(bytes([code]))
+        shadow_end.close()
         while not line.is_broken:
             line.flush()
-        assert process.has_ended_on_event() is asked
+        assert process.has_ended_on_event() is is_requested
         assert process.finish() == code
-    told = f"khep-twin: the shadow has ended with code {code}; the relay continues without it\n"
-    assert capsys.readouterr().err == ("" if asked else told)
+    message = f"khep-twin: the shadow has ended with code {code}; the relay continues without it\n"
+    assert capsys.readouterr().err == ("" if is_requested else message)
 
 
 def test_a_time_beyond_the_end_is_the_end_and_an_odd_seed_is_refused(log: Path) -> None:

@@ -142,39 +142,39 @@ def test_a_server_that_cannot_print_its_path_serves_all_the_same(
 ) -> None:
     words = ["serve", "--link", "./robot", "--log", "run.mcap"]
     with started(words, tmp_path, output) as process:
-        until = time.monotonic() + LONG
+        deadline = time.monotonic() + LONG
         # What is served is told before the first byte is taken.
         while not (tmp_path / "robot").is_symlink() and process.poll() is None:
-            assert time.monotonic() < until
+            assert time.monotonic() < deadline
             time.sleep(0.02)
         with Khepera(str(tmp_path / "robot")) as robot:
             robot.versions()
         process.terminate()
-        told = process.communicate(timeout=LONG)[1]
-    assert process.returncode == code, told
-    assert told.count("cannot be written") == (output != "unread")
-    assert "Traceback" not in told
+        errors = process.communicate(timeout=LONG)[1]
+    assert process.returncode == code, errors
+    assert errors.count("cannot be written") == (output != "unread")
+    assert "Traceback" not in errors
     assert read_log(tmp_path / "run.mcap").robots["khepera0"].serial
 
 
 def test_too_few_descriptors_are_one_line() -> None:
-    def allow(number: int, most: int) -> None:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (number, most))
+    def allow(number: int, limit: int) -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (number, limit))
 
     for words in (["run", "--cycles", "5"], ["serve"], ["design", "--no-browser"]):
-        done = subprocess.run(
+        process = subprocess.run(
             [*PROGRAM, *words],
             capture_output=True,
             text=True,
             timeout=LONG,
             preexec_fn=lambda: allow(8, 8),
         )
-        told = "khep-twin: 8 files may be open at once; expected 64 or more, see ulimit -n\n"
-        assert (done.returncode, done.stdout, done.stderr) == (1, "", told)
+        message = "khep-twin: 8 files may be open at once; expected 64 or more, see ulimit -n\n"
+        assert (process.returncode, process.stdout, process.stderr) == (1, "", message)
     # A lower limit of one's own choice is raised.
-    more = partial(allow, 8, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
-    done = subprocess.run([*PROGRAM, "playpen", "list"], capture_output=True, timeout=LONG, preexec_fn=more)
-    assert (done.returncode, done.stderr) == (0, b"")
+    set_limit = partial(allow, 8, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
+    process = subprocess.run([*PROGRAM, "playpen", "list"], capture_output=True, timeout=LONG, preexec_fn=set_limit)
+    assert (process.returncode, process.stderr) == (0, b"")
 
 
 def test_a_descriptor_that_runs_out_later_is_one_line(
@@ -198,10 +198,10 @@ def test_a_current_directory_that_is_gone_is_one_line_where_it_is_needed(
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    told = "khep-twin: the current directory no longer exists; expected an existing one\n"
+    message = "khep-twin: the current directory no longer exists; expected an existing one\n"
     for words, code, shown in (
         ("run --cycles 3", 0, ("3 cycles in 0.1 s", "")),
-        ("design --no-browser", 1, ("", told.strip())),
+        ("design --no-browser", 1, ("", message.strip())),
     ):
         monkeypatch.setattr(sys, "argv", ["khep-twin", *words.split()])
         with pytest.raises(SystemExit) as ended:
@@ -218,11 +218,11 @@ def test_a_ready_fd_that_was_not_given_to_write_to_is_refused(kind: str) -> None
     if kind == "shut":
         os.close(writer)
     number = {"shut": writer, "read": reader, "own": writer}.get(kind, kind)
-    told = CliRunner().invoke(cli.app, ["serve", "default", f"--ready-fd={number}"])
+    result = CliRunner().invoke(cli.app, ["serve", "default", f"--ready-fd={number}"])
     os.close(reader)
     if kind != "shut":
         os.close(writer)
     trouble = {"shut": "is not open; ", "own": "is not open; ", "read": "is not open for writing; "}
-    expected = "expected 3 or above, of what is open for writing, such as --ready-fd 3 3>ready"
-    assert told.exit_code == 2
-    assert told.stderr == f"khep-twin: --ready-fd {number}: {trouble.get(kind, '')}{expected}\n"
+    expected = "expected 3 or above, open for writing, such as --ready-fd 3 3>ready"
+    assert result.exit_code == 2
+    assert result.stderr == f"khep-twin: --ready-fd {number}: {trouble.get(kind, '')}{expected}\n"

@@ -51,9 +51,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def shown(told: str) -> dict[str, float]:
+def read_metrics(output: str) -> dict[str, float]:
     """The metrics that a command prints, by name."""
-    return {line[:20].strip(): float(line[20:].split()[0]) for line in told.splitlines()[1:]}
+    return {line[:20].strip(): float(line[20:].split()[0]) for line in output.splitlines()[1:]}
 
 
 def test_a_run_on_a_port_and_a_rollout_with_its_line_are_the_same(folder: Path) -> None:
@@ -64,14 +64,14 @@ def test_a_run_on_a_port_and_a_rollout_with_its_line_are_the_same(folder: Path) 
         *("--seconds", "1"),
         folder=folder,
     )
-    for told in (ran, rolled):
-        assert told.startswith("25 cycles in 1.0 s\n")
-    assert list(shown(ran))[:4] == ["fitness", "near share", "proximity max", "proximity mean"]
+    for output in (ran, rolled):
+        assert output.startswith("25 cycles in 1.0 s\n")
+    assert list(read_metrics(ran))[:4] == ["fitness", "near share", "proximity max", "proximity mean"]
     options = EpisodeOptions(genes=GENES)
     (expected,) = rollout("obstacles", NETWORK, [4], 1.0, options=options, line=38400).metrics["distance_m"]
-    assert shown(rolled)["distance m"] == pytest.approx(expected, rel=1e-3)
+    assert read_metrics(rolled)["distance m"] == pytest.approx(expected, rel=1e-3)
     # A run's path is measured in steps of a millimetre.
-    assert shown(ran)["distance m"] == pytest.approx(expected, abs=2e-3)
+    assert read_metrics(ran)["distance m"] == pytest.approx(expected, abs=2e-3)
 
 
 def test_a_log_has_the_network(folder: Path) -> None:
@@ -82,8 +82,8 @@ def test_a_log_has_the_network(folder: Path) -> None:
 
 
 def test_a_speed_is_that_of_a_port(folder: Path) -> None:
-    told = complaint("run", "best.npz", "--baudrate", "38400", folder=folder)
-    assert told == "--baudrate is that of a line to a robot; expected --port with it"
+    error = complaint("run", "best.npz", "--baudrate", "38400", folder=folder)
+    assert error == "--baudrate is that of a line to a robot; expected --port with it"
 
 
 def test_a_study_has_networks_of_files(folder: Path) -> None:
@@ -93,9 +93,9 @@ def test_a_study_has_networks_of_files(folder: Path) -> None:
     expected = rollout("default", Network.load(folder / "best.npz"), [0, 1], 0.2)
     assert [row["distance_m"] for row in rows[:2]] == pytest.approx(expected.metrics["distance_m"], rel=0.2)
     (folder / "best.npz").write_bytes(b"no network")
-    told = complaint("sweep", "study.toml", folder=folder)
-    assert told.startswith('study.toml:4: controllers: "best.npz": ')
-    assert told.endswith("best.npz: cannot be read: no whole NPZ file: File is not a zip file")
+    error = complaint("sweep", "study.toml", folder=folder)
+    assert error.startswith('study.toml:4: controllers: "best.npz": ')
+    assert error.endswith("best.npz: cannot be read: no whole NPZ file: File is not a zip file")
 
 
 def test_a_challenge_scores_a_network(folder: Path) -> None:

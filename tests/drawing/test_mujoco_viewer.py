@@ -129,7 +129,7 @@ def test_a_lamp_that_is_off_is_dark(windows: list[Window]) -> None:
     world = World(Playpen.load("two-lamps"))
     MujocoViewer(real_time=False).watch(world)
     bright = windows[0].lamps[-1]
-    world.lamps.turn(0, on=False, time_ns=0)
+    world.lamps.switch(0, is_on=False, time_ns=0)
     world.advance_to(100_000_000)
     assert windows[0].lamps[-1] < bright / 2
 

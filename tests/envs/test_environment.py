@@ -1,4 +1,4 @@
-"""Environments: dm_env, Gymnasium and PettingZoo, by their own checks and against each other."""
+"""Environments: dm_env, Gymnasium and PettingZoo, by the checks of their libraries and against each other."""
 
 import builtins
 import dataclasses
@@ -147,12 +147,12 @@ def test_dm_env_takes_its_options_as_the_suite_does_too() -> None:
 def test_dm_env_takes_starts_lamps_and_a_randomization() -> None:
     from khep_twin import Lamp
 
-    here = {"start": (300, 150, -90), "lamps": [Lamp(x_mm=500, y_mm=500, power_w=5)]}
-    environment = dm("LightSeeking", seed=1, **here)
+    options = {"start": (300, 150, -90), "lamps": [Lamp(x_mm=500, y_mm=500, power_w=5)]}
+    environment = dm("LightSeeking", seed=1, **options)
     observation = environment.reset().observation
     assert environment.physics.pose() == pytest.approx((0.3, 0.15, -math.pi / 2))
     same_seed = {"seed": environment.task.seed}
-    assert (observation["light"] == gym("LightSeeking", **here).reset(options=same_seed)[0][8:16]).all()
+    assert (observation["light"] == gym("LightSeeking", **options).reset(options=same_seed)[0][8:16]).all()
     moved = dm("WallOrCylinder", seed=1, randomize={"blocks_mm": 60, "playpens": 3})
     places = set()
     for _ in range(6):
@@ -227,22 +227,22 @@ def test_without_normalization_actions_and_observations_are_in_the_robots_units(
     raw.reset(seed=1)
     usual.reset(seed=1)
     for action in actions(10):
-        seen, *rest = raw.step(action * 20)
-        normalized, *others = usual.step(action)
-        assert rest == others
+        observation, *rest = raw.step(action * 20)
+        normalized, *usual_rest = usual.step(action)
+        assert rest == usual_rest
         registers = raw.unwrapped._episode.registers[0]
-        assert seen[:16].tolist() == registers[PROXIMITY + AMBIENT].tolist()
-        assert normalized[:8] == pytest.approx(seen[:8] / 1023 * 2 - 1)
-        assert normalized[16:] == pytest.approx(seen[16:] / 20)
+        assert observation[:16].tolist() == registers[PROXIMITY + AMBIENT].tolist()
+        assert normalized[:8] == pytest.approx(observation[:8] / 1023 * 2 - 1)
+        assert normalized[16:] == pytest.approx(observation[16:] / 20)
 
 
 def test_gymnasium_is_the_same_again_by_its_seed() -> None:
     def way(seed: int) -> list[bytes]:
-        environment, seen = gym("LoopingMaze", noise=True, vary=True), []
+        environment, observations = gym("LoopingMaze", noise=True, vary=True), []
         for episode in range(2):
-            seen.append(environment.reset(seed=seed if not episode else None)[0].tobytes())
-            seen += [environment.step(action)[0].tobytes() for action in actions(10)]
-        return seen
+            observations.append(environment.reset(seed=seed if not episode else None)[0].tobytes())
+            observations += [environment.step(action)[0].tobytes() for action in actions(10)]
+        return observations
 
     assert way(1) == way(1)
     assert way(1) != way(2)
@@ -252,10 +252,10 @@ def test_gymnasium_is_the_same_again_by_its_seed() -> None:
 def test_an_episode_of_gymnasium_is_repeated_by_the_seed_in_its_info() -> None:
     environment = gym("LoopingMaze")
     environment.reset(seed=1)
-    seen, info = environment.reset()
-    again, told = gym("LoopingMaze").reset(options={"seed": info["seed"]})
-    assert (seen == again).all()
-    assert info == told
+    observation, info = environment.reset()
+    again, reset_info = gym("LoopingMaze").reset(options={"seed": info["seed"]})
+    assert (observation == again).all()
+    assert info == reset_info
 
 
 def same(ours: Any, theirs: Any) -> bool:
@@ -279,21 +279,21 @@ def of(infos: dict[str, Any], index: int) -> dict[str, Any]:
 
 
 def test_each_of_many_is_the_same_as_a_single_one_with_its_seed() -> None:
-    many, each = gyms(3, threads=2), [gym("ObstacleAvoidance") for _ in range(3)]
-    seen = [many.reset(seed=7)[0]]
-    alone = [[environment.reset(seed=7 + index)[0]] for index, environment in enumerate(each)]
+    vector_environment, singles = gyms(3, threads=2), [gym("ObstacleAvoidance") for _ in range(3)]
+    observations = [vector_environment.reset(seed=7)[0]]
+    alone = [[environment.reset(seed=7 + index)[0]] for index, environment in enumerate(singles)]
     for action in actions(15, 3):
-        results = many.step(action)
-        for index, environment in enumerate(each):
+        results = vector_environment.step(action)
+        for index, environment in enumerate(singles):
             if len(alone[index]) == 11:  # over after ten steps of 50 ms
                 result = (*environment.reset()[:1], 0.0, False, False)
             else:
                 result = environment.step(action[index])[:4]
             assert [part[index] for part in results[1:4]] == list(result[1:4])
             alone[index].append(result[0])
-        seen.append(results[0])
-    assert same(np.stack(seen, axis=1), np.array(alone))
-    many.close()
+        observations.append(results[0])
+    assert same(np.stack(observations, axis=1), np.array(alone))
+    vector_environment.close()
 
 
 @with_numba
@@ -310,13 +310,13 @@ def test_many_compiled_are_the_same_as_in_plain_python() -> None:
 def test_what_follows_an_episode_of_many_is_as_gymnasium_has_it(mode: str) -> None:
     # A charge that runs out terminates an episode; the time limit truncates another one.
     task = dataclasses.replace(TASKS["Homing"], charge_s=0.3, reach_mm=360.0)
-    many = gyms(4, task=task, autoreset_mode=mode)
-    each = gyms(4, task=task, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode})
-    assert many.metadata == each.metadata
-    assert same(many.reset(seed=2), each.reset(seed=2))
+    vectorized = gyms(4, task=task, autoreset_mode=mode)
+    synchronous = gyms(4, task=task, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode})
+    assert vectorized.metadata == synchronous.metadata
+    assert same(vectorized.reset(seed=2), synchronous.reset(seed=2))
     endings = set()
     for action in actions(25, 4):
-        ours, theirs = many.step(action), each.step(action)
+        ours, theirs = vectorized.step(action), synchronous.step(action)
         assert same(ours, theirs)
         endings |= {(bool(ended), bool(late)) for ended, late in zip(ours[2], ours[3], strict=True)}
         if mode == "SameStep" and (ours[2] | ours[3]).any():
@@ -325,34 +325,34 @@ def test_what_follows_an_episode_of_many_is_as_gymnasium_has_it(mode: str) -> No
             assert (ours[4]["final_info"]["time"][over] > 0).all()
             assert (ours[4]["time"][over] == 0).all()
     assert endings >= {(False, False), (True, False), (False, True)}
-    many.close()
-    each.close()
+    vectorized.close()
+    synchronous.close()
 
 
 def test_without_autoreset_a_mask_starts_episodes_that_are_over() -> None:
     task = dataclasses.replace(TASKS["Homing"], charge_s=0.3, reach_mm=360.0)
-    many = gyms(4, task=task, autoreset_mode="Disabled")
-    each = gyms(4, task=task, vectorization_mode="sync", vector_kwargs={"autoreset_mode": "Disabled"})
-    assert many.metadata == each.metadata
-    assert same(many.reset(seed=2), each.reset(seed=2))
+    vectorized = gyms(4, task=task, autoreset_mode="Disabled")
+    synchronous = gyms(4, task=task, vectorization_mode="sync", vector_kwargs={"autoreset_mode": "Disabled"})
+    assert vectorized.metadata == synchronous.metadata
+    assert same(vectorized.reset(seed=2), synchronous.reset(seed=2))
     masks = []
     for action in actions(25, 4):
-        ours, theirs = many.step(action), each.step(action)
+        ours, theirs = vectorized.step(action), synchronous.step(action)
         assert same(ours, theirs)
         over = ours[2] | ours[3]
         if over.any():
             masks.append(over.sum())
             with pytest.raises(ValueError, match=r"environments \[.*\] are over; expected reset\("):
-                many.step(action)
+                vectorized.step(action)
             options = {"reset_mask": over}
-            assert same(many.reset(options=options), each.reset(options={**options}))
+            assert same(vectorized.reset(options=options), synchronous.reset(options={**options}))
             assert list(options) == ["reset_mask"]
     assert 0 < min(masks) < 4
     for mask in (np.zeros(4, np.bool_), np.ones(3, np.bool_), np.ones(4)):
         with pytest.raises(ValueError, match="expected an array of 4 bool, at least one of them true"):
-            many.reset(options={"reset_mask": mask})
-    many.close()
-    each.close()
+            vectorized.reset(options={"reset_mask": mask})
+    vectorized.close()
+    synchronous.close()
 
 
 def test_an_unknown_autoreset_mode_is_refused_with_the_known_ones() -> None:
@@ -361,14 +361,14 @@ def test_an_unknown_autoreset_mode_is_refused_with_the_known_ones() -> None:
 
 
 def test_an_error_in_one_of_many_is_raised_and_leaves_them_usable() -> None:
-    many = gyms(3, threads=3)
-    first = many.reset(seed=1)
+    vectorized = gyms(3, threads=3)
+    first = vectorized.reset(seed=1)
     with pytest.raises(DivergedError, match="expected finite numbers"):
-        many.step(np.array([[0, 0], [math.nan, 0], [0, 0]], np.float32))
+        vectorized.step(np.array([[0, 0], [math.nan, 0], [0, 0]], np.float32))
     # The others were stepped.
-    assert many.unwrapped._batch.periods.tolist() == [1, 0, 1]
-    assert same(many.reset(seed=1), first)
-    many.close()
+    assert vectorized.unwrapped._batch.periods.tolist() == [1, 0, 1]
+    assert same(vectorized.reset(seed=1), first)
+    vectorized.close()
 
 
 def test_gymnasiums_ways_to_make_many_are_known() -> None:
@@ -380,16 +380,18 @@ def test_gymnasiums_ways_to_make_many_are_known() -> None:
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_many_in_threads_are_the_same_as_one_after_another(threads: int) -> None:
-    many, each = gyms(3, threads=threads), gyms(3, vectorization_mode="sync")
-    assert many.metadata["autoreset_mode"] == each.metadata["autoreset_mode"]
-    assert many.observation_space == each.observation_space
-    assert many.action_space == each.action_space
-    pairs = [(many.reset(seed=4), each.reset(seed=4))]
-    pairs += [(many.step(action), each.step(action)) for action in actions(25, 3)]  # more than two episodes
+    vectorized, synchronous = gyms(3, threads=threads), gyms(3, vectorization_mode="sync")
+    assert vectorized.metadata["autoreset_mode"] == synchronous.metadata["autoreset_mode"]
+    assert vectorized.observation_space == synchronous.observation_space
+    assert vectorized.action_space == synchronous.action_space
+    pairs = [(vectorized.reset(seed=4), synchronous.reset(seed=4))]
+    pairs += [
+        (vectorized.step(action), synchronous.step(action)) for action in actions(25, 3)
+    ]  # more than two episodes
     for ours, theirs in pairs:
         assert same(ours, theirs)
-    many.close()
-    each.close()
+    vectorized.close()
+    synchronous.close()
 
 
 def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
@@ -397,17 +399,17 @@ def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
     lamps = tuple(lamp.model_copy(update={"blink_period_s": 0.3, "fade_s": 0.07}) for lamp in place.lamps)
     blinking = place.model_copy(update={"lamps": lamps})
 
-    def seen(threads: int) -> list[Any]:
+    def observe(threads: int) -> list[Any]:
         environments = gyms(4, task="LightSeeking", playpen=blinking, threads=threads, seconds=2.0)
         environments.reset(seed=1)
-        found = [environments.step(action)[0] for action in actions(40, 4)]
+        observations = [environments.step(action)[0] for action in actions(40, 4)]
         environments.close()
-        return found
+        return observations
 
-    alone, usual = seen(1), sys.getswitchinterval()
+    alone, usual = observe(1), sys.getswitchinterval()
     sys.setswitchinterval(1e-6)  # threads are switched all the time
     try:
-        together = seen(4)
+        together = observe(4)
     finally:
         sys.setswitchinterval(usual)
     assert all((one == other).all() for one, other in zip(alone, together, strict=True))
@@ -416,21 +418,21 @@ def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize("task", ["ObstacleAvoidance", "Homing"])
 def test_each_of_many_in_the_plane_is_the_same_as_a_single_plain_one(task: str, compiled: bool) -> None:
-    many = gyms(3, task=TASKS[task], planar=True, compiled=compiled, vary=True, threads=2)
-    each = [gym(task, planar=True, vary=True) for _ in range(3)]
-    first, infos = many.reset(seed=7)
-    for index, environment in enumerate(each):
-        seen, info = environment.reset(seed=7 + index)
-        assert (seen == first[index]).all()
+    vectorized = gyms(3, task=TASKS[task], planar=True, compiled=compiled, vary=True, threads=2)
+    singles = [gym(task, planar=True, vary=True) for _ in range(3)]
+    first, infos = vectorized.reset(seed=7)
+    for index, environment in enumerate(singles):
+        observation, info = environment.reset(seed=7 + index)
+        assert (observation == first[index]).all()
         assert info == {name: infos[name][index] for name in info}
     for action in actions(10, 3):
-        *results, infos = many.step(action)
-        for index, environment in enumerate(each):
+        *results, infos = vectorized.step(action)
+        for index, environment in enumerate(singles):
             *alone, info = environment.step(action[index])
             assert [part[index] for part in results[1:]] == alone[1:]
             assert (results[0][index] == alone[0]).all()
             assert info == of(infos, index)
-    many.close()
+    vectorized.close()
 
 
 def test_in_the_plane_the_observations_are_like_those_of_mujoco() -> None:
@@ -438,19 +440,19 @@ def test_in_the_plane_the_observations_are_like_those_of_mujoco() -> None:
     for environment in (plane, mujoco):
         environment.reset(seed=2)
     for _ in range(10):
-        seen, there = plane.step([0.5, 0.4])[0], mujoco.step([0.5, 0.4])[0]
-    assert seen == pytest.approx(there, abs=0.05)
+        plane_observation, mujoco_observation = plane.step([0.5, 0.4])[0], mujoco.step([0.5, 0.4])[0]
+    assert plane_observation == pytest.approx(mujoco_observation, abs=0.05)
 
 
 def test_in_the_plane_a_picture_is_a_map() -> None:
     environment = gym("ObstacleAvoidance", planar=True, render_mode="rgb_array")
     environment.reset(seed=1)
     assert environment.render().shape[2] == 3
-    assert environment.unwrapped._painter.view == "map"
-    many = gyms(2, planar=True, render_mode="rgb_array")
-    many.reset(seed=1)
-    assert (many.render()[0] == environment.render()).all()
-    many.close()
+    assert environment.unwrapped._renderer.view == "map"
+    vectorized = gyms(2, planar=True, render_mode="rgb_array")
+    vectorized.reset(seed=1)
+    assert (vectorized.render()[0] == environment.render()).all()
+    vectorized.close()
 
 
 def test_what_a_plane_has_not_is_refused_in_one_line() -> None:
@@ -477,13 +479,13 @@ def test_a_reward_of_one_state_is_the_same_for_many_as_for_one(planar: bool) -> 
     rewards = []
     for reward in (straight, straight_of_all):
         task = dataclasses.replace(TASKS["ObstacleAvoidance"], reward=reward)
-        many = gyms(3, task=task, planar=planar)
+        vectorized = gyms(3, task=task, planar=planar)
         one = KheperaEnvironment(task, planar=planar, **SHORT)
-        many.reset(seed=3)
+        vectorized.reset(seed=3)
         one.reset(seed=3)
-        rewards.append([many.step(action)[1].tolist() for action in actions(10, 3)])
+        rewards.append([vectorized.step(action)[1].tolist() for action in actions(10, 3)])
         assert [one.step(action[0])[1] for action in actions(10, 3)] == [row[0] for row in rewards[-1]]
-        many.close()
+        vectorized.close()
     assert rewards[0] == rewards[1]
     assert {0.25, 1.0} == {reward for row in rewards[0] for reward in row}
 
@@ -491,26 +493,30 @@ def test_a_reward_of_one_state_is_the_same_for_many_as_for_one(planar: bool) -> 
 def test_gymnasium_and_dm_env_are_the_same_episode() -> None:
     environment = dm("Homing", seed=3)
     first = environment.reset()
-    seen, _ = gym("Homing").reset(options={"seed": environment.task.seed})
-    assert (np.concatenate(list(first.observation.values())) == seen).all()
+    observation, _ = gym("Homing").reset(options={"seed": environment.task.seed})
+    assert (np.concatenate(list(first.observation.values())) == observation).all()
 
 
 @pytest.mark.parametrize("charge_s", [0.0, 0.1])
 def test_a_step_before_a_reset_or_after_the_end_asks_for_a_reset(charge_s: float) -> None:
     task = dataclasses.replace(TASKS["Homing"], charge_s=charge_s)
     environment = type(gym("Homing").unwrapped)(task, planar=True, **SHORT)
-    many = gyms(2, planar=True)
+    vectorized = gyms(2, planar=True)
     together = zoo("ObstacleAvoidance", 1, planar=True)
-    for each, action in ((environment, [0, 0]), (many, [[0, 0], [0, 0]]), (together, {"khepera0": [0, 0]})):
+    for stepped, action in (
+        (environment, [0, 0]),
+        (vectorized, [[0, 0], [0, 0]]),
+        (together, {"khepera0": [0, 0]}),
+    ):
         with pytest.raises(ValueError, match=r"started.*; expected reset\(\) first"):
-            each.step(np.array(action) if isinstance(action, list) else action)
+            stepped.step(np.array(action) if isinstance(action, list) else action)
     environment.reset(seed=1)
     while not any(environment.step(np.zeros(2))[2:4]):
         pass
     with pytest.raises(ValueError, match=r"^the episode is over, .* expected reset\(\) first"):
         environment.step(np.zeros(2))
-    many.close()
-    for call in (many.reset, lambda: many.step(np.zeros((2, 2)))):
+    vectorized.close()
+    for call in (vectorized.reset, lambda: vectorized.step(np.zeros((2, 2)))):
         with pytest.raises(ValueError, match=r"^the environments are closed; expected new ones$"):
             call()
 
@@ -536,11 +542,11 @@ def test_pettingzoo_finds_nothing_wrong(task: str, robots: int) -> None:
 def test_robots_together_are_the_same_again_by_their_seed() -> None:
     def way(seed: int) -> list[bytes]:
         environment = zoo("ObstacleAvoidance", 3)
-        seen = [environment.reset(seed=seed)[0]]
+        observations = [environment.reset(seed=seed)[0]]
         for action in actions(10, 3):
-            seen.append(environment.step(dict(zip(environment.agents, action, strict=True)))[0])
+            observations.append(environment.step(dict(zip(environment.agents, action, strict=True)))[0])
         assert not environment.agents
-        return [row.tobytes() for rows in seen for row in rows.values()]
+        return [row.tobytes() for rows in observations for row in rows.values()]
 
     assert way(1) == way(1)
     assert way(1) != way(2)
@@ -562,8 +568,10 @@ def test_robots_together_see_each_other() -> None:
 
 def test_in_the_plane_there_is_one_robot() -> None:
     environment = zoo("ObstacleAvoidance", 1, planar=True)
-    seen, _ = environment.reset(seed=1)
-    assert (seen["khepera0"] == zoo("ObstacleAvoidance", 1, planar=True).reset(seed=1)[0]["khepera0"]).all()
+    observation, _ = environment.reset(seed=1)
+    assert (
+        observation["khepera0"] == zoo("ObstacleAvoidance", 1, planar=True).reset(seed=1)[0]["khepera0"]
+    ).all()
     assert environment.step({"khepera0": np.ones(2, np.float32)})[1].keys() == {"khepera0"}
     with pytest.raises(PlaypenError, match=r"obstacles: 2 robots; expected one in the plane"):
         zoo("ObstacleAvoidance", 2, planar=True)
@@ -645,7 +653,7 @@ def test_where_there_is_no_screen_the_checker_warns_of_nothing_and_pictures_are_
     from gymnasium.utils.env_checker import check_env
 
     check_env(environment.unwrapped)
-    assert environment.unwrapped._painter.view == "map"
+    assert environment.unwrapped._renderer.view == "map"
     assert Renderer("scene").view == "scene"
 
 
@@ -712,10 +720,10 @@ def test_an_odd_seed_of_an_episode_is_refused_and_numpys_integers_are_taken(seed
     gymnasium = pytest.importorskip("khep_twin.envs.gymnasium")
     vector = pytest.importorskip("khep_twin.envs.gymnasium_vector")
     options: dict[str, Any] = {"planar": True, "compiled": False}
-    many = vector.KheperaVectorEnvironment(2, **options)
-    many.reset(seed=np.int64(3))
-    for each in (gymnasium.KheperaEnvironment(**options), many):
+    vectorized = vector.KheperaVectorEnvironment(2, **options)
+    vectorized.reset(seed=np.int64(3))
+    for opened in (gymnasium.KheperaEnvironment(**options), vectorized):
         with pytest.raises(ValueError, match=r"options: seed = .*; expected an integer from 0 to 2\*\*63-1"):
-            each.reset(options={"seed": seed})
-        each.reset(options={"seed": np.int64(3)})
-        each.close()
+            opened.reset(options={"seed": seed})
+        opened.reset(options={"seed": np.int64(3)})
+        opened.close()

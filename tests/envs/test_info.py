@@ -29,12 +29,12 @@ FAST = np.array([1.0, 0.8], np.float32)
 def driven(environment: Any, action: Any = FAST, seed: int = 1) -> list[tuple[float, dict[str, Any]]]:
     """Return rewards and infos of an episode."""
     environment.reset(seed=seed)
-    found, over = [], False
+    steps, over = [], False
     while not over:
         _, reward, ended, late, info = environment.step(action)
-        found.append((reward, info))
+        steps.append((reward, info))
         over = ended or late
-    return found
+    return steps
 
 
 WITH_PARTS = {name: task for name, task in TASKS.items() if task.reward in tasks._PARTS}
@@ -49,9 +49,9 @@ def test_the_parts_of_a_reward_have_the_reward_as_their_product(task: Task) -> N
 
 def test_a_reward_without_parts_has_none_and_nothing_is_told_unasked() -> None:
     task = dataclasses.replace(TASKS["Homing"], reward=lambda state: 0.5)
-    told = driven(KheperaEnvironment(task, details=True, **SHORT))[-1][1]
-    assert "reward_parts" not in told
-    assert told["episode"] == {"r": 5.0, "l": 10, "t": 0.5}
+    episode_info = driven(KheperaEnvironment(task, details=True, **SHORT))[-1][1]
+    assert "reward_parts" not in episode_info
+    assert episode_info["episode"] == {"r": 5.0, "l": 10, "t": 0.5}
     usual = [info for _, info in driven(KheperaEnvironment("Homing", **SHORT))]
     assert all(list(info) == ["x", "y", "heading", "time", "seed"] for info in usual)
 
@@ -92,10 +92,10 @@ def test_an_episode_is_told_as_gymnasiums_wrapper_tells_it() -> None:
     ours = driven(KheperaEnvironment("Homing", details=True, **SHORT))[-1][1]["episode"]
     assert ours.keys() == recorded.keys()
     assert (ours["r"], ours["l"]) == (recorded["r"], recorded["l"])
-    both = driven(
+    runs = driven(
         RecordEpisodeStatistics(KheperaEnvironment("Homing", details=True, **SHORT), stats_key="theirs")
     )
-    assert both[-1][1]["theirs"]["r"] == both[-1][1]["episode"]["r"]
+    assert runs[-1][1]["theirs"]["r"] == runs[-1][1]["episode"]["r"]
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
@@ -104,25 +104,25 @@ def test_many_are_told_as_gymnasiums_wrapper_tells_them(mode: str) -> None:
     task = dataclasses.replace(TASKS["Homing"], charge_s=0.3, reach_mm=360.0)
     plain = RecordMany(KheperaVectorEnvironment(4, task, autoreset_mode=mode, **SHORT))
     ours = KheperaVectorEnvironment(4, task, autoreset_mode=mode, details=True, **SHORT)
-    for each in (plain, ours):
-        each.reset(seed=2)
-    found = 0
+    for environments in (plain, ours):
+        environments.reset(seed=2)
+    n_endings = 0
     for _ in range(25):
         *_, ended, late, theirs = plain.step(np.tile(FAST, (4, 1)))
         infos = ours.step(np.tile(FAST, (4, 1)))[4]
         over = ended | late
         if over.any():
-            told = infos["final_info"] if mode == "SameStep" else infos
-            assert (told["_episode"] == theirs["_episode"]).all()
+            final_infos = infos["final_info"] if mode == "SameStep" else infos
+            assert (final_infos["_episode"] == theirs["_episode"]).all()
             for name in "rl":
-                assert (told["episode"][name] == theirs["episode"][name]).all()
-            found += 1
+                assert (final_infos["episode"][name] == theirs["episode"][name]).all()
+            n_endings += 1
             if mode == "Disabled":
-                for each in (plain, ours):
-                    each.reset(options={"reset_mask": over.copy()})
+                for environments in (plain, ours):
+                    environments.reset(options={"reset_mask": over.copy()})
         else:
             assert "episode" not in infos
-    assert found > 2
+    assert n_endings > 2
     plain.close()
     ours.close()
 
@@ -139,15 +139,15 @@ def test_many_tell_the_same_details_as_one_by_one(compiled: bool) -> None:
     }
     for mode in ("NextStep", "SameStep"):
         task = dataclasses.replace(TASKS["Homing"], charge_s=0.3, reach_mm=360.0)
-        many = gyms(3, task=task, autoreset_mode=mode, **options)
-        each = gyms(
+        vectorized = gyms(3, task=task, autoreset_mode=mode, **options)
+        synchronous = gyms(
             3, task=task, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **options
         )
-        assert same(many.reset(seed=2), each.reset(seed=2))
+        assert same(vectorized.reset(seed=2), synchronous.reset(seed=2))
         for action in actions(15, 3):
-            assert same(many.step(action), each.step(action))
-        many.close()
-        each.close()
+            assert same(vectorized.step(action), synchronous.step(action))
+        vectorized.close()
+        synchronous.close()
 
 
 def test_each_robot_of_several_is_told_its_own() -> None:

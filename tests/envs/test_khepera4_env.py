@@ -28,10 +28,10 @@ def test_an_environment_passes_gymnasiums_own_check(task: str) -> None:
 def test_a_seed_repeats_an_episode_in_a_copy_too() -> None:
     first = KheperaIVEnvironment(seconds=0.5, vary=True)
     _, info = first.reset(seed=3)
-    seen = [first.step(np.array([0.6, -0.2]))[:2] for _ in range(10)]
+    steps = [first.step(np.array([0.6, -0.2]))[:2] for _ in range(10)]
     second = pickle.loads(pickle.dumps(first))
     second.reset(options={"seed": info["seed"]})
-    for observation, reward in seen:
+    for observation, reward in steps:
         again = second.step(np.array([0.6, -0.2]))
         assert (again[0] == observation).all()
         assert again[1] == reward
@@ -52,11 +52,11 @@ def test_driving_ahead_is_rewarded_and_standing_at_a_wall_is_not() -> None:
 def test_a_controller_that_steers_by_the_ground_sensors_follows_the_line() -> None:
     environment = KheperaIVEnvironment("KheperaIVLineFollowing", seconds=20)
     observation, _ = environment.reset(seed=1)
-    total, done = 0.0, False
-    while not done:
+    total, is_truncated = 0.0, False
+    while not is_truncated:
         left, right = observation[1], observation[2]
         turn = 0.12 * float(np.sign(right - left))
-        observation, reward, ended, done, _ = environment.step(np.array([0.3 - turn, 0.3 + turn]))
+        observation, reward, ended, is_truncated, _ = environment.step(np.array([0.3 - turn, 0.3 + turn]))
         total += reward
         assert not ended
     assert total / 400 > 0.15

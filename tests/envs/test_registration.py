@@ -20,14 +20,14 @@ print([finder for finder in sys.meta_path if type(finder).__module__.startswith(
 """
 
 
-@pytest.mark.parametrize(("first", "then"), [("khep_twin", "gymnasium"), ("gymnasium", "khep_twin")])
-def test_gymnasium_knows_the_tasks_whichever_is_imported_first(first: str, then: str) -> None:
+@pytest.mark.parametrize(("first", "second"), [("khep_twin", "gymnasium"), ("gymnasium", "khep_twin")])
+def test_gymnasium_knows_the_tasks_whichever_is_imported_first(first: str, second: str) -> None:
     pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
-    words = [sys.executable, "-c", PROGRAM.format(first=first, then=then)]
-    told = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert told[0].split() == [f"khep_twin/{task}-v0" for task in (*TASKS, *KHEPERA_4_TASKS)]
+    words = [sys.executable, "-c", PROGRAM.format(first=first, then=second)]
+    lines = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert lines[0].split() == [f"khep_twin/{task}-v0" for task in (*TASKS, *KHEPERA_4_TASKS)]
     # Its module is as if it had been imported alone, and nothing waits any longer.
-    assert told[1:] == ["False SourceFileLoader True", "[]"]
+    assert lines[1:] == ["False SourceFileLoader True", "[]"]
 
 
 def test_an_environment_is_made_by_its_module_and_name() -> None:

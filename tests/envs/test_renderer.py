@@ -1,4 +1,4 @@
-"""Pictures of episodes: what they show of the state."""
+"""Pictures of episodes: they show the current state."""
 
 from typing import Any
 
@@ -13,14 +13,14 @@ from khep_twin.playpen import Block
 def test_in_the_plane_a_scene_has_the_robot_and_the_objects_where_they_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    seen: list[Any] = []
+    frames: list[Any] = []
 
     class Camera:
         def __init__(self, model: Any, height: int, width: int) -> None:
             self.render, self.close = (lambda: np.zeros((height, width, 3), np.uint8)), (lambda: None)
 
         def update_scene(self, data: Any, camera: Any) -> None:
-            seen.append([data.body(name).xpos.copy() for name in ("khepera0/base", "block0")])
+            frames.append([data.body(name).xpos.copy() for name in ("khepera0/base", "block0")])
 
     monkeypatch.setattr("mujoco.Renderer", Camera)
     block = Block(x_mm=300, y_mm=250, length_mm=40, width_mm=40, height_mm=40, movable=True)
@@ -32,10 +32,10 @@ def test_in_the_plane_a_scene_has_the_robot_and_the_objects_where_they_are(
         episode.begin(1)
         episode.run(1.0)
         renderer.picture(episode)
-    (x, y, _), ((there, _, _),) = episode.pose, episode.objects
-    assert there > 0.31
-    (base, pushed), again = seen
-    assert (base[0], base[1], pushed[0]) == pytest.approx((x, y, there))
+    (x, y, _), ((object_x, _, _),) = episode.pose, episode.objects
+    assert object_x > 0.31
+    (base, pushed), again = frames
+    assert (base[0], base[1], pushed[0]) == pytest.approx((x, y, object_x))
     assert np.array_equal(again, [base, pushed])
 
 

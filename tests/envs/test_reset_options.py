@@ -1,4 +1,4 @@
-"""Options of `reset` and of `make`: starts, lamps and playpens, and one line for what is none."""
+"""Options of `reset` and of `make`: starts, lamps and playpens, and one line for a value that is none."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ def one(**options: Any) -> KheperaEnvironment:
     return KheperaEnvironment("LightSeeking", **{**SHORT, **options})
 
 
-def many(count: int, **options: Any) -> KheperaVectorEnvironment:
+def make_vectorized(count: int, **options: Any) -> KheperaVectorEnvironment:
     return KheperaVectorEnvironment(count, "LightSeeking", **{**SHORT, **options})
 
 
@@ -37,8 +37,8 @@ def test_an_option_replaces_the_environments_own_for_one_episode() -> None:
     assert place(info) == (100, 100, 45)
     info = environment.reset(seed=1, options={"start": (300, 150, -90)})[1]
     assert place(info) == (300, 150, -90)
-    lit, _ = environment.reset(seed=1, options={"lamps": [LAMP]})
-    assert (lit[8:16] != usual[8:16]).any()
+    lit_observation, _ = environment.reset(seed=1, options={"lamps": [LAMP]})
+    assert (lit_observation[8:16] != usual[8:16]).any()
     elsewhere, info = environment.reset(seed=1, options={"playpen": "two-lamps"})
     assert place(info) == (100, 100, 45)
     assert (elsewhere != usual).any()
@@ -52,11 +52,11 @@ def test_an_option_replaces_the_environments_own_for_one_episode() -> None:
 
 def test_the_arguments_of_make_do_what_the_options_of_reset_do() -> None:
     options = {"start": (300, 150, -90), "lamps": [LAMP], "playpen": "two-lamps"}
-    made, usual = one(**options), one()
+    changed, usual = one(**options), one()
     usual.reset(seed=3)
-    assert (made.reset(seed=3)[0] == usual.reset(seed=3, options=options)[0]).all()
+    assert (changed.reset(seed=3)[0] == usual.reset(seed=3, options=options)[0]).all()
     for _ in range(5):
-        assert (made.step(np.ones(2))[0] == usual.step(np.ones(2))[0]).all()
+        assert (changed.step(np.ones(2))[0] == usual.step(np.ones(2))[0]).all()
 
 
 def test_a_playpen_is_prepared_once() -> None:
@@ -78,37 +78,37 @@ def test_many_with_a_list_of_playpens_are_the_same_as_single_ones(
 ) -> None:
     playpens = ["light-seeking", Playpen.load("two-lamps")]
     options = {"planar": planar, "vary": True}
-    together = many(5, playpen=playpens, threads=threads, **options, compiled=compiled)
+    together = make_vectorized(5, playpen=playpens, threads=threads, **options, compiled=compiled)
     alone = [one(playpen=playpens[index % 2], **options) for index in range(5)]
     first = together.reset(seed=7)[0]
     for index, environment in enumerate(alone):
         assert (environment.reset(seed=7 + index)[0] == first[index]).all()
     for action in np.random.default_rng(0).uniform(-1, 1, (6, 5, 2)):
-        seen, rewards, *_ = together.step(action)
+        observations, rewards, *_ = together.step(action)
         for index, environment in enumerate(alone):
             one_seen, reward, *_ = environment.step(action[index])
-            assert (one_seen == seen[index]).all()
+            assert (one_seen == observations[index]).all()
             assert reward == rewards[index]
     together.close()
 
 
 def test_many_take_an_option_for_all_or_one_for_each() -> None:
-    environments = many(3)
+    environments = make_vectorized(3)
     environments.reset(seed=1)
     infos = environments.reset(options={"start": (200, 200, 0)})[1]
     assert (infos["x"].round(3) == 0.2).all()
     starts = [(200, 200, 0), (300, 200, 0), (400, 200, 0)]
     mask = np.array([True, False, True])
     options = {"start": starts, "reset_mask": mask, "lamps": [[LAMP], [], []], "seed": 5}
-    seen, infos = environments.reset(options=options)
+    observations, infos = environments.reset(options=options)
     assert infos["x"].round(3).tolist() == [0.2, 0.0, 0.4]
     assert infos["seed"].tolist() == [5, 0, 5]
-    own = {"start": starts[2], "lamps": [], "seed": 5}
-    assert (one().reset(options=own)[0] == seen[2]).all()
-    seen, _ = environments.reset(
+    third_options = {"start": starts[2], "lamps": [], "seed": 5}
+    assert (one().reset(options=third_options)[0] == observations[2]).all()
+    observations, _ = environments.reset(
         options={"playpen": ["two-lamps", "light-seeking", "two-lamps"], "seed": [1, 2, 3]}
     )
-    assert (one().reset(options={"playpen": "two-lamps", "seed": 3})[0] == seen[2]).all()
+    assert (one().reset(options={"playpen": "two-lamps", "seed": 3})[0] == observations[2]).all()
     environments.close()
 
 
@@ -126,25 +126,25 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("options", "told"), WRONG)
+@pytest.mark.parametrize(("options", "message"), WRONG)
 def test_what_an_option_cannot_be_is_one_line_of_reset_and_of_make(
-    options: dict[str, Any], told: str
+    options: dict[str, Any], message: str
 ) -> None:
     environment = one()
     for call in (lambda: environment.reset(options=options), lambda: one(**options)):
-        with pytest.raises((KhepTwinError, ValueError), match=told) as caught:
+        with pytest.raises((KhepTwinError, ValueError), match=message) as caught:
             call()
         assert "\n" not in str(caught.value)
 
 
 def test_an_unknown_option_is_one_line_with_the_nearest_name() -> None:
-    told = r"'strat': unknown; did you mean 'start'\? \(choices: .*\)$"
-    with pytest.raises(KhepTwinError, match=f"^options: {told}"):
+    message = r"'strat': unknown; did you mean 'start'\? \(choices: .*\)$"
+    with pytest.raises(KhepTwinError, match=f"^options: {message}"):
         one().reset(options={"strat": (1, 2, 3)})
-    with pytest.raises(KhepTwinError, match=f"^option {told}"):
+    with pytest.raises(KhepTwinError, match=f"^option {message}"):
         one(strat=(1, 2, 3))
-    environments = many(2)
-    with pytest.raises(KhepTwinError, match=f"^options: {told}"):
+    environments = make_vectorized(2)
+    with pytest.raises(KhepTwinError, match=f"^options: {message}"):
         environments.reset(options={"strat": [1, 2]})
     with pytest.raises(KhepTwinError, match=r"^options: 3 of playpen; expected one, or one for each of 2$"):
         environments.reset(options={"playpen": ["two-lamps"] * 3})
@@ -152,17 +152,17 @@ def test_an_unknown_option_is_one_line_with_the_nearest_name() -> None:
     with pytest.raises(
         KhepTwinError, match=r"^playpen = \[\]; expected one playpen, or a list of at least one$"
     ):
-        many(2, playpen=[])
+        make_vectorized(2, playpen=[])
 
 
 def test_a_mistake_for_one_of_many_leaves_all_as_they_are() -> None:
-    environments, untouched = many(2), many(2)
-    for each in (environments, untouched):
-        each.reset(seed=1)
+    environments, untouched = make_vectorized(2), make_vectorized(2)
+    for environment in (environments, untouched):
+        environment.reset(seed=1)
     with pytest.raises(KhepTwinError, match="overlaps the left wall"):
         environments.reset(options={"start": [(200, 200, 0), (9, 9, 0)]})
     for _ in range(2):
-        stepped = [each.step(np.ones((2, 2)))[0] for each in (environments, untouched)]
+        stepped = [environment.step(np.ones((2, 2)))[0] for environment in (environments, untouched)]
         assert (stepped[0] == stepped[1]).all()
-    for each in (environments, untouched):
-        each.close()
+    for environment in (environments, untouched):
+        environment.close()

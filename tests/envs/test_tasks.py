@@ -25,11 +25,11 @@ def driven(
     episode: TaskEpisode, seed: int, speeds: tuple[float, float] = (0.6, 0.35)
 ) -> list[tuple[bytes, float]]:
     """Return an episode's observations and rewards, from start to end."""
-    seen = [(episode.begin(seed)[0].tobytes(), 0.0)]
+    steps = [(episode.begin(seed)[0].tobytes(), 0.0)]
     while not episode.over:
         (outcome,) = episode.step([speeds])
-        seen.append((outcome.observation.tobytes(), outcome.reward))
-    return seen
+        steps.append((outcome.observation.tobytes(), outcome.reward))
+    return steps
 
 
 @pytest.mark.parametrize("normalize", [True, False])
@@ -40,12 +40,12 @@ def test_what_is_seen_lies_within_its_bounds_and_has_a_label_for_each_number(
     setup = TaskSetup(name, normalize=normalize, **SHORT)
     low, high = setup.task.bounds(normalize)
     episode = TaskEpisode(setup)
-    seen = episode.begin(3)
+    observation = episode.begin(3)
     for speeds in ((20, 20), (-127, 127), (127, -127)):
         outcome = episode.step([speeds])[0]
         assert 0 <= outcome.reward <= 1
-        seen.append(outcome.observation)
-    for row in seen:
+        observation.append(outcome.observation)
+    for row in observation:
         assert row.dtype == np.float32
         assert len(row) == len(setup.task.labels) == len(low)
         assert (low <= row).all()
@@ -215,7 +215,9 @@ def test_errors_of_wrong_words_name_the_right_ones() -> None:
 
 
 def test_only_the_known_pair_of_mujoco_and_dm_control_is_taken() -> None:
-    assert version_check.find_problem("3.17.0", "1.0.50") == version_check.find_problem("3.17.3", "1.0.50") == ""
+    assert (
+        version_check.find_problem("3.17.0", "1.0.50") == version_check.find_problem("3.17.3", "1.0.50") == ""
+    )
     for mujoco, dm_control in (("4.0.0", "1.0.50"), ("3.17.0", "1.0.49"), ("3.1.7", "1.0.50")):
         assert version_check.find_problem(mujoco, dm_control).endswith(
             " --no-deps 'mujoco~=3.17.0' dm-control==1.0.50"

@@ -1,6 +1,6 @@
-"""Compile the kernel to PTX, for a card that is not there: python cuda_ptx.py STAMP.
+"""Compile the kernel to PTX (NVIDIA's intermediate code) without a GPU: python cuda_ptx.py STAMP.
 
-Print the stamp of the sources, for which it need not be compiled again, and the size of the PTX.
+Print the stamp of the sources, and the size of the PTX unless STAMP is that stamp.
 """
 
 import sys
@@ -18,11 +18,11 @@ from khep_twin.episodes import device
 from khep_twin.episodes.cuda import kernel
 from khep_twin.simulation.compiled import stamp
 
-CARD = SimpleNamespace(compute_capability=(9, 0), MULTIPROCESSOR_COUNT=1)
+GPU = SimpleNamespace(compute_capability=(9, 0), MULTIPROCESSOR_COUNT=1)
 
 
-class OnCard(np.ndarray):
-    """Array in place of one on a card."""
+class GpuArray(np.ndarray):
+    """Array that replaces one on a GPU."""
 
     def copy_to_host(self, to: Any = None) -> Any:
         return np.array(self)
@@ -39,8 +39,8 @@ class Compiler:
 
     def _compile(self, *arguments: Any) -> None:
         signature = types.void(*map(type_of, arguments))
-        run = kernel.body(self._capacity)
-        # `cuda.compile` has the function by this name in a module of its own.
+        run = kernel.make_run(self._capacity)
+        # `cuda.compile` calls the function of this name in another module.
         sys.modules["numba.cuda.compiler"].compile_cuda = dispatcher.compile_cuda
         ptx, _ = cuda.compile(run, signature, cc=(9, 0), device=False, abi="numba", opt=False)
         assert ".visible .entry" in ptx
@@ -50,9 +50,9 @@ class Compiler:
 
 def type_of(value: Any) -> Any:
     if isinstance(value, tuple):
-        kinds = [type_of(each) for each in value]
+        kinds = [type_of(item) for item in value]
         return types.NamedTuple(kinds, type(value)) if hasattr(value, "_fields") else types.Tuple(kinds)
-    return typeof(value.view(np.ndarray) if isinstance(value, OnCard) else value)
+    return typeof(value.view(np.ndarray) if isinstance(value, GpuArray) else value)
 
 
 STAMP = f"{kernel.STAMP}-{stamp([Path(__file__)])}"
@@ -61,9 +61,9 @@ if __name__ == "__main__":
     if sys.argv[1:] == [STAMP]:
         print(STAMP)
         sys.exit()
-    dispatcher.get_current_device = cuda.get_current_device = lambda: CARD
-    cuda.to_device = lambda array: np.ascontiguousarray(array).view(OnCard)
-    cuda.device_array = lambda shape, dtype: np.zeros(shape, dtype).view(OnCard)
+    dispatcher.get_current_device = cuda.get_current_device = lambda: GPU
+    cuda.to_device = lambda array: np.ascontiguousarray(array).view(GpuArray)
+    cuda.device_array = lambda shape, dtype: np.zeros(shape, dtype).view(GpuArray)
     kernel.kernel, device.find_gpu_error = Compiler, lambda: ""
     rollout("obstacles", Braitenberg(), range(2), 0.04, planar=True, device="cuda")
     raise SystemExit("the kernel was not launched")

@@ -1,4 +1,4 @@
-"""Batches: the same as single episodes, with any number of threads, and one that fails harms no other."""
+"""Batches: equal to single episodes with any number of threads; a failure affects no other episode."""
 
 import math
 import tracemalloc
@@ -36,55 +36,55 @@ LAMPS = [
 
 
 def batch_of(compiled: bool, **options: Any) -> RolloutResult:
-    found = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "options": EpisodeOptions(vary=True)}
-    return rollout(SCENE, NETWORK, range(N), SECONDS, compiled=compiled, **(found | options))
+    arguments = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "options": EpisodeOptions(vary=True)}
+    return rollout(SCENE, NETWORK, range(N), SECONDS, compiled=compiled, **(arguments | options))
 
 
-def same(one: RolloutResult, other: RolloutResult) -> bool:
+def are_equal(one: RolloutResult, other: RolloutResult) -> bool:
     metrics = all(one.metrics[name].tobytes() == other.metrics[name].tobytes() for name in METRICS)
     return metrics and bool((one.registers == other.registers).all() and (one.poses == other.poses).all())
 
 
 @with_numba
-def test_any_number_of_threads_gives_the_same_bits_and_those_of_plain_episodes() -> None:
+def test_results_do_not_depend_on_threads_or_compilation() -> None:
     first = batch_of(True, threads=1)
-    assert same(first, batch_of(True, threads=2))
-    assert same(first, batch_of(True, threads=5))
-    assert same(first, batch_of(False))
+    assert are_equal(first, batch_of(True, threads=2))
+    assert are_equal(first, batch_of(True, threads=5))
+    assert are_equal(first, batch_of(False))
     assert len(set(first.metrics["distance_m"].tolist())) == N
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_each_episode_of_a_batch_is_a_single_episode(compiled: bool) -> None:
-    found = batch_of(compiled, threads=2)
+def test_each_episode_of_a_batch_equals_a_single_episode(compiled: bool) -> None:
+    results = batch_of(compiled, threads=2)
     setup = EpisodeSetup(SCENE)
     for index in (0, 3):
         episode = Episode(setup, NETWORK, compiled=compiled)
-        own = EpisodeOptions(start=STARTS[index], vary=True, lamps=LAMPS[index], genes=GENES[index])
-        episode.begin(index, own)
+        options = EpisodeOptions(start=STARTS[index], vary=True, lamps=LAMPS[index], genes=GENES[index])
+        episode.begin(index, options)
         episode.run(SECONDS)
-        assert found.registers[index].tolist() == episode.registers.tolist()
-        assert tuple(found.poses[index].tolist()) == episode.pose
-        assert found.metrics["obstacle_avoidance"][index] == episode.metrics()["obstacle_avoidance"]
+        assert results.registers[index].tolist() == episode.registers.tolist()
+        assert tuple(results.poses[index].tolist()) == episode.pose
+        assert results.metrics["obstacle_avoidance"][index] == episode.metrics()["obstacle_avoidance"]
 
 
-def along(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+def drive_away(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
     return 10 - proximity[3] / 100, 10 - proximity[2] / 100
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_a_policy_asked_about_many_drives_as_a_function_asked_about_each(compiled: bool) -> None:
-    def many(proximity: Any, ambient: Any, which: Any) -> Any:
+def test_a_policy_for_many_robots_drives_like_a_function_for_each(compiled: bool) -> None:
+    def decide_all(proximity: Any, ambient: Any, which: Any) -> Any:
         assert proximity.shape == ambient.shape == (len(which), 8)
         return np.stack([10 - proximity[:, 3] / 100, 10 - proximity[:, 2] / 100], axis=1)
 
     options: dict[str, Any] = {"starts": STARTS, "compiled": compiled, "threads": 2}
-    by_function = rollout(SCENE, Function(along), range(N), SECONDS, **options)
-    assert same(by_function, rollout(SCENE, Policy(many), range(N), SECONDS, **options))
+    by_function = rollout(SCENE, Function(drive_away), range(N), SECONDS, **options)
+    assert are_equal(by_function, rollout(SCENE, Policy(decide_all), range(N), SECONDS, **options))
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_one_that_fails_is_reported_by_seed_and_step_and_affects_no_other(compiled: bool) -> None:
+def test_a_failed_episode_is_reported_by_seed_and_step_and_affects_no_other(compiled: bool) -> None:
     genes = np.array([[5.0, 1.0], [5.0, 0.0], [5.0, 2.0]])
 
     def divide(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
@@ -93,53 +93,53 @@ def test_one_that_fails_is_reported_by_seed_and_step_and_affects_no_other(compil
 
     divides = Function(divide, n_memory=1)
     options: dict[str, Any] = {"compiled": compiled, "threads": 2}
-    found = rollout(SCENE, divides, [11, 12, 13], 0.2, genes=genes, **options)
-    (failure,) = found.failures
+    results = rollout(SCENE, divides, [11, 12, 13], 0.2, genes=genes, **options)
+    (failure,) = results.failures
     assert (failure.index, failure.seed, failure.step) == (1, 12, 40)
     assert "no number" in failure.reason
-    assert np.isnan(found.metrics["distance_m"]).tolist() == [False, True, False]
-    without = rollout(SCENE, divides, [11, 13], 0.2, genes=genes[::2], **options)
-    assert (found.registers[::2] == without.registers).all()
+    assert np.isnan(results.metrics["distance_m"]).tolist() == [False, True, False]
+    others = rollout(SCENE, divides, [11, 13], 0.2, genes=genes[::2], **options)
+    assert (results.registers[::2] == others.registers).all()
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_physics_that_fail_in_several_threads_at_once_harm_no_other(
+def test_physics_that_fail_in_several_threads_affect_no_other_episode(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Thrown(Episode):
+    class FailingEpisode(Episode):
         def begin(self, seed: int = 0, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
             super().begin(seed, options)
             if seed % 2:
                 self.data.qvel[0] = np.nan if seed % 4 == 1 else 1e200
 
-    monkeypatch.setattr(batch, "Episode", Thrown)
-    found = rollout(SCENE, Braitenberg(), range(12), 0.1, threads=4, compiled=compiled)
-    assert [failure.seed for failure in found.failures] == [1, 3, 5, 7, 9, 11]
-    assert {failure.step for failure in found.failures} == {4}  # it is looked at every tick
-    even = rollout(SCENE, Braitenberg(), range(0, 12, 2), 0.1, compiled=compiled)
-    assert (found.registers[::2] == even.registers).all()
+    monkeypatch.setattr(batch, "Episode", FailingEpisode)
+    results = rollout(SCENE, Braitenberg(), range(12), 0.1, threads=4, compiled=compiled)
+    assert [failure.seed for failure in results.failures] == [1, 3, 5, 7, 9, 11]
+    assert {failure.step for failure in results.failures} == {4}  # the bounds are checked every tick
+    others = rollout(SCENE, Braitenberg(), range(0, 12, 2), 0.1, compiled=compiled)
+    assert (results.registers[::2] == others.registers).all()
 
 
 def test_memory_does_not_grow_with_the_number_of_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[Episode] = []
+    instances: list[Episode] = []
 
-    class Counted(Episode):
-        def __init__(self, *given: Any, **more: Any) -> None:
-            super().__init__(*given, **more)
-            made.append(self)
+    class CountedEpisode(Episode):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            instances.append(self)
 
-    monkeypatch.setattr(batch, "Episode", Counted)
+    monkeypatch.setattr(batch, "Episode", CountedEpisode)
     peaks = []
     for count in (10, 40):
         tracemalloc.start()
         rollout(SCENE, Braitenberg(), range(count), 0.02, compiled=False)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert len(made) == 2
+    assert len(instances) == 2
     assert peaks[1] - peaks[0] < 30 * 5000
 
 
-def test_what_does_not_fit_is_refused_before_anything_episodes() -> None:
+def test_arguments_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="5 genes for 6 seeds; expected 6"):
         batch_of(False, genes=GENES[:5])
     with pytest.raises(ValueError, match="genes of shape"):
@@ -165,18 +165,18 @@ def test_a_function_that_numba_cannot_compile_is_reported_by_name() -> None:
         rollout(SCENE, Function(odd), [1], 0.02, compiled=True)
 
 
-def beyond(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
+def read_beyond(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
     return memory[len(memory)], 1.0
 
 
 @with_numba
 @pytest.mark.parametrize("njit", [False, True])
-def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_lies_there(njit: bool) -> None:
-    decide = beyond
+def test_a_function_that_reads_beyond_its_arrays_fails(njit: bool) -> None:
+    decide = read_beyond
     if njit:
         import numba  # pyright: ignore[reportMissingTypeStubs]
 
-        decide = numba.njit(beyond)  # pyright: ignore
+        decide = numba.njit(read_beyond)  # pyright: ignore
     results = rollout(SCENE, Function(decide), range(2), 0.04, compiled=True)
     assert [failure.step for failure in results.failures] == [0, 0]
     assert results.failures[0].reason.endswith(
@@ -205,22 +205,22 @@ def test_arguments_of_episodes_are_checked_before_any_of_them_runs(options: Any,
         ((60.0, 250.0, -50.0, 20.0), "home = .*; expected a radius and a charge above 0"),
     ],
 )
-def test_what_is_no_home_is_refused(home: Any, message: str) -> None:
+def test_an_invalid_home_is_refused(home: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         EpisodeOptions(home=home)
 
 
 @pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
-def test_a_time_that_is_none_is_refused(seconds: float) -> None:
+def test_an_invalid_duration_is_refused(seconds: float) -> None:
     with pytest.raises(ValueError, match="expected a time from 0"):
         rollout(SCENE, Braitenberg(), [1], seconds, compiled=False)
 
 
-def test_what_is_no_driver_or_no_playpen_is_refused() -> None:
+def test_an_invalid_driver_or_playpen_is_refused() -> None:
     with pytest.raises(
         ControllerError, match=r"is no controller; expected a ConstantSpeed, Braitenberg, Network"
     ):
-        rollout(SCENE, along, [1], 0.02, compiled=False)  # type: ignore[arg-type]
+        rollout(SCENE, drive_away, [1], 0.02, compiled=False)  # type: ignore[arg-type]
     with pytest.raises(PlaypenError, match=r"obstackles: no such file; .*did you mean 'obstacles'"):
         rollout("obstackles", Braitenberg(), [1], 0.02, compiled=False)
     with pytest.raises(PlaypenError, match=r"\['obstacles'\]: expected one playpen, its name or its path"):
@@ -229,24 +229,24 @@ def test_what_is_no_driver_or_no_playpen_is_refused() -> None:
         rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
 
 
-def test_the_options_of_all_episodes_hold_where_each_has_none_of_its_own() -> None:
+def test_common_options_apply_unless_an_episode_overrides_them() -> None:
     common = EpisodeOptions(start=STARTS[1], genes=GENES[1], noise=False)
-    found = rollout(SCENE, NETWORK, [1, 2], 0.1, starts=STARTS[2:4], options=common, compiled=False)
+    results = rollout(SCENE, NETWORK, [1, 2], 0.1, starts=STARTS[2:4], options=common, compiled=False)
     for row, seed in enumerate((1, 2)):
-        alone = Episode(EpisodeSetup(SCENE), NETWORK, compiled=False)
-        alone.begin(seed, replace(common, start=STARTS[2 + row]))
-        alone.run(0.1)
-        assert tuple(found.poses[row].tolist()) == alone.pose
+        episode = Episode(EpisodeSetup(SCENE), NETWORK, compiled=False)
+        episode.begin(seed, replace(common, start=STARTS[2 + row]))
+        episode.run(0.1)
+        assert tuple(results.poses[row].tolist()) == episode.pose
 
 
-def test_a_setup_has_a_whole_step_and_no_faults_in_a_plane() -> None:
+def test_a_setup_needs_an_integer_step_and_no_faults_in_a_plane() -> None:
     with pytest.raises(ValueError, match="1 faults in the plane; expected none"):
         EpisodeSetup(SCENE, planar=True, faults=[parse_fault("blocked:left@1")])
     with pytest.raises(TypeError):
         EpisodeSetup(SCENE, step_ns=5e6)  # type: ignore[arg-type]
 
 
-def test_constant_speeds_that_are_no_numbers_fail() -> None:
+def test_constant_speeds_that_are_not_finite_fail() -> None:
     results = rollout(SCENE, ConstantSpeed(math.nan, 1), [1], 0.02, compiled=False)  # type: ignore[arg-type]
     assert results.failures[0].reason.endswith("was given the speeds nan, 1; expected finite numbers")
 
@@ -259,7 +259,7 @@ heading_deg = 90
 """
 
 
-def test_results_of_several_robots_have_an_axis_of_robots_and_are_those_of_episodes() -> None:
+def test_results_of_several_robots_have_an_axis_of_robots_and_equal_those_of_episodes() -> None:
     setup = EpisodeSetup(playpen.parse(playpen.dump(Playpen.load("obstacles")) + PAIR, "pair"))
     genes = np.random.default_rng(2).normal(size=(3, 2, NETWORK.n_genes))
     results = rollout(setup, NETWORK, range(3), 0.4, genes=genes, compiled=False)
@@ -285,40 +285,40 @@ def test_results_of_several_robots_have_an_axis_of_robots_and_are_those_of_episo
 
 
 @pytest.mark.parametrize("planar", [False, True])
-def test_paths_have_the_poses_at_even_times_and_change_nothing_else(planar: bool) -> None:
+def test_paths_contain_the_poses_at_even_times_and_change_no_result(planar: bool) -> None:
     setup = EpisodeSetup("obstacles", planar=planar)
     policy = Policy(lambda proximity, ambient, index: np.full((len(index), 2), (5.0, 4.0)))
     for driver in (ConstantSpeed(5, 4), policy):
-        found = rollout(setup, driver, range(3), 0.6, paths_every=0.2, compiled=False)
-        without = rollout(setup, driver, range(3), 0.6, compiled=False)
-        assert found.paths.shape == (3, 4, 3)
-        assert without.paths.shape == (3, 0, 3)
-        assert np.array_equal(found.paths[:, -1], found.poses)
-        assert np.array_equal(found.registers, without.registers)
-        assert found.metrics["distance_m"].tolist() == without.metrics["distance_m"].tolist()
-        halfway = rollout(setup, driver, range(3), 0.2, compiled=False)
-        assert np.array_equal(found.paths[:, 1], halfway.poses)
+        results = rollout(setup, driver, range(3), 0.6, paths_every=0.2, compiled=False)
+        unsampled = rollout(setup, driver, range(3), 0.6, compiled=False)
+        assert results.paths.shape == (3, 4, 3)
+        assert unsampled.paths.shape == (3, 0, 3)
+        assert np.array_equal(results.paths[:, -1], results.poses)
+        assert np.array_equal(results.registers, unsampled.registers)
+        assert results.metrics["distance_m"].tolist() == unsampled.metrics["distance_m"].tolist()
+        first_part = rollout(setup, driver, range(3), 0.2, compiled=False)
+        assert np.array_equal(results.paths[:, 1], first_part.poses)
 
 
-def test_paths_of_several_robots_have_an_axis_of_robots_and_end_where_an_episode_fails() -> None:
+def test_paths_of_several_robots_have_an_axis_of_robots_and_end_at_a_failure() -> None:
     robots = tuple(
         Playpen.load("default").robots[0].model_copy(update={"x_mm": x_mm}) for x_mm in (150.0, 400.0)
     )
-    two = Playpen.load("default").model_copy(update={"robots": robots})
+    pair = Playpen.load("default").model_copy(update={"robots": robots})
 
     def policy(proximity: Any, ambient: Any, index: Any) -> Any:
         policy_calls.append(0)
         return np.full((len(index), 2), np.nan if len(policy_calls) > 2 else 1.0)
 
     policy_calls: list[int] = []
-    found = rollout(two, Policy(policy), [1], 0.08, paths_every=0.02, compiled=False)
-    assert found.paths.shape == (1, 2, 5, 3)
-    assert np.isfinite(found.paths[0, :, :3]).all()
-    assert np.isnan(found.paths[0, :, 3:]).all()
+    results = rollout(pair, Policy(policy), [1], 0.08, paths_every=0.02, compiled=False)
+    assert results.paths.shape == (1, 2, 5, 3)
+    assert np.isfinite(results.paths[0, :, :3]).all()
+    assert np.isnan(results.paths[0, :, 3:]).all()
 
 
 @pytest.mark.parametrize("every", [0.0, 0.25, 0.05])
-def test_paths_are_sampled_at_a_part_of_the_time(every: float) -> None:
+def test_a_sampling_period_must_divide_the_duration(every: float) -> None:
     with pytest.raises(ValueError, match=r"expected a (part|whole number)"):
         rollout("default", ConstantSpeed(1, 1), [1], 0.6, paths_every=every, compiled=False)
 
@@ -329,27 +329,27 @@ def test_a_policy_at_a_line_has_no_paths() -> None:
         rollout("default", policy, [1], 0.6, line=38400, paths_every=0.2, compiled=False)
 
 
-def test_registers_at_the_end_are_the_boards_where_a_policy_has_read_older_ones() -> None:
+def test_final_registers_are_those_of_the_board_and_not_those_last_read_by_a_policy() -> None:
     setup, policy = (
         EpisodeSetup("obstacles", planar=True, at_line=True),
         Policy(lambda p, a, which: 0 * p[:, :2] + 9),
     )
-    found = rollout(setup, policy, [1], 0.5, line=9600, compiled=False)
+    results = rollout(setup, policy, [1], 0.5, line=9600, compiled=False)
     episode = Episode(setup, policy, compiled=False)
     episode.begin(1, EpisodeOptions(line=9600))
-    until = setup.periods(0.5) * setup.steps_per_period
-    episode.next_reading(until)
-    while episode.steps < until:
+    end_step = setup.periods(0.5) * setup.steps_per_period
+    episode.next_reading(end_step)
+    while episode.steps < end_step:
         episode.drive(9, 9)
-        episode.next_reading(until)
-    assert found.registers[0].tolist() == episode.registers.tolist()
-    assert found.registers[0, PROXIMITY].tolist() != episode.readings()[0]
+        episode.next_reading(end_step)
+    assert results.registers[0].tolist() == episode.registers.tolist()
+    assert results.registers[0, PROXIMITY].tolist() != episode.readings()[0]
 
 
-def test_an_episode_that_does_not_begin_has_registers_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_episode_that_fails_to_start_has_separate_registers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch, "BATCH_SIZE", 1)
     setup, policy = EpisodeSetup("obstacles", planar=True), Policy(lambda p, a, which: 0 * p[:, :2] + 9)
     starts = [(200.0, 200.0, 0.0), (1e9, 0.0, 0.0)]
-    found = rollout(setup, policy, [1, 2], 0.5, starts=starts, compiled=False)
-    assert [failure.index for failure in found.failures] == [1]
-    assert (found.registers[:, Wheel.POSITION] != 0).tolist() == [True, False]
+    results = rollout(setup, policy, [1, 2], 0.5, starts=starts, compiled=False)
+    assert [failure.index for failure in results.failures] == [1]
+    assert (results.registers[:, Wheel.POSITION] != 0).tolist() == [True, False]

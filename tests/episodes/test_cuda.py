@@ -1,4 +1,4 @@
-"""Episodes on a card: in numba's simulator the same bits as the CPU's, and a kernel that compiles."""
+"""Episodes on a GPU: equal to the CPU's in numba's simulator, and the compilation of the kernel."""
 
 import importlib.util
 import os
@@ -32,7 +32,7 @@ from khep_twin.playpen import Lamp, Playpen
 
 pytestmark = [
     pytest.mark.skipif(importlib.util.find_spec("numba_cuda") is None, reason="numba-cuda is not installed"),
-    # Words of random draws, which a card wraps.
+    # Words of random draws, whose products overflow.
     pytest.mark.filterwarnings("ignore:overflow encountered in scalar multiply:RuntimeWarning"),
 ]
 
@@ -49,9 +49,9 @@ LAMPS = [
 
 
 def planar(name: str, **options: Any) -> EpisodeSetup:
-    found = Playpen.load(name)
+    playpen = Playpen.load(name)
     return EpisodeSetup(
-        found.model_copy(update={"robots": (found.robots[0].model_copy(update={"turrets": ()}),)}),
+        playpen.model_copy(update={"robots": (playpen.robots[0].model_copy(update={"turrets": ()}),)}),
         planar=True,
         **options,
     )
@@ -67,60 +67,60 @@ def assert_same(one: RolloutResult, other: RolloutResult) -> None:
 
 
 def compare(setup: EpisodeSetup, driver: Driver, seconds: float = PERIODS, **options: Any) -> RolloutResult:
-    """Run three episodes on a card and on the CPU; return results, which are the same."""
-    on_card = rollout(setup, driver, range(3), seconds, device="cuda", **options)
-    assert_same(on_card, rollout(setup, driver, range(3), seconds, compiled=False, **options))
-    return on_card
+    """Run three episodes on a GPU and on the CPU; return the results, which must be equal."""
+    results = rollout(setup, driver, range(3), seconds, device="cuda", **options)
+    assert_same(results, rollout(setup, driver, range(3), seconds, compiled=False, **options))
+    return results
 
 
 @pytest.mark.parametrize("name", ["obstacles", "looping-maze", "default", "garbage"])
-def test_networks_do_on_a_card_what_they_do_on_the_cpu(name: str) -> None:
+def test_networks_on_a_gpu_equal_those_on_the_cpu(name: str) -> None:
     compare(planar(name), NETWORK, genes=GENES)
 
 
 @pytest.mark.parametrize("driver", [Braitenberg(), ConstantSpeed(12, -7)], ids=["braitenberg", "constant"])
-def test_so_do_other_controllers_whose_paths_are_sampled(driver: Driver) -> None:
+def test_other_controllers_with_sampled_paths_equal_those_on_the_cpu(driver: Driver) -> None:
     assert len(compare(planar("obstacles"), driver, paths_every=0.02).paths[0]) == 3
 
 
-def test_a_robot_drawn_anew_lamps_of_its_own_and_a_start_are_each_episodes_own() -> None:
+def test_robots_lamps_and_starts_may_differ_between_episodes() -> None:
     starts = [(200.0, 200.0, 90.0), (300.0, 150.0, 0.0), (150.0, 400.0, -40.0)]
     options = EpisodeOptions(vary=True, home=(200.0, 200.0, 100.0, 1.0))
-    found = compare(planar("obstacles"), Braitenberg(), lamps=LAMPS, starts=starts, options=options)
-    assert len(set(found.metrics["light_seeking"].tolist())) > 1
+    results = compare(planar("obstacles"), Braitenberg(), lamps=LAMPS, starts=starts, options=options)
+    assert len(set(results.metrics["light_seeking"].tolist())) > 1
 
 
-def test_pushed_objects_and_a_line_are_on_a_card_too() -> None:
+def test_pushed_objects_and_a_line_are_supported_on_a_gpu() -> None:
     setup = planar("garbage", at_line=True)
     cylinder = setup.playpen.cylinders[0]
     starts = [(cylinder.x_mm - 45, cylinder.y_mm, 0.0)] * 3
-    found = compare(setup, NETWORK, 0.2, genes=GENES + 1, starts=starts, line=38400)
-    assert not np.array_equal(found.objects[0], found.objects[1])
+    results = compare(setup, NETWORK, 0.2, genes=GENES + 1, starts=starts, line=38400)
+    assert not np.array_equal(results.objects[0], results.objects[1])
 
 
-def test_a_policy_decides_for_the_robots_on_a_card_until_one_fails() -> None:
+def test_a_policy_drives_robots_on_a_gpu_until_one_fails() -> None:
     def decide(proximity: Any, ambient: Any, which: Any) -> Any:
         return 10 - proximity[:, [3, 2]] / np.where(which == 1, np.nan, 100)[:, None]
 
-    found = compare(planar("obstacles"), Policy(decide), paths_every=0.02)
-    assert [failure.index for failure in found.failures] == [1]
-    assert "expected finite numbers" in found.failures[0].reason
+    results = compare(planar("obstacles"), Policy(decide), paths_every=0.02)
+    assert [failure.index for failure in results.failures] == [1]
+    assert "expected finite numbers" in results.failures[0].reason
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
-def test_a_network_whose_speed_is_no_number_fails_with_the_words_of_the_cpu() -> None:
-    found = compare(planar("obstacles"), Network(top_speed=float("inf")), genes=np.zeros((3, 18)))
-    assert [failure.step for failure in found.failures] == [0, 0, 0]
-    assert "a controller gave a speed that is no number" in found.failures[0].reason
+def test_a_network_whose_speed_is_not_finite_fails_with_the_message_of_the_cpu() -> None:
+    results = compare(planar("obstacles"), Network(top_speed=float("inf")), genes=np.zeros((3, 18)))
+    assert [failure.step for failure in results.failures] == [0, 0, 0]
+    assert "a controller gave a speed that is no number" in results.failures[0].reason
 
 
-def test_more_episodes_than_fit_on_a_card_are_run_in_bounded_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_episodes_than_fill_a_gpu_run_in_bounded_batches(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(card, "EPISODES_PER_PROCESSOR", 1)
     compare(planar("default"), NETWORK, genes=GENES)
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_environments_on_a_card_are_those_of_the_cpu(mode: str) -> None:
+def test_environments_on_a_gpu_equal_those_on_the_cpu(mode: str) -> None:
     def steps(device: str) -> list[Any]:
         environments = make_vec(
             "khep_twin/Homing-v0",
@@ -132,21 +132,21 @@ def test_environments_on_a_card_are_those_of_the_cpu(mode: str) -> None:
             vary=True,
             autoreset_mode=mode,
         )
-        found: list[Any] = [environments.reset(seed=4)]
+        results: list[Any] = [environments.reset(seed=4)]
         rng = np.random.default_rng(1)
-        found += [environments.step(rng.uniform(-1, 1, (3, 2)).astype(np.float32)) for _ in range(6)]
+        results += [environments.step(rng.uniform(-1, 1, (3, 2)).astype(np.float32)) for _ in range(6)]
         environments.close()
-        return found
+        return results
 
-    np.testing.assert_equal(plain(steps("cuda")), plain(steps("cpu")))
+    np.testing.assert_equal(to_lists(steps("cuda")), to_lists(steps("cpu")))
 
 
-def plain(value: Any) -> Any:
-    """Return nested results without arrays of objects, which numpy's comparison cannot take."""
+def to_lists(value: Any) -> Any:
+    """Return nested results without arrays of objects, which numpy cannot compare."""
     if isinstance(value, dict):
-        return {key: plain(each) for key, each in value.items()}
+        return {key: to_lists(item) for key, item in value.items()}
     if isinstance(value, tuple | list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
-        return [plain(each) for each in value]
+        return [to_lists(item) for item in value]
     return value
 
 
@@ -175,7 +175,7 @@ BLINKING = [[Lamp(x_mm=100, y_mm=100, power_w=1, blink_period_s=1)]]
     ],
     ids=["mujoco", "function", "policy at a line", "lamps"],
 )
-def test_what_a_card_does_not_run_is_refused_by_name(
+def test_episodes_that_a_gpu_does_not_support_are_refused_by_name(
     setup: EpisodeSetup, driver: Driver, line: int | None, lamps: Any, message: str
 ) -> None:
     with pytest.raises(DeviceError, match=message):
@@ -183,7 +183,7 @@ def test_what_a_card_does_not_run_is_refused_by_name(
     assert choose_device("auto", setup, driver, line, 10**6, lamps) == "cpu"
 
 
-def test_auto_takes_a_card_that_the_episodes_fill() -> None:
+def test_auto_selects_a_gpu_that_the_episodes_fill() -> None:
     setup = planar("default")
     assert choose_device("auto", setup, Braitenberg(), None, card.EPISODES_PER_PROCESSOR - 1) == "cpu"
     assert choose_device("auto", setup, Braitenberg(), None, card.EPISODES_PER_PROCESSOR) == "cuda"
@@ -207,60 +207,60 @@ def test_playpens_of_other_shapes_are_refused_in_one_batch_of_environments() -> 
 
 
 def test_a_reset_that_is_refused_changes_nothing() -> None:
-    found: list[Any] = []
+    results: list[Any] = []
     for device in ("cuda", "cpu"):
-        both = environments(device)
-        both.reset(seed=3)
-        both.step(np.full((2, 2), 0.5, np.float32))
+        batch = environments(device)
+        batch.reset(seed=3)
+        batch.step(np.full((2, 2), 0.5, np.float32))
         if device == "cuda":
             with pytest.raises(DeviceError, match="lamps that change"):
-                both.reset(options={"lamps": [[], *BLINKING]})
-        found.append(plain(both.step(np.full((2, 2), 0.5, np.float32))))
-    np.testing.assert_equal(*found)
+                batch.reset(options={"lamps": [[], *BLINKING]})
+        results.append(to_lists(batch.step(np.full((2, 2), 0.5, np.float32))))
+    np.testing.assert_equal(*results)
 
 
-def test_each_robot_of_a_batch_may_be_drawn_anew_or_not() -> None:
+def test_vary_may_differ_between_the_slots_of_a_batch() -> None:
     from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
 
-    setup, found = planar("obstacles"), list[Any]()
-    on_card = CardBatch([PreparedEpisode(setup, Policy())] * 3, Policy())
-    for lanes in (on_card, EpisodeBatch([Episode(setup, Policy()) for _ in range(3)], 1)):
+    setup, results = planar("obstacles"), list[Any]()
+    gpu_batch = CardBatch([PreparedEpisode(setup, Policy())] * 3, Policy())
+    for batch in (gpu_batch, EpisodeBatch([Episode(setup, Policy()) for _ in range(3)], 1)):
         for index in range(3):
-            lanes.begin(index, index, EpisodeOptions(vary=index == 0))
-        assert not lanes.switch_on()
-        lanes.speeds[:] = 12, 9
-        assert not lanes.step(range(3), 4)
-        found.append((lanes.poses.tolist(), lanes.boards.tolist(), lanes.sums.tobytes()))
-        assert [episode.steps for episode in lanes.episodes] == [4, 4, 4]
-    assert found[0] == found[1]
+            batch.begin(index, index, EpisodeOptions(vary=index == 0))
+        assert not batch.switch_on()
+        batch.speeds[:] = 12, 9
+        assert not batch.step(range(3), 4)
+        results.append((batch.poses.tolist(), batch.boards.tolist(), batch.sums.tobytes()))
+        assert [episode.steps for episode in batch.episodes] == [4, 4, 4]
+    assert results[0] == results[1]
 
 
-def test_the_command_runs_on_a_card_as_on_the_cpu(tmp_path: Path) -> None:
+def test_the_command_on_a_gpu_equals_that_on_the_cpu(tmp_path: Path) -> None:
     words = ("rollout", "--planar", "--seconds", "0.2", "--picture")
-    ours = good(*words, "card.png", "--device", "cuda", folder=tmp_path)
-    assert ours.replace("card", "cpu") == good(*words, "cpu.png", folder=tmp_path)
+    gpu_output = good(*words, "card.png", "--device", "cuda", folder=tmp_path)
+    assert gpu_output.replace("card", "cpu") == good(*words, "cpu.png", folder=tmp_path)
     assert (tmp_path / "card.png").read_bytes() == (tmp_path / "cpu.png").read_bytes()
 
 
-def test_without_a_card_the_command_says_so_in_one_line() -> None:
+def test_without_a_gpu_the_command_fails_with_one_line() -> None:
     words = "-m", "khep_twin", "rollout", "--planar", "--device", "cuda"
-    told = line_of(python(*words, CUDA_VISIBLE_DEVICES=""))
-    assert told.startswith('device = "cuda": no NVIDIA card: ')
-    assert told.endswith("; expected a card and its driver")
+    message = line_of(python(*words, CUDA_VISIBLE_DEVICES=""))
+    assert message.startswith('device = "cuda": no NVIDIA GPU: ')
+    assert message.endswith("; expected a GPU and its driver")
 
 
-def test_the_kernel_compiles_for_a_card(request: pytest.FixtureRequest) -> None:
+def test_the_kernel_compiles_for_a_gpu(request: pytest.FixtureRequest) -> None:
     script = Path(__file__).with_name("cuda_ptx.py")
-    known = str(request.config.cache.get("khep_twin/ptx", "")) if request.config.cache else ""
-    told = python(script, known)
-    assert told.returncode == 0, told.stderr
+    cached_stamp = str(request.config.cache.get("khep_twin/ptx", "")) if request.config.cache else ""
+    process = python(script, cached_stamp)
+    assert process.returncode == 0, process.stderr
     if request.config.cache:
-        request.config.cache.set("khep_twin/ptx", told.stdout.split()[0])
+        request.config.cache.set("khep_twin/ptx", process.stdout.split()[0])
 
 
 def python(*words: object, **environment: str) -> "subprocess.CompletedProcess[str]":
     """Run a Python program that does not use numba's simulator."""
-    own = os.environ | {"NUMBA_ENABLE_CUDASIM": "0"} | environment
+    variables = os.environ | {"NUMBA_ENABLE_CUDASIM": "0"} | environment
     return subprocess.run(
-        [sys.executable, *map(str, words)], env=own, capture_output=True, text=True, check=False
+        [sys.executable, *map(str, words)], env=variables, capture_output=True, text=True, check=False
     )

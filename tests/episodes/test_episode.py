@@ -1,4 +1,4 @@
-"""Lives without a serial line: the same, bit for bit, as in the world, plain and compiled."""
+"""Episodes without a serial line: bitwise equal to a `World`, plain and compiled."""
 
 import importlib.util
 import sys
@@ -35,15 +35,15 @@ flicker = 0.4
 """
 
 
-def arena(more: str = "", **robot: object) -> Playpen:
-    """The shipped obstacles, with more."""
-    text = playpen.dump(Playpen.load("obstacles")) + more
-    found = playpen.parse(text, "arena")
-    return found.model_copy(update={"robots": (found.robots[0].model_copy(update=robot),)})
+def arena(extra: str = "", **robot: object) -> Playpen:
+    """Return the playpen "obstacles" with extra parts."""
+    text = playpen.dump(Playpen.load("obstacles")) + extra
+    scene = playpen.parse(text, "arena")
+    return scene.model_copy(update={"robots": (scene.robots[0].model_copy(update=robot),)})
 
 
-def wandering(scene: Playpen, seconds: float, **options: Any) -> World:
-    """A world in which the ROM's vehicle is told its speeds every 20 ms by a line that costs no time."""
+def braitenberg_world(scene: Playpen, seconds: float, **options: Any) -> World:
+    """Return a world in which the Braitenberg vehicle sets its speeds every 20 ms without a delay."""
     world = World(scene, **options)
     register_view = world.robots[0].registers.data
     for period in range(round(seconds * 50)):
@@ -75,8 +75,8 @@ def episode_of(
         pytest.param(Playpen.load("light-seeking"), {"seed": 5}, id="light seeking"),
     ],
 )
-def test_a_episode_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, Any], compiled: bool) -> None:
-    world, episode = wandering(scene, 4.0, **options), episode_of(scene, 4.0, compiled, **options)
+def test_an_episode_equals_a_world_bitwise(scene: Playpen, options: dict[str, Any], compiled: bool) -> None:
+    world, episode = braitenberg_world(scene, 4.0, **options), episode_of(scene, 4.0, compiled, **options)
     assert episode.registers.tolist() == world.robots[0].registers.tolist()
     assert episode.joints.tobytes() == world.data.qpos.tobytes()
     assert episode.pose == world.robots[0].pose
@@ -118,66 +118,70 @@ def test_compiled_and_plain_code_find_the_same_surfaces_to_the_last_bit() -> Non
     cylinder = "[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n"
     world = World(arena(cylinder))
     plain, records = world.simulation.plain, world.simulation.records
-    sensors, fast = plain.robots[0].sensors, world._forms.compiled()
-    found = records["sensors"]["proximity"]["found"][0]
+    sensors, arrays = plain.robots[0].sensors, world._forms.compiled()
+    columns = records["sensors"]["proximity"]["surfaces"][0]
     body = world.model.body("cylinder3").id
     world.robots[0].send(b"D,9,4\n")
-    some = several = round_the_cylinder = 0
+    n_visible = n_overlapping = n_near_cylinder = 0
     for step in range(3000):
         world.advance_to((step + 1) * 2_500_000)
         channel = step % 8
         chip = plain.scene.chip(sensors, channel)
         count = queries.surfaces(plain.scene, sensors, channel, chip, 0.0)
-        expected = sensors.proximity.found[: count * N_COLUMNS]
-        assert surfaces(fast, records, channel, chip, 0.0) == count
-        assert found[: count * N_COLUMNS].tolist() == expected
-        some, several = some + (count > 0), several + (count > 1)
-        away = world.data.xpos[body, :2] - (chip.x, chip.y)
-        round_the_cylinder += count > 0 and bool(np.hypot(*away) < chip.reach)
+        expected = sensors.proximity.surfaces[: count * N_COLUMNS]
+        assert surfaces(arrays, records, channel, chip, 0.0) == count
+        assert columns[: count * N_COLUMNS].tolist() == expected
+        n_visible, n_overlapping = n_visible + (count > 0), n_overlapping + (count > 1)
+        offset = world.data.xpos[body, :2] - (chip.x, chip.y)
+        n_near_cylinder += count > 0 and bool(np.hypot(*offset) < chip.reach)
         if step % 100 == 0:
-            # It stands a little aside, and leans, before the robot.
+            # It stands in front of the robot, a little to one side, and leans.
             x, y, heading = world.robots[0].pose
-            ahead, lean = 0.05 + step * 5e-6, step * 2e-4
-            at = world.model.jnt_qposadr[world.model.body_jntadr[body]]
-            world.data.qpos[at : at + 3] = x + ahead * np.cos(heading), y + ahead * np.sin(heading), 0.03
-            world.data.qpos[at + 3 : at + 7] = np.cos(lean / 2), np.sin(lean / 2), 0, 0
-    assert 500 < some < 2900
-    assert several > 300
-    assert round_the_cylinder > 300
+            distance, lean = 0.05 + step * 5e-6, step * 2e-4
+            address = world.model.jnt_qposadr[world.model.body_jntadr[body]]
+            world.data.qpos[address : address + 3] = (
+                x + distance * np.cos(heading),
+                y + distance * np.sin(heading),
+                0.03,
+            )
+            world.data.qpos[address + 3 : address + 7] = np.cos(lean / 2), np.sin(lean / 2), 0, 0
+    assert 500 < n_visible < 2900
+    assert n_overlapping > 300
+    assert n_near_cylinder > 300
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_room_that_was_used_before_leaves_no_trace(compiled: bool) -> None:
+def test_an_episode_does_not_depend_on_earlier_ones(compiled: bool) -> None:
     episode = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
-    found: list[bytes] = []
+    results: list[bytes] = []
     for seed in (1, 2, 1):
         episode.begin(seed, EpisodeOptions(start=(400.0, 290.0, 10.0 * seed)))
         episode.run(1.0)
-        found.append(episode.registers.tobytes() + episode.joints.tobytes())
-    assert found[0] == found[2] != found[1]
+        results.append(episode.registers.tobytes() + episode.joints.tobytes())
+    assert results[0] == results[2] != results[1]
 
 
 @with_numba
 @pytest.mark.parametrize("step_ns", [5_000_000, 10_000_000])
 def test_coarser_steps_convert_in_the_same_order_plain_and_compiled_alike(step_ns: int) -> None:
-    # The plain one reads the rangefinders, whose turns are MuJoCo's; the compiled one casts when it converts.
-    both = [
-        Episode(EpisodeSetup(arena(), step_ns=step_ns), Braitenberg(), compiled=each)
-        for each in (False, True)
+    # Plain code reads MuJoCo's rangefinders; compiled code casts rays at each conversion.
+    episodes = [
+        Episode(EpisodeSetup(arena(), step_ns=step_ns), Braitenberg(), compiled=compiled)
+        for compiled in (False, True)
     ]
-    seen: set[int] = set()
-    for episode in both:
+    sensors: set[int] = set()
+    for episode in episodes:
         episode.begin(2, EpisodeOptions(start=(330.0, 300.0, 240.0)))
     for _ in range(150):
-        for episode in both:
+        for episode in episodes:
             episode.run(0.02)
-        assert both[0].registers.tolist() == both[1].registers.tolist()
-        seen |= set(np.flatnonzero(both[0].registers[PROXIMITY] > 300).tolist())
-    assert both[0].joints.tobytes() == both[1].joints.tobytes()
-    assert len(seen) >= 5
+        assert episodes[0].registers.tolist() == episodes[1].registers.tolist()
+        sensors |= set(np.flatnonzero(episodes[0].registers[PROXIMITY] > 300).tolist())
+    assert episodes[0].joints.tobytes() == episodes[1].joints.tobytes()
+    assert len(sensors) >= 5
 
 
-def test_coarser_steps_go_about_the_same_way() -> None:
+def test_coarser_steps_have_similar_trajectories() -> None:
     ends: list[tuple[float, float, float]] = []
     for step_ns in (2_500_000, 5_000_000, 10_000_000):
         episode = Episode(
@@ -198,20 +202,20 @@ def test_a_step_that_divides_no_tick_is_refused_with_the_choices() -> None:
 
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_network_reads_registers_and_sets_speeds(compiled: bool) -> None:
-    # Only biases: the outputs are the same whatever the sensors say.
+    # Only biases: the outputs do not depend on the sensors.
     network = Network(top_speed=20)
     genes = np.zeros(network.n_genes)
     genes[0], genes[9] = np.arctanh(0.5), np.arctanh(-0.25)
     episode = episode_of(arena(), 0.2, compiled, network, genes=genes)
     assert episode.registers[SETPOINTS].tolist() == [10, -5]
-    # And only one weight: left 90 drives the right wheel.
+    # Only one weight: left 90 drives the right wheel.
     genes[:] = 0
     genes[10] = 3.0
     episode = episode_of(arena(x_mm=44.0, y_mm=290.0, heading_deg=90.0), 0.2, compiled, network, genes=genes)
-    seen = episode.registers[PROXIMITY[0]] / COUNTS_LIMIT
-    assert seen > 0.1
+    proximity = episode.registers[PROXIMITY[0]] / COUNTS_LIMIT
+    assert proximity > 0.1
     assert episode.registers[SETPOINTS[0]] == 0
-    assert episode.registers[SETPOINTS[1]] == pytest.approx(20 * np.tanh(3 * seen), abs=3)
+    assert episode.registers[SETPOINTS[1]] == pytest.approx(20 * np.tanh(3 * proximity), abs=3)
 
 
 def steer(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float, float]:
@@ -220,13 +224,13 @@ def steer(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float,
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_a_function_has_memory_and_genes_and_its_speeds_are_cut_as_by_the_board(compiled: bool) -> None:
+def test_a_function_has_memory_and_genes_and_its_speeds_are_clipped_as_by_the_board(compiled: bool) -> None:
     episode = episode_of(arena(), 0.1, compiled, Function(steer, n_memory=1), genes=[2.5])
     assert episode.registers[SETPOINTS].tolist() == [round(2.5 + 5), -127]
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_a_controller_that_gives_no_number_ends_its_episode(compiled: bool) -> None:
+def test_a_controller_whose_speed_is_not_finite_ends_its_episode(compiled: bool) -> None:
     episode = Episode(
         EpisodeSetup(arena()),
         Function(lambda proximity, ambient, memory, genes: (genes[0] / 0.5, 1.0)),
@@ -240,7 +244,7 @@ def test_a_controller_that_gives_no_number_ends_its_episode(compiled: bool) -> N
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_physics_out_of_bounds_end_a_episode_by_step_and_leave_the_next_alone(compiled: bool) -> None:
+def test_physics_out_of_bounds_end_an_episode_and_do_not_affect_the_next(compiled: bool) -> None:
     episode = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
     episode.begin(1)
     episode.run(0.2)
@@ -254,7 +258,7 @@ def test_physics_out_of_bounds_end_a_episode_by_step_and_leave_the_next_alone(co
 
 @pytest.mark.parametrize("compiled", KINDS)
 def test_episode_ends_its_homing_with_its_charge(compiled: bool) -> None:
-    # Far from home the charge of 0.1 s is used up in five control periods; at home it is always full.
+    # Far from home, the charge of 0.1 s lasts five control periods; at home it is always full.
     def homing(home: tuple[float, float, float, float] | None) -> float:
         return episode_of(arena(), 0.4, compiled, ConstantSpeed(10, 10), noise=False, home=home).metrics()[
             "homing"
@@ -268,9 +272,9 @@ def test_episode_ends_its_homing_with_its_charge(compiled: bool) -> None:
 @pytest.mark.parametrize("compiled", KINDS)
 def test_the_distance_forwards_has_a_sign_and_the_distance_has_none(compiled: bool) -> None:
     def ways(left: int, right: int) -> tuple[float, float]:
-        free = Playpen.load("default")
+        scene = Playpen.load("default")
         episode = episode_of(
-            free, 1.0, compiled, ConstantSpeed(left, right), noise=False, start=(300.0, 250.0, 130.0)
+            scene, 1.0, compiled, ConstantSpeed(left, right), noise=False, start=(300.0, 250.0, 130.0)
         )
         metrics = episode.metrics()
         return metrics["forward_m"], metrics["distance_m"]
@@ -278,7 +282,7 @@ def test_the_distance_forwards_has_a_sign_and_the_distance_has_none(compiled: bo
     forwards, way = ways(5, 5)
     assert forwards == pytest.approx(way, rel=1e-6) == pytest.approx(0.04, rel=0.1)
     assert ways(-5, -5)[0] == pytest.approx(-forwards, rel=0.02)
-    # Along an arc it is the arc; on the spot it is nothing.
+    # Along an arc it is the length of the arc; in place it is zero.
     assert ways(4, 6)[0] == pytest.approx(ways(4, 6)[1], rel=1e-3)
     assert abs(ways(-5, 5)[0]) < 0.002
 
@@ -296,14 +300,14 @@ def test_the_control_effort_is_the_mean_square_of_the_speeds(left: int, right: i
         ({"robots": arena().robots * 2}, "2 robots; expected one in the plane"),
     ],
 )
-def test_what_episodes_cannot_have_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
+def test_unsupported_playpens_are_refused_in_one_line(change: dict[str, Any], message: str) -> None:
     with pytest.raises(PlaypenError, match=message):
         EpisodeSetup(arena().model_copy(update=change), planar=True)
     with pytest.raises(PlaypenError, match=r"turrets = \['gripper'\]; expected none"):
         EpisodeSetup(Playpen.load("gripper"), planar=True)
 
 
-def test_without_numba_episodes_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numba_episodes_run_uncompiled_with_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.warns(
         episodes.SlowerWarning, match=r"with the same results; .* -m pip install 'numba<1,>=0.61'$"
@@ -314,7 +318,7 @@ def test_without_numba_episodes_are_plain_and_say_so(monkeypatch: pytest.MonkeyP
     assert episode.steps == 8
 
 
-def test_compiled_without_numba_is_one_line_that_says_how_to_install_it(
+def test_compiled_without_numba_fails_with_the_command_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delattr(rollout, "compiled", raising=False)
@@ -323,21 +327,21 @@ def test_compiled_without_numba_is_one_line_that_says_how_to_install_it(
         Episode(EpisodeSetup(arena()), compiled=True)
 
 
-def test_the_demo_of_the_rom_drives_by_itself() -> None:
+def test_the_demo_of_the_rom_drives() -> None:
     episode = episode_of(arena(mode=0), 0.5, False, ConstantSpeed())
     assert episode.registers[LEFT + Wheel.POSITION] > 100
     assert episode.registers[Board.SCAN] == 0
     assert (episode.registers[AMBIENT] > 0).all()
 
 
-def test_a_episode_that_has_not_begun_says_so() -> None:
+def test_an_episode_that_was_not_started_raises_an_error() -> None:
     episode = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=False)
     for action in (lambda: episode.run(0.02), episode.metrics, lambda: episode.drive(1, 1)):
         with pytest.raises(ValueError, match=r"no episode has begun; expected begin\(\) first"):
             action()
 
 
-OTHERS = """
+MORE_ROBOTS = """
 [[robot]]
 x_mm = 330
 y_mm = 300
@@ -353,19 +357,19 @@ heading_deg = -20
 @pytest.mark.parametrize(
     ("scene", "faults"),
     [
-        pytest.param(playpen.parse(playpen.dump(arena()) + OTHERS, "three"), (), id="three robots"),
+        pytest.param(playpen.parse(playpen.dump(arena()) + MORE_ROBOTS, "three"), (), id="three robots"),
         pytest.param(Playpen.load("two-lamps"), (), id="lamps by turns"),
         pytest.param(Playpen.load("gripper"), (), id="a turret"),
         pytest.param(arena(), ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7"), id="faults"),
         pytest.param(arena(), ("dead:3", "slip:left:0.1@0.4-1", "blocked:right@1.2-1.5"), id="wheels"),
     ],
 )
-def test_robots_turrets_lamps_and_faults_are_the_worlds(
+def test_robots_turrets_lamps_and_faults_equal_those_of_a_world(
     scene: Playpen, faults: tuple[str, ...], compiled: bool
 ) -> None:
-    found = tuple(map(parse_fault, faults))
-    world = World(scene, seed=6, unpaced=True, faults=found)
-    episode = Episode(EpisodeSetup(scene, faults=found), Braitenberg(), compiled=compiled)
+    parsed_faults = tuple(map(parse_fault, faults))
+    world = World(scene, seed=6, unpaced=True, faults=parsed_faults)
+    episode = Episode(EpisodeSetup(scene, faults=parsed_faults), Braitenberg(), compiled=compiled)
     episode.begin(6)
     for period in range(120):
         for robot in world.robots:
@@ -382,16 +386,16 @@ def test_robots_turrets_lamps_and_faults_are_the_worlds(
 
 
 @with_numba
-def test_an_episode_that_changes_over_to_compiled_code_stays_what_it_is(
+def test_a_switch_to_compiled_code_does_not_change_an_episode(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     network = Network(hidden=(3,), recurrent=True)
     genes = np.random.default_rng(4).normal(size=network.n_genes)
     plain = episode_of(arena(), 2.0, False, network, genes=genes, seed=3)
-    monkeypatch.setattr(episodes, "_LOOK", 200)
-    looks = iter([None, None])
+    monkeypatch.setattr(episodes, "_CHECK_INTERVAL", 200)
+    results = iter([None, None])
     ready = episodes.when_ready
-    monkeypatch.setattr(episodes, "when_ready", lambda part: next(looks, ready(part)))
+    monkeypatch.setattr(episodes, "when_ready", lambda part: next(results, ready(part)))
     episode = Episode(EpisodeSetup(arena()), network)
     episode.begin(3, EpisodeOptions(genes=genes))
     kinds: list[bool] = []
@@ -406,7 +410,7 @@ def test_an_episode_that_changes_over_to_compiled_code_stays_what_it_is(
 
 
 def test_a_start_is_needed_for_each_robot() -> None:
-    setup = EpisodeSetup(playpen.parse(playpen.dump(arena()) + OTHERS, "three"))
+    setup = EpisodeSetup(playpen.parse(playpen.dump(arena()) + MORE_ROBOTS, "three"))
     with pytest.raises(ValueError, match=r"expected x, y .* of 3 robots"):
         Episode(setup, compiled=False).begin(options=EpisodeOptions(start=(300.0, 300.0, 0.0)))
 
@@ -414,14 +418,14 @@ def test_a_start_is_needed_for_each_robot() -> None:
 def test_only_an_observed_episode_has_observers_and_shows_its_leds() -> None:
     setup = EpisodeSetup(arena())
     sample = SimpleNamespace(sample=lambda world: None)
-    alone, observed = (Episode(setup, observed=each, compiled=False) for each in (False, True))
-    for episode in (alone, observed):
+    unobserved, observed = (Episode(setup, observed=observed, compiled=False) for observed in (False, True))
+    for episode in (unobserved, observed):
         episode.begin(1)
         episode.registers[Board.LED_0] = 1
         episode.run(0.1)
-    assert alone.world.model is setup.model
+    assert unobserved.world.model is setup.model
     assert observed.world.model.body_pos.tolist() != setup.model.body_pos.tolist()
-    assert alone.joints.tobytes() == observed.joints.tobytes()
+    assert unobserved.joints.tobytes() == observed.joints.tobytes()
     observed.world.add_observer(sample)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="the world shares its model; expected one of its own"):
-        alone.world.add_observer(sample)  # type: ignore[arg-type]
+        unobserved.world.add_observer(sample)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Episodes at a line: bit for bit those of a host on khep:// that computes in no time."""
+"""Episodes at a line: bitwise equal to those of a host on khep:// that computes in no time."""
 
 import math
 import pickle
@@ -39,20 +39,20 @@ def decide(
 
 def host_run(baud: int, requests: str, cycles: int) -> tuple[int, tuple[float, float, float], float]:
     """Return time [ns], pose and mean fitness of a host that runs cycles on khep://."""
-    found: list[float] = []
+    fitness: list[float] = []
     memory, dark = np.zeros(1), np.zeros(8, np.int64)
     twin = open_twin(SCENE, TwinOptions(seed=3, mode=MODES[baud]))
     with Khepera(Serial.of(twin, timeout=1.0)) as robot:
         for _ in range(cycles):
-            begun = robot.time
+            start_s = robot.time
             proximity = np.array(robot.proximity())
             ambient = np.array(robot.ambient()) if "O" in requests else dark
             left, right = map(round, decide(proximity, ambient, memory, None))
             robot.set_speed(left, right)
-            found.append(float(obstacle_avoidance(left, right, max(proximity) / COUNTS_LIMIT)))
-            if (rest := begun + PERIOD - robot.time) > 0:
-                robot.sleep(rest)
-        return twin.world.time_ns, twin.robot.pose, float(np.mean(found))
+            fitness.append(float(obstacle_avoidance(left, right, max(proximity) / COUNTS_LIMIT)))
+            if (pause_s := start_s + PERIOD - robot.time) > 0:
+                robot.sleep(pause_s)
+        return twin.world.time_ns, twin.robot.pose, float(np.mean(fitness))
 
 
 def without_light(
@@ -66,7 +66,7 @@ def without_light(
 
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize(("baud", "requests"), LINES)
-def test_a_function_at_a_line_drives_as_a_host_does(baud: int, requests: str, compiled: bool) -> None:
+def test_a_function_at_a_line_drives_like_a_host(baud: int, requests: str, compiled: bool) -> None:
     time_ns, pose, fitness = host_run(baud, requests, 60)
     function = Function(decide if "O" in requests else without_light, 1, requests)
     episode = Episode(setup := EpisodeSetup(SCENE), function, compiled=compiled)
@@ -79,7 +79,7 @@ def test_a_function_at_a_line_drives_as_a_host_does(baud: int, requests: str, co
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("line", [9600, 38400, MeasuredCycle(0.013, 0.03)])
-def test_a_policy_at_a_line_drives_as_a_function_does(
+def test_a_policy_at_a_line_drives_like_a_function(
     line: int | MeasuredCycle, planar: bool, compiled: bool
 ) -> None:
     setup, memories = EpisodeSetup(SCENE, planar=planar), np.zeros((3, 1))
@@ -87,26 +87,26 @@ def test_a_policy_at_a_line_drives_as_a_function_does(
     def policy(
         proximity: NDArray[np.int64], ambient: NDArray[np.int64], which: NDArray[np.int64]
     ) -> list[tuple[float, float]]:
-        each = zip(proximity, ambient, which.tolist(), strict=True)
-        return [decide(near, light, memories[index], None) for near, light, index in each]
+        readings = zip(proximity, ambient, which.tolist(), strict=True)
+        return [decide(proximities, light, memories[index], None) for proximities, light, index in readings]
 
-    found = [
+    results = [
         rollout(setup, driver, [3, 4, 5], 1.0, line=line, threads=1, compiled=compiled)
         for driver in (Policy(policy), Function(decide, 1))
     ]
-    assert found[0].poses.tobytes() == found[1].poses.tobytes()
-    for name, values in found[0].metrics.items():
-        assert values.tobytes() == found[1].metrics[name].tobytes(), name
+    assert results[0].poses.tobytes() == results[1].poses.tobytes()
+    for name, values in results[0].metrics.items():
+        assert values.tobytes() == results[1].metrics[name].tobytes(), name
 
 
-def test_without_delay_a_measured_cycle_is_none() -> None:
-    found = [
+def test_a_measured_cycle_without_delay_equals_no_line() -> None:
+    results = [
         rollout(SCENE, Function(decide, 1), [0], 1.0, line=line, compiled=False)
         for line in (None, MeasuredCycle(0.0, PERIOD))
     ]
-    assert found[0].poses.tobytes() == found[1].poses.tobytes()
-    for name, values in found[0].metrics.items():
-        assert values.tobytes() == found[1].metrics[name].tobytes(), name
+    assert results[0].poses.tobytes() == results[1].poses.tobytes()
+    for name, values in results[0].metrics.items():
+        assert values.tobytes() == results[1].metrics[name].tobytes(), name
 
 
 def test_a_slow_line_delays_cycles_and_a_late_effect_changes_the_path() -> None:
@@ -123,59 +123,64 @@ def test_a_slow_line_delays_cycles_and_a_late_effect_changes_the_path() -> None:
 def test_in_the_plane_sensors_converted_one_by_one_read_the_same(compiled: bool) -> None:
     setups = [EpisodeSetup(SCENE, planar=True, at_line=at_line) for at_line in (False, True)]
     assert setups[1].step_ns == pickle.loads(pickle.dumps(setups[1])).step_ns == setups[0].step_ns // 4
-    found = [rollout(setup, Function(decide, 1), [3, 4], 2.0, compiled=compiled) for setup in setups]
-    assert found[0].poses.tobytes() == found[1].poses.tobytes()
-    for name, values in found[0].metrics.items():
-        assert values.tobytes() == found[1].metrics[name].tobytes(), name
+    results = [rollout(setup, Function(decide, 1), [3, 4], 2.0, compiled=compiled) for setup in setups]
+    assert results[0].poses.tobytes() == results[1].poses.tobytes()
+    for name, values in results[0].metrics.items():
+        assert values.tobytes() == results[1].metrics[name].tobytes(), name
 
 
-def test_constant_speeds_ask_nothing_and_have_no_line() -> None:
-    found = [
+def test_constant_speeds_have_no_requests_and_ignore_the_line() -> None:
+    poses = [
         rollout(SCENE, ConstantSpeed(5, 4), [0], 1.0, line=line, compiled=False).poses.tobytes()
         for line in (None, 9600)
     ]
-    assert found[0] == found[1]
+    assert poses[0] == poses[1]
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_a_task_at_a_line_observes_and_drives_as_a_host_does(compiled: bool) -> None:
+def test_a_task_at_a_line_observes_and_drives_like_a_host(compiled: bool) -> None:
     setup = TaskSetup(
         "ObstacleAvoidance", period_ns=50_000_000, line=38400, compiled=compiled, normalize=False
     )
     episode = TaskEpisode(setup)
-    seen = [episode.begin(3)[0]] + [
+    observations = [episode.begin(3)[0]] + [
         episode.step([(12 - index % 7, 5 + index % 5)])[0].observation for index in range(12)
     ]
     (robot,) = setup.start_playpen(3).robots
     twin = open_twin(setup.playpen.model_copy(update={"robots": (robot,)}), TwinOptions(seed=3, mode=3))
     with Khepera(Serial.of(twin, timeout=1.0)) as khepera:
-        before = None
-        for index, expected in enumerate(seen):
-            begun = khepera.time
+        last_position = None
+        for index, expected in enumerate(observations):
+            start_s = khepera.time
             proximity, position = khepera.proximity(), khepera.position()
             assert expected[:8].tolist() == list(proximity)
-            if before is not None:
-                counted = [(now - then) / 5 for now, then in zip(position, before, strict=True)]
-                assert expected[8:].tolist() == pytest.approx(counted, abs=1e-6)
-            before = position
+            if last_position is not None:
+                speeds = [
+                    (current - previous) / 5
+                    for current, previous in zip(position, last_position, strict=True)
+                ]
+                assert expected[8:].tolist() == pytest.approx(speeds, abs=1e-6)
+            last_position = position
             khepera.set_speed(12 - index % 7, 5 + index % 5)
-            khepera.sleep(begun + 0.05 - khepera.time)
+            khepera.sleep(start_s + 0.05 - khepera.time)
 
 
 @pytest.mark.parametrize("line", [0, -9600, 9600.5, True, "9600"])
-def test_what_is_no_line_is_refused(line: object) -> None:
+def test_an_invalid_line_is_refused(line: object) -> None:
     with pytest.raises(ValueError, match="expected a speed in baud, such as 9600, or a MeasuredCycle"):
         EpisodeOptions(line=line)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("delay", "period"), [(-0.01, 0.02), (0.03, 0.02), (0.0, math.inf), (math.nan, 0.1)])
-def test_a_cycle_has_times_that_fit(delay: float, period: float) -> None:
+def test_invalid_times_of_a_cycle_are_refused(delay: float, period: float) -> None:
     with pytest.raises(ValueError, match="expected a delay from 0 to the period"):
         MeasuredCycle(delay, period)
 
 
-def test_a_task_whose_period_is_too_short_for_its_line_says_which_would_do() -> None:
-    told = r"line = 9600: a cycle of N, H and D takes up to \d+ ms; expected period_ns = 120_000_000 or more"
-    with pytest.raises(ValueError, match=told):
+def test_a_period_too_short_for_the_line_is_refused_with_the_shortest_one() -> None:
+    message = (
+        r"line = 9600: a cycle of N, H and D takes up to \d+ ms; expected period_ns = 120_000_000 or more"
+    )
+    with pytest.raises(ValueError, match=message):
         TaskSetup("ObstacleAvoidance", line=9600)
     assert TaskSetup("ObstacleAvoidance", line=9600, period_ns=120_000_000).n_steps == 500

@@ -1,4 +1,4 @@
-"""The line image in a plane is that of MuJoCo's scene."""
+"""The line image in a plane equals that of MuJoCo's scene."""
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar.line_view import PlaneView
 from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.playpen import Playpen
-from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
+from khep_twin.sensing.line_faces import fixed_faces, moving_faces, read_poses
 from khep_twin.sensing.line_scene import Eye
 from khep_twin.units import K213_EYE_AHEAD, K213_EYE_HEIGHT
 from khep_twin.vision.camera import LineCamera
@@ -34,7 +34,7 @@ PARTS = (
 )
 
 
-def test_the_lens_is_where_the_turret_has_it() -> None:
+def test_the_lens_is_at_its_position_on_the_turret() -> None:
     world = World(Playpen.load("stripes"), noise=False)
     mujoco.mj_kinematics(world.model, world.data)
     mujoco.mj_camlight(world.model, world.data)
@@ -43,7 +43,7 @@ def test_the_lens_is_where_the_turret_has_it() -> None:
 
 
 @pytest.mark.parametrize("compiled", KINDS)
-def test_a_plane_shows_what_mujoco_does(compiled: bool) -> None:
+def test_the_image_in_a_plane_equals_that_in_mujoco(compiled: bool) -> None:
     setup = EpisodeSetup(bare(PARTS), planar=True)
     assert setup.planar_scene is not None
     world = PlanarWorld(setup.scene_model, setup.planar_scene)
@@ -51,8 +51,8 @@ def test_a_plane_shows_what_mujoco_does(compiled: bool) -> None:
     view, model = PlaneView(world.playpen, setup.model, world.forms.plane), setup.model
     for start in ((200, 250, 10), (330, 120, -25), (350, 300, 80)):
         world.reset(0, noise=False, starts=[start])
-        seen, wanted = np.zeros(64, np.int64), np.zeros(64, np.int64)
-        light = view.take(seen, [LAMP], 300.0, compiled=compiled)
+        pixels, expected = np.zeros(64, np.int64), np.zeros(64, np.int64)
+        light = view.take(pixels, [LAMP], 300.0, compiled=compiled)
         data = mujoco.MjData(model)
         x, y, heading = world.forms.pose
         data.qpos[setup.indices.pose : setup.indices.pose + 2] = x, y
@@ -65,13 +65,13 @@ def test_a_plane_shows_what_mujoco_does(compiled: bool) -> None:
         mujoco.mj_kinematics(model, data)
         c, s = np.cos(heading), np.sin(heading)
         eye = Eye(x + K213_EYE_AHEAD * c, y + K213_EYE_AHEAD * s, K213_EYE_HEIGHT, c, s)
-        camera = LineCamera(fixed_faces(model), moving_faces(model, setup.indices.base), places(data))
-        assert camera.take(eye, wanted, [LAMP], 300.0, 0, (0, 0), 0, noisy=False) == light
-        assert np.abs(seen - wanted).max() <= 1
-        assert wanted.max() - wanted.min() > 100
+        camera = LineCamera(fixed_faces(model), moving_faces(model, setup.indices.base), read_poses(data))
+        assert camera.take(eye, expected, [LAMP], 300.0, 0, (0, 0), 0, noisy=False) == light
+        assert np.abs(pixels - expected).max() <= 1
+        assert expected.max() - expected.min() > 100
 
 
-def test_what_has_been_pushed_is_seen_where_it_is() -> None:
+def test_a_pushed_object_is_seen_at_its_new_position() -> None:
     pushed = cylinder(260, 250, 20) + "movable = true\nmass_g = 20\n"
     text = bare(pushed)
     robots = (text.robots[0].model_copy(update={"heading_deg": 0.0}),)
@@ -79,9 +79,9 @@ def test_what_has_been_pushed_is_seen_where_it_is() -> None:
     assert setup.planar_scene is not None
     world = PlanarWorld(setup.scene_model, setup.planar_scene)
     world.reset(0, noise=False)
-    view, found = PlaneView(world.playpen, setup.model, world.forms.plane), np.zeros((2, 64), np.int64)
-    view.take(found[0], [], 300.0)
+    view, images = PlaneView(world.playpen, setup.model, world.forms.plane), np.zeros((2, 64), np.int64)
+    view.take(images[0], [], 300.0)
     world.forms.plane.obstacles[len(world.forms._order), 1] += 0.1  # its centre, to the left
-    view.take(found[1], [], 300.0)
-    assert (found[0, 20:44] < 20).all()
-    assert not (found[1, 20:44] < 20).all()
+    view.take(images[1], [], 300.0)
+    assert (images[0, 20:44] < 20).all()
+    assert not (images[1, 20:44] < 20).all()

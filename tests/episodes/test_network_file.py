@@ -1,4 +1,4 @@
-"""Files of networks: what is written is read again, and anything else is refused in one line."""
+"""Network files: they are read as written, and invalid files are refused in one line."""
 
 import io
 import zipfile
@@ -28,14 +28,19 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_a_network_is_read_as_it_was_written(file: Path) -> None:
-    found = Network.load(file)
-    assert (found.hidden, found.recurrent, found.ambient, found.top_speed) == ((3,), True, True, 12.5)
-    assert found.genes == tuple(GENES)
-    assert (found.period_ns, found.light, found.playpen, found.seed) == (40_000_000, LIGHT, "two-lamps", 7)
-    before = file.read_bytes()
-    found.save(file)  # in place of what is there
-    assert file.read_bytes() == before
-    assert Network.load(file) == found
+    network = Network.load(file)
+    assert (network.hidden, network.recurrent, network.ambient, network.top_speed) == ((3,), True, True, 12.5)
+    assert network.genes == tuple(GENES)
+    assert (network.period_ns, network.light, network.playpen, network.seed) == (
+        40_000_000,
+        LIGHT,
+        "two-lamps",
+        7,
+    )
+    content = file.read_bytes()
+    network.save(file)  # replaces the existing file
+    assert file.read_bytes() == content
+    assert Network.load(file) == network
 
 
 def test_numpy_opens_the_file_without_pickle(file: Path) -> None:
@@ -54,11 +59,11 @@ def test_a_rollout_has_the_networks_own_genes_and_period(file: Path) -> None:
     options: dict[str, Any] = {"seeds": range(2), "seconds": 0.8, "compiled": False}
     setup = EpisodeSetup("two-lamps", period_ns=40_000_000)
     expected = rollout(setup, NETWORK, genes=np.array([GENES, GENES]), **options)
-    found = rollout("two-lamps", Network.load(file), **options)
-    np.testing.assert_array_equal(found.registers, expected.registers)
+    results = rollout("two-lamps", Network.load(file), **options)
+    np.testing.assert_array_equal(results.registers, expected.registers)
     other = rollout("two-lamps", Network.load(file), genes=np.array([GENES, -GENES]), **options)
-    assert (other.registers[0] == found.registers[0]).all()
-    assert (other.registers[1] != found.registers[1]).any()
+    assert (other.registers[0] == results.registers[0]).all()
+    assert (other.registers[1] != results.registers[1]).any()
 
 
 def without(name: str) -> Callable[[dict[str, Any]], object]:
@@ -70,7 +75,7 @@ def changed(**values: object) -> Callable[[dict[str, Any]], object]:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (without("format"), r"no network: an NPZ file of genes, .*; expected one that Network.save"),
         (changed(format="other"), r"no network: an NPZ file of .*; expected one that Network.save"),
@@ -95,12 +100,12 @@ def changed(**values: object) -> Callable[[dict[str, Any]], object]:
     ],
 )
 def test_a_file_of_another_network_is_refused(
-    file: Path, change: Callable[[dict[str, Any]], object], told: str
+    file: Path, change: Callable[[dict[str, Any]], object], message: str
 ) -> None:
     arrays: dict[str, Any] = dict(npz_file.read_arrays(file.read_bytes()))
     change(arrays)
-    file.write_bytes(npz_file.packed(arrays))
-    with pytest.raises(ControllerError, match=rf"best\.npz: {told}") as caught:
+    file.write_bytes(npz_file.npz_bytes(arrays))
+    with pytest.raises(ControllerError, match=rf"best\.npz: {message}") as caught:
         Network.load(file)
     assert "\n" not in str(caught.value)
 
@@ -112,7 +117,7 @@ def pickled() -> bytes:
 
 
 def bomb() -> bytes:
-    """65 MB of zeros, packed."""
+    """Return 65 MB of zeros, compressed."""
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("genes.npy", bytes(65 * 2**20))
@@ -120,7 +125,7 @@ def bomb() -> bytes:
 
 
 def too_long() -> bytes:
-    """An array whose header has a trillion numbers."""
+    """Return an array whose header states a trillion numbers."""
     content, data = io.BytesIO(), io.BytesIO()
     np.lib.format.write_array_header_1_0(
         content, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)}
@@ -131,48 +136,48 @@ def too_long() -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "message"),
     [
         (b"", "no whole NPZ file: File is not a zip file"),
         (b"def controller(robot): ...\n", "no whole NPZ file: File is not a zip file"),
-        (npz_file.packed({"a": 1})[:-5], "no whole NPZ file: File is not a zip file"),
-        (npz_file.packed({"a": 1}).replace(b"NUMPY", b"numpy"), "no whole NPZ file: Bad CRC-32"),
-        (npz_file.packed({"a": 1}).replace(b"a.npy", b"\n.npy"), r"'.n.npy' is not packed as numpy does"),
-        (npz_file.packed({"a": "\n"}), "characters that cannot be printed"),
+        (npz_file.npz_bytes({"a": 1})[:-5], "no whole NPZ file: File is not a zip file"),
+        (npz_file.npz_bytes({"a": 1}).replace(b"NUMPY", b"numpy"), "no whole NPZ file: Bad CRC-32"),
+        (npz_file.npz_bytes({"a": 1}).replace(b"a.npy", b"\n.npy"), r"'.n.npy' is not packed as numpy does"),
+        (npz_file.npz_bytes({"a": "\n"}), "characters that cannot be printed"),
         (pickled(), "pickled objects, which are not read; expected numbers or texts"),
         (bomb(), r"1 arrays of 68157440 bytes; expected at most 100 of 67108864 bytes"),
         (too_long(), r"genes.npy: 0 bytes for an array of \(1000000000000,\); it is damaged"),
     ],
     ids=["empty", "text", "cut", "damaged", "a name", "lines", "pickled", "bomb", "too long"],
 )
-def test_a_file_that_is_no_archive_of_numbers_is_refused(data: bytes, told: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_archive_of_numbers_is_refused(data: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / "best.npz").write_bytes(data)
-    with pytest.raises(ControllerError, match=rf"best\.npz: cannot be read: .*{told}"):
+    with pytest.raises(ControllerError, match=rf"best\.npz: cannot be read: .*{message}"):
         Network.load(tmp_path / "best.npz")
 
 
-def test_a_network_that_could_not_be_read_again_is_not_written(file: Path) -> None:
-    before = file.read_bytes()
-    for network, genes, told in (
+def test_an_unreadable_network_is_not_written(file: Path) -> None:
+    content = file.read_bytes()
+    for network, genes, message in (
         (NETWORK, None, "0 genes; expected 68"),
         (NETWORK, [1.0], "1 genes; expected 68"),
         (Network(), np.full(18, np.inf), "finite numbers"),
         (Network(top_speed=1000.0), np.zeros(18), "at most 127"),
         (Network(seed=2**70), np.zeros(18), "seed"),
     ):
-        with pytest.raises(ControllerError, match=told):
+        with pytest.raises(ControllerError, match=message):
             network.save(file, genes)
     with pytest.raises(ControllerError, match=r"best.npy: expected a name that ends in .npz"):
         NETWORK.save(file.with_suffix(".npy"), GENES)
-    assert file.read_bytes() == before
+    assert file.read_bytes() == content
 
 
-def test_a_file_of_another_kind_is_kept_unless_that_is_wanted(tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_only_replaced_on_request(tmp_path: Path) -> None:
     other = tmp_path / "data.npz"
     np.savez(other, measured=[1, 2])
-    before = other.read_bytes()
+    content = other.read_bytes()
     with pytest.raises(KhepTwinError, match=r"data.npz: is there, and no network; expected another"):
         Network().save(other, np.zeros(18))
-    assert other.read_bytes() == before
+    assert other.read_bytes() == content
     Network().save(other, np.zeros(18), replace=True)
     assert Network.load(other).genes == (0.0,) * 18

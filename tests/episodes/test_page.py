@@ -18,9 +18,9 @@ PAGE = ROOT / "docs" / "scale.md"
 def test_the_programs_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    with contextlib.redirect_stdout(io.StringIO()) as said:
+    with contextlib.redirect_stdout(io.StringIO()) as output:
         for program in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL):
             exec(compile(program, "docs/scale.md", "exec"), names)
     assert names["results"].failures == ()
-    assert len(said.getvalue().splitlines()) >= 3
+    assert len(output.getvalue().splitlines()) >= 3
     assert names["controller"]([0] * 8, [500] * 8) == (10, 10)

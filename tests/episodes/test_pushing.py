@@ -1,4 +1,4 @@
-"""Movable things in a plane: sliding against closed form, pushing against MuJoCo, the same bits compiled."""
+"""Movable objects in a plane: sliding against closed forms, pushing against MuJoCo, compiled as plain."""
 
 import math
 
@@ -50,13 +50,13 @@ def block(
     return f"[[block]]\nx_mm = {x_mm}\ny_mm = {y_mm}\n{size}movable = true\nmass_g = {mass_g}\n"
 
 
-def arena(*things: str) -> Playpen:
-    return playpen.parse(ARENA + "".join(things), "pushing")
+def arena(*objects: str) -> Playpen:
+    return playpen.parse(ARENA + "".join(objects), "pushing")
 
 
-def plane_of(*things: str) -> tuple[PlanarForms, np.ndarray]:
-    """A plane, and the table of its movable things."""
-    setup = EpisodeSetup(arena(*things), planar=True)
+def plane_of(*objects: str) -> tuple[PlanarForms, np.ndarray]:
+    """Return a plane, and the table of its movable objects."""
+    setup = EpisodeSetup(arena(*objects), planar=True)
     assert setup.planar_scene is not None
     forms = PlanarForms(setup.scene_model, setup.planar_scene)
     forms.place_robot(None)
@@ -64,7 +64,7 @@ def plane_of(*things: str) -> tuple[PlanarForms, np.ndarray]:
 
 
 def slide(forms: PlanarForms, bodies: np.ndarray, **speeds: float) -> None:
-    """Let a thing go that slides, until it rests."""
+    """Let the first object slide until it sleeps."""
     for name, speed in speeds.items():
         bodies[0, getattr(flat, name.upper())] = speed
     bodies[0, flat.ACTIVE] = 1
@@ -74,22 +74,22 @@ def slide(forms: PlanarForms, bodies: np.ndarray, **speeds: float) -> None:
     assert not bodies[0, [flat.ACTIVE, flat.SPEED_X, flat.SPEED_Y, flat.SPIN]].any()
 
 
-def test_a_thing_that_slides_is_stopped_by_friction_after_its_way() -> None:
+def test_a_sliding_object_is_stopped_by_friction() -> None:
     forms, bodies = plane_of(cylinder(450, 350))
     slide(forms, bodies, speed_x=0.6, speed_y=-0.8)
     x, y, heading = forms.objects[0] - (0.45, 0.35, 0)
-    # The friction between a movable thing and the floor is MuJoCo's 1; a substep is up to 2.5 ms too short.
+    # The friction between a movable object and the floor is MuJoCo's 1; a substep is up to 2.5 ms too short.
     assert math.hypot(x, y) == pytest.approx(1 / (2 * units.GRAVITY), abs=0.5 * units.STEP_NS * 1e-9)
     assert y / x == pytest.approx(-0.8 / 0.6)
     assert heading == 0
 
 
-def test_a_box_that_spins_is_stopped_by_the_friction_of_its_corners() -> None:
+def test_a_spinning_box_is_stopped_by_the_friction_of_its_corners() -> None:
     forms, bodies = plane_of(block(450, 350, 60, 20))
     slide(forms, bodies, spin=8.0)
     inertia_per_mass, arm = (0.03**2 + 0.01**2) / 3, math.hypot(0.03, 0.01)
-    turned = 8.0**2 * inertia_per_mass / (2 * units.GRAVITY * arm)
-    assert forms.objects[0, 2] == pytest.approx(turned, abs=8.0 * units.STEP_NS * 1e-9 / 2)
+    angle = 8.0**2 * inertia_per_mass / (2 * units.GRAVITY * arm)
+    assert forms.objects[0, 2] == pytest.approx(angle, abs=8.0 * units.STEP_NS * 1e-9 / 2)
     assert forms.objects[0, :2] == pytest.approx([0.45, 0.35])
 
 
@@ -106,7 +106,7 @@ PUSHED = {
 
 
 @pytest.mark.parametrize("case", PUSHED)
-def test_a_robot_pushes_in_the_plane_as_in_mujoco(case: str) -> None:
+def test_pushing_in_the_plane_is_similar_to_that_in_mujoco(case: str) -> None:
     ends = []
     for planar in (False, True):
         setup = EpisodeSetup(arena(*PUSHED[case]), planar=planar)
@@ -121,7 +121,7 @@ def test_a_robot_pushes_in_the_plane_as_in_mujoco(case: str) -> None:
     assert ways[0] < 1e-3 if "heavy" in case else ways[0] > 0.03
 
 
-def test_things_between_a_robot_and_a_wall_do_not_overlap() -> None:
+def test_objects_between_a_robot_and_a_wall_do_not_penetrate() -> None:
     forms, _ = plane_of(block(640, 350, mass_g=5), cylinder(604, 351, mass_g=5), cylinder(640, 100))
     forms.place_robot((545.0, 350.0, 0.0))
     forms.state["ctrl"][:] = 2.0
@@ -130,13 +130,16 @@ def test_things_between_a_robot_and_a_wall_do_not_overlap() -> None:
         (x, y, _), (box, can, far) = forms.pose, forms.objects
         corners = abs(math.cos(box[2])) + abs(math.sin(box[2]))
         assert box[0] + 0.015 * corners < 0.7 + 2e-3
-        assert flat.distance_to(forms.plane.obstacles, int(forms.plane.bodies[0, flat.OBSTACLE]), *can[:2]) > 0.013
+        assert (
+            flat.distance_to(forms.plane.obstacles, int(forms.plane.bodies[0, flat.OBSTACLE]), *can[:2])
+            > 0.013
+        )
         assert math.hypot(can[0] - x, can[1] - y) > 0.015 + units.BODY_RADIUS - 2e-3
         assert far.tolist() == [0.64, 0.1, 0.0]
     assert forms.objects[0, 0] > 0.67
 
 
-def test_what_a_robot_pushes_is_seen_where_it_is() -> None:
+def test_a_pushed_object_is_seen_at_its_position() -> None:
     episode = Episode(
         EpisodeSetup(arena(cylinder(290, 350)), planar=True), ConstantSpeed(10, 10), compiled=False
     )
@@ -148,8 +151,8 @@ def test_what_a_robot_pushes_is_seen_where_it_is() -> None:
 
 
 @with_numba
-def test_compiled_and_plain_code_push_to_the_same_bits_and_a_new_episode_begins_afresh() -> None:
-    things = [
+def test_pushing_is_bitwise_equal_plain_and_compiled_and_after_other_episodes() -> None:
+    objects = [
         cylinder(270, 352),
         block(304, 360, angle_deg=10),
         cylinder(150, 300, 10),
@@ -159,7 +162,7 @@ def test_compiled_and_plain_code_push_to_the_same_bits_and_a_new_episode_begins_
     genes = np.random.default_rng(2).normal(size=(5, network.n_genes))
     results = [
         rollout(
-            EpisodeSetup(arena(*things), planar=True),
+            EpisodeSetup(arena(*objects), planar=True),
             network,
             range(5),
             4.0,
@@ -177,22 +180,22 @@ def test_compiled_and_plain_code_push_to_the_same_bits_and_a_new_episode_begins_
 
 
 @pytest.mark.parametrize(
-    ("thing", "size"),
+    ("part", "size"),
     [
         (cylinder(300, 300, 7), "14 mm wide and 30 mm high"),
         (cylinder(300, 300, 10, 20, 70), "20 mm wide and 70 mm"),
     ],
 )
-def test_what_would_tip_over_is_refused(thing: str, size: str) -> None:
+def test_an_object_that_would_tip_over_is_refused(part: str, size: str) -> None:
     with pytest.raises(
         PlaypenError, match=f"cylinder 1 is movable, {size}.*expected a width of at least 16 mm"
     ):
-        EpisodeSetup(arena(thing), planar=True)
+        EpisodeSetup(arena(part), planar=True)
 
 
-def test_objects_are_those_of_mujoco_in_the_playpens_order() -> None:
-    things = [block(500, 400, angle_deg=30), cylinder(300, 300)]
-    result = rollout(arena(*things), Braitenberg(), [1], 0.02, compiled=False)
+def test_objects_equal_those_of_mujoco_in_the_playpens_order() -> None:
+    objects = [block(500, 400, angle_deg=30), cylinder(300, 300)]
+    result = rollout(arena(*objects), Braitenberg(), [1], 0.02, compiled=False)
     assert result.objects[0] == pytest.approx(
         np.array([[0.5, 0.4, math.radians(30)], [0.3, 0.3, 0]]), abs=1e-6
     )

@@ -13,7 +13,7 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin import playpen
 from khep_twin.cli import app as cli
 from khep_twin.errors import KhepTwinError, LogError
-from khep_twin.files.atomic import whole_file, write_whole
+from khep_twin.files.atomic import atomic_file, write_atomic
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.series_files import read_series
 from khep_twin.lab.sensor_test import sensor_files
@@ -146,7 +146,7 @@ def test_a_file_that_is_written_takes_no_other_ones_name_meanwhile(tmp_path: Pat
     path, others = tmp_path / "a.csv", [tmp_path / ".a.csv.part", tmp_path / ".a.csv.part1"]
     others[0].write_text("mine")
     others[1].symlink_to("nowhere")
-    write_whole(path, b"data")
+    write_atomic(path, b"data")
     assert path.read_bytes() == b"data"
     assert others[0].read_text() == "mine"
     assert os.readlink(others[1]) == "nowhere"
@@ -209,7 +209,7 @@ def test_a_file_is_on_the_disk_before_it_is_renamed_and_its_name_after(
     monkeypatch.setattr(os, "fsync", fsync)
     monkeypatch.setattr(os, "replace", replace)
     monkeypatch.setattr(os, "link", link)
-    write_whole(tmp_path / "file", b"four")
+    write_atomic(tmp_path / "file", b"four")
     assert done == ["file", "rename", "folder"]
     done.clear()
     twin = open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap")))
@@ -221,7 +221,7 @@ def test_a_file_is_on_the_disk_before_it_is_renamed_and_its_name_after(
 def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.touch(mode=0o600)
-    write_whole(path, b"new")
+    write_atomic(path, b"new")
     assert path.read_bytes() == b"new"
     assert path.stat().st_mode & 0o777 == 0o600
 
@@ -231,7 +231,7 @@ def test_a_file_that_appears_while_another_is_written_is_kept(tmp_path: Path) ->
     path = tmp_path / "table.csv"
 
     def write() -> None:
-        with whole_file(path, replace=False) as file:
+        with atomic_file(path, replace=False) as file:
             file.write(b"rows")
             path.write_text("a year's work")
 
@@ -239,7 +239,7 @@ def test_a_file_that_appears_while_another_is_written_is_kept(tmp_path: Path) ->
         with pytest.raises(KhepTwinError, match=rf"what was to be written is .*/table\.kept{number}\.csv"):
             write()
     path.write_bytes(b"")
-    with whole_file(path, replace=False) as file:
+    with atomic_file(path, replace=False) as file:
         file.write(b"new")
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {
         "table.csv": b"new",

@@ -7,7 +7,7 @@ import pytest
 from command_line import complaint, good
 from PIL import Image
 
-from khep_twin.files.drawings import is_replaceable, marked
+from khep_twin.files.drawings import is_replaceable, add_checksum
 
 
 def _painted(path: Path) -> None:
@@ -53,7 +53,7 @@ def test_a_scan_that_was_imported_is_no_drawing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("head", [b"\x89PNG\r\n\x1a\n", b"<svg>", b"%PDF-1.4\n", b"<!doctype html>"])
 def test_a_drawing_is_known_by_all_of_its_bytes(head: bytes, tmp_path: Path) -> None:
-    file, data = tmp_path / "drawing", marked(head + bytes(range(100)))
+    file, data = tmp_path / "drawing", add_checksum(head + bytes(range(100)))
     for changed in (data, data[:-1], data + b"\n", data.replace(b"\5", b"\6"), b"", b"\x89PNG\r\n\x1a\n"):
         file.write_bytes(changed)
         assert is_replaceable(file) == (changed in (data, b""))

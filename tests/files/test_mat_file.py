@@ -14,7 +14,7 @@ from scipy.sparse import csc_array  # pyright: ignore[reportMissingTypeStubs]
 
 from khep_twin.errors import MatError
 from khep_twin.files import mat_file
-from khep_twin.files.mat_file import Foreign, read_variables
+from khep_twin.files.mat_file import UnsupportedVariable, read_variables
 
 
 def saved(values: dict[str, Any], **options: Any) -> bytes:
@@ -64,12 +64,12 @@ def test_what_is_no_matrix_of_real_numbers_is_told_by_kind() -> None:
         "complex": np.array([1j]), "text": ["ab", "cd"],
     }  # fmt: skip
     assert read_variables(saved(values)) == {
-        "cells": Foreign("a cell array"), "struct": Foreign("a struct"), "sparse": Foreign("a sparse matrix"),
-        "complex": Foreign("complex"), "text": ("ab", "cd"),
+        "cells": UnsupportedVariable("a cell array"), "struct": UnsupportedVariable("a struct"), "sparse": UnsupportedVariable("a sparse matrix"),
+        "complex": UnsupportedVariable("complex"), "text": ("ab", "cd"),
     }  # fmt: skip
     del values["cells"], values["struct"]
     assert read_variables(saved(values, format="4")) == {
-        "sparse": Foreign("a sparse matrix"), "complex": Foreign("complex"), "text": ("ab", "cd"),
+        "sparse": UnsupportedVariable("a sparse matrix"), "complex": UnsupportedVariable("complex"), "text": ("ab", "cd"),
     }  # fmt: skip
 
 
@@ -78,7 +78,7 @@ def test_an_object_of_a_class_is_passed_over() -> None:
     opaque = element(14, element(6, struct.pack("<II", 17, 0)) + element(1, b"str") + element(1, b"MCOS"))
     store = matrix([1, 3], content=b"abc", name=b"")
     found = read_variables(five(opaque, store, matrix([1, 2], content=b"\1\2")))
-    assert found["str"] == Foreign("an object")
+    assert found["str"] == UnsupportedVariable("an object")
     assert list(found) == ["str", "x"]
 
 

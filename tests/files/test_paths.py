@@ -10,7 +10,7 @@ import pytest
 
 import khep_twin
 from khep_twin.drawing import draw, save
-from khep_twin.drawing.map import sheet
+from khep_twin.drawing.map import blank_figure
 from khep_twin.lab import sensor_test
 from khep_twin.lab.conformance import conform_recording
 from khep_twin.lab.experiment import SeriesFolder, read_series
@@ -62,7 +62,7 @@ def test_a_path_may_be_a_string(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         assert read("run.mcap"), read
         assert read(Path("run.mcap")), read
     save(draw(khep_twin.Playpen.load("default")), "map.png")
-    save(sheet(1, 1), "sheet.svg")
+    save(blank_figure(1, 1), "sheet.svg")
     SeriesFolder("series", {})
     assert read_series("series") == ({}, [])
     with pytest.raises(khep_twin.KhepTwinError, match=r"none\.csv: cannot be read"):

@@ -56,4 +56,4 @@ lamp = [{x = 1}]
     ],
 )
 def test_each_location_has_its_line(location: Location, line: int | None) -> None:
-    assert LineNumbers(TEXT).of(location) == line
+    assert LineNumbers(TEXT).find(location) == line

@@ -201,7 +201,7 @@ def test_nodes_and_files_of_the_robot_are_found_by_path(
     ]
 
 
-@pytest.mark.parametrize(("how", "told"), [("jump", "jumped"), ("close", "closed")])
+@pytest.mark.parametrize(("how", "line"), [("jump", "jumped"), ("close", "closed")])
 def test_a_program_may_leave_a_handler_by_longjmp_and_close_all_descriptors(
     programs: Path, capfd: pytest.CaptureFixture[str], how: str, line: str
 ) -> None:
@@ -222,7 +222,7 @@ def test_a_run_ends_with_the_program_and_its_surviving_children(
 
 
 @pytest.mark.parametrize(
-    ("how", "number", "told"),
+    ("how", "number", "output"),
     [
         ("stop", signal.SIGINT, f"up\n{100 + signal.SIGINT}\n"),
         ("stop", signal.SIGTERM, f"up\n{100 + signal.SIGTERM}\n"),

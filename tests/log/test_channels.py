@@ -1,4 +1,4 @@
-"""The messages of a log, decoded here anew from the rules of CDR, and what reads them back."""
+"""The messages of a log, decoded here by the rules of CDR, and their readers."""
 
 import struct
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Cdr:
         return text[:-1].decode()
 
     def at_end(self) -> bool:
-        """Whether nothing is left."""
+        """Return whether all bytes are read."""
         return self.place == len(self.message)
 
 
@@ -103,9 +103,9 @@ def test_what_is_encoded_can_be_read_back() -> None:
 def test_many_arrays_are_read_at_once_as_one_by_one(kind: str, letter: str) -> None:
     values = np.arange(12).reshape(4, 3) - 5
     messages = rows(ArrayFrame(3, kind, "counts").messages(values))
-    found = decoding.stack_arrays(messages, letter)
-    assert found.dtype == np.dtype(kind)
-    assert found.tolist() == values.tolist()
+    arrays = decoding.stack_arrays(messages, letter)
+    assert arrays.dtype == np.dtype(kind)
+    assert arrays.tolist() == values.tolist()
     other = rows(ArrayFrame(3, kind, "another label").messages(values))
     assert decoding.stack_arrays(messages + other, letter).tolist() == [*values.tolist(), *values.tolist()]
     with pytest.raises(ValueError, match="2 values; expected 3, as in the channel's first message"):
@@ -129,7 +129,7 @@ def test_a_line_image_decodes_by_the_rules_of_cdr() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "found"),
+    ("old", "new", "fault"),
     [
         (b"mono8", b"mono9", "an image of 3 x 1 pixels mono9 in 3 bytes"),
         (b"\1\0\0\0\3\0\0\0", b"\2\0\0\0\3\0\0\0", "an image of 3 x 2 pixels mono8 in 3 bytes"),
@@ -137,11 +137,11 @@ def test_a_line_image_decodes_by_the_rules_of_cdr() -> None:
         (b"\0\7\xff", b"\0\7\xff\0", "bytes"),
     ],
 )
-def test_another_image_is_refused(old: bytes, new: bytes, found: str) -> None:
-    whole, second = rows(ImageFrame(3, "khepera0/k213").messages(np.array([0, 1]), IMAGES))
-    assert whole.count(old) == 1
-    with pytest.raises(decoding.DecodeError, match=found) as caught:
-        decoding.stack_images([second, whole.replace(old, new)])
+def test_another_image_is_refused(old: bytes, new: bytes, fault: str) -> None:
+    messages, second = rows(ImageFrame(3, "khepera0/k213").messages(np.array([0, 1]), IMAGES))
+    assert messages.count(old) == 1
+    with pytest.raises(decoding.DecodeError, match=fault) as caught:
+        decoding.stack_images([second, messages.replace(old, new)])
     assert caught.value.row == 1
 
 

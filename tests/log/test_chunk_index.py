@@ -1,4 +1,4 @@
-"""The index of chunks: what mcap reads of it is what is in the file, and it stays small while it grows."""
+"""The index of chunks: mcap reads from it the content of the file, and its memory stays small."""
 
 import tracemalloc
 from io import BytesIO
@@ -10,7 +10,7 @@ from mcap.records import MessageIndex
 
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.chunk_index import ChunkIndex
-from khep_twin.log.record_bytes import HEAD, RecordBytes, parse_record, iterate_records
+from khep_twin.log.record_bytes import HEAD, RecordBytes, iterate_records, parse_record
 
 DAY = 172_800
 """Chunks of a day of `serve`, one each half second."""
@@ -30,14 +30,14 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
     data = buffer.getvalue()
     summary = make_reader(BytesIO(data)).get_summary()
     assert summary is not None
-    found = {each.chunk_start_offset: each for each in summary.chunk_indexes}
+    chunk_indexes = {chunk_index.chunk_start_offset: chunk_index for chunk_index in summary.chunk_indexes}
     records = RecordBytes(data)
     chunks = 0
     for opcode, start, end in iterate_records(data[8:]):
         place = start + 8 - HEAD.size
         if opcode == Opcode.CHUNK:
             chunks += 1
-            chunk = found[place]
+            chunk = chunk_indexes[place]
             head, content = records.chunk_head(place), records.chunk(place)
             assert head is not None
             assert content is not None
@@ -50,14 +50,14 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
             assert chunk.chunk_length == end - start + HEAD.size
             assert (chunk.compression, chunk.uncompressed_size) == ("zstd", len(content))
             assert chunk.compressed_size == head[4] - head[3]
-            behind, offsets = end + 8, dict[int, int]()
-            while (index := records.head(behind))[0] == Opcode.MESSAGE_INDEX and index[1] is not None:
-                record = parse_record(Opcode.MESSAGE_INDEX, data[behind + HEAD.size : index[1]])
+            position, offsets = end + 8, dict[int, int]()
+            while (index := records.head(position))[0] == Opcode.MESSAGE_INDEX and index[1] is not None:
+                record = parse_record(Opcode.MESSAGE_INDEX, data[position + HEAD.size : index[1]])
                 assert isinstance(record, MessageIndex)
-                offsets[record.channel_id], behind = behind, index[1]
+                offsets[record.channel_id], position = position, index[1]
             assert chunk.message_index_offsets == offsets
-            assert chunk.message_index_length == behind - end - 8
-    assert chunks == len(found)
+            assert chunk.message_index_length == position - end - 8
+    assert chunks == len(chunk_indexes)
     assert chunks > 1024
 
 

@@ -1,4 +1,4 @@
-"""The scene as URDF: what is drawn, where, and what is not."""
+"""The scene as URDF: which parts are drawn, and where."""
 
 import math
 from xml.etree import ElementTree
@@ -36,7 +36,7 @@ def robot() -> ElementTree.Element:
 
 
 def visuals(robot: ElementTree.Element, link: str) -> dict[str, ElementTree.Element]:
-    return {each.attrib["name"]: each for each in robot.findall(f"link[@name='{link}']/visual")}
+    return {visual.attrib["name"]: visual for visual in robot.findall(f"link[@name='{link}']/visual")}
 
 
 def shape(visual: ElementTree.Element) -> tuple[str, dict[str, str]]:
@@ -84,12 +84,12 @@ def turned(roll: float, pitch: float, yaw: float) -> np.ndarray:
 @pytest.mark.parametrize("pitch", [0.0, 0.3, math.pi / 2, -math.pi / 2])
 @pytest.mark.parametrize("roll", [0.0, -1.1, math.pi / 2])
 def test_rotations_survive_the_angles_of_urdf(roll: float, pitch: float, yaw: float) -> None:
-    quaternion, given = np.zeros(4), turned(roll, pitch, yaw)
-    mujoco.mju_mat2Quat(quaternion, given.flatten())
+    quaternion, expected = np.zeros(4), turned(roll, pitch, yaw)
+    mujoco.mju_mat2Quat(quaternion, expected.flatten())
     quat = " ".join(map(str, quaternion))
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><geom name="g" type="box" size="1 2 3" quat="{quat}"/></worldbody></mujoco>'
     )
     origin = visuals(ElementTree.fromstring(urdf(model)), "world")["g"].find("origin")
-    found = turned(*map(float, origin.attrib["rpy"].split()))
-    assert found == pytest.approx(given, abs=1e-6)
+    rotation = turned(*map(float, origin.attrib["rpy"].split()))
+    assert rotation == pytest.approx(expected, abs=1e-6)

@@ -31,25 +31,29 @@ def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def decoded(path: Path) -> dict[str, list[tuple[int, Any]]]:
-    """All ROS 2 messages by topic, in order of time, as objects of that package."""
-    found: defaultdict[str, list[tuple[int, Any]]] = defaultdict(list)
+    """Return all ROS 2 messages by topic, in order of time, as objects of that package."""
+    messages: defaultdict[str, list[tuple[int, Any]]] = defaultdict(list)
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         summary = reader.get_summary()
         assert summary is not None
         topics = [channel.topic for channel in summary.channels.values() if channel.message_encoding == "cdr"]
         assert set(topics) == {channel.topic for channel in summary.channels.values()} - {"/scene"}
-        for each in reader.iter_decoded_messages(topics=topics):
-            found[each.channel.topic].append((each.message.log_time, each.decoded_message))
-    return found
+        for decoded_message in reader.iter_decoded_messages(topics=topics):
+            messages[decoded_message.channel.topic].append(
+                (decoded_message.message.log_time, decoded_message.decoded_message)
+            )
+    return messages
 
 
 def test_numbers_are_the_same(run: Path) -> None:
     messages, series = decoded(run), read_series(run).series
     compared = set()
-    for topic, (first, *_) in ((topic, [each for _, each in found]) for topic, found in messages.items()):
+    for topic, (first, *_) in (
+        (topic, [message for _, message in series]) for topic, series in messages.items()
+    ):
         if topic in series and topic.split("/")[-1] not in FOR_REPEAT:
-            values = np.array([list(each.data) for _, each in messages[topic]])
+            values = np.array([list(message.data) for _, message in messages[topic]])
             assert [time_ns for time_ns, _ in messages[topic]] == series[topic].times_ns.tolist()
             assert values.tolist() == series[topic].values.tolist()
             if hasattr(first, "layout"):
@@ -76,7 +80,7 @@ def test_poses_are_the_same(run: Path) -> None:
     frames = decoded(run)["/tf"]
     assert [time_ns for time_ns, _ in frames] == expected.times_ns.tolist()
     for (time_ns, frame), (x, y, heading) in zip(frames, expected.values.tolist(), strict=True):
-        (base,) = (each for each in frame.transforms if each.child_frame_id == "khepera0/base")
+        (base,) = (transform for transform in frame.transforms if transform.child_frame_id == "khepera0/base")
         assert base.header.frame_id == "world"
         assert base.header.stamp.sec * 10**9 + base.header.stamp.nanosec == time_ns
         place, turn = base.transform.translation, base.transform.rotation
@@ -89,11 +93,11 @@ def test_lines_are_the_same(run: Path) -> None:
     messages = decoded(run)
     for topic, lines in read_series(run).lines.items():
         assert lines
-        assert [(time_ns, each.level, each.name, each.msg) for time_ns, each in messages[topic]] == [
-            (line.time_ns, line.level, line.name, line.text) for line in lines
-        ]
-        for time_ns, each in messages[topic]:
-            assert each.stamp.sec * 10**9 + each.stamp.nanosec == time_ns
+        assert [
+            (time_ns, message.level, message.name, message.msg) for time_ns, message in messages[topic]
+        ] == [(line.time_ns, line.level, line.name, line.text) for line in lines]
+        for time_ns, logged in messages[topic]:
+            assert logged.stamp.sec * 10**9 + logged.stamp.nanosec == time_ns
     assert messages["/events"][-1][1].msg == "taken away — au revoir"
 
 
@@ -102,8 +106,8 @@ def test_texts_are_whole(run: Path) -> None:
     assert messages["/robot_description"][0][1].data.endswith("</robot>")
     assert "proximity" in messages["/channel_names"][0][1].data
     with run.open("rb") as file:
-        settings = {each.name: each.data for each in make_reader(file).iter_attachments()}
+        settings = {attachment.name: attachment.data for attachment in make_reader(file).iter_attachments()}
     assert json.loads(settings["configuration.json"])["seed"] == 3
-    assert {type(each).__name__ for found in messages.values() for _, each in found} <= {
+    assert {type(message).__name__ for series in messages.values() for _, message in series} <= {
         name.rpartition("/")[2] for name in SCHEMAS
     }

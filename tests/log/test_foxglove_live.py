@@ -1,4 +1,4 @@
-"""The live view in Foxglove, seen by a client of its protocol: the messages of a log, while a run goes on."""
+"""The live view in Foxglove, read by a client of its protocol: the messages of a log, during a run."""
 
 import json
 import threading
@@ -34,10 +34,10 @@ def server() -> Iterator[FoxgloveServer]:
 
 def by_topic(log: Path) -> dict[str, list[tuple[int, bytes]]]:
     """Times [ns] and messages of a log by topic."""
-    found: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
+    messages: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
     for topic, message in messages_of(log):
-        found[topic].append((message.log_time, message.data))
-    return found
+        messages[topic].append((message.log_time, message.data))
+    return messages
 
 
 def decoded(watcher: FoxgloveClient, message: Sent) -> object:
@@ -61,9 +61,9 @@ def test_a_client_has_the_messages_of_the_log_byte_by_byte(server: FoxgloveServe
         drive(twin)
         twin.flush()
         twin.world.log_event(0, "taken away")
-        found = watcher.until("/events", 2 * SECOND)
+        messages = watcher.until("/events", 2 * SECOND)
     sent: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
-    for message in found:
+    for message in messages:
         sent[message.topic].append((message.time_ns, message.data))
     logged = by_topic(tmp_path / "run.mcap")
     assert logged["/events"][-2:] == sent["/events"]
@@ -81,11 +81,13 @@ def test_an_independent_reader_decodes_them(server: FoxgloveServer) -> None:
         drive(twin)
         twin.flush()
         twin.world.log_event(0, "taken away")
-        found = watcher.until("/events", 2 * SECOND)
+        messages = watcher.until("/events", 2 * SECOND)
         assert watcher.info["capabilities"] == ["time"]  # nothing that a client could change
-    last = {each.topic: decoded(watcher, each) for each in found}
+    last = {message.topic: decoded(watcher, message) for message in messages}
     assert last["/khepera0/speed"].data[2:] == [8.0, 5.0]
-    poses = {each.child_frame_id: each.transform.translation for each in last["/tf"].transforms}
+    poses = {
+        transform.child_frame_id: transform.transform.translation for transform in last["/tf"].transforms
+    }
     x, y, _ = twin.robot.pose
     assert (poses["khepera0/base"].x, poses["khepera0/base"].y) == pytest.approx((x, y), abs=1e-8)
     assert last["/khepera0/serial"].name in ("host", "robot")
@@ -101,13 +103,15 @@ def test_who_subscribes_late_has_the_scene_and_the_time(server: FoxgloveServer, 
         drive(twin, 1)
         with client(server.address) as watcher:
             watcher.subscribe("/events", *STANDING)
-            found = watcher.until(STANDING[-1])  # it has subscribed
+            messages = watcher.until(STANDING[-1])  # it has subscribed
             twin.flush()
             twin.world.log_event(0, "taken away")
             watcher.until("/events")
             watcher.until_time(SECOND)
     logged = by_topic(tmp_path / "run.mcap")
-    assert {each.topic: each.data for each in found} == {topic: logged[topic][0][1] for topic in STANDING}
+    assert {message.topic: message.data for message in messages} == {
+        topic: logged[topic][0][1] for topic in STANDING
+    }
     assert watcher.time_ns == SECOND
 
 
@@ -128,17 +132,17 @@ def test_a_client_that_never_reads_holds_no_run_up(server: FoxgloveServer) -> No
 
 def test_another_run_begins_a_new_session(server: FoxgloveServer) -> None:
     with client(server.address) as watcher:
-        said: dict[str, object] = {}
+        reply: dict[str, object] = {}
         for _ in range(60):  # the server may not know its client yet
             with open_twin("default", TwinOptions()) as twin:
                 twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
                 drive(twin, 1)
             with suppress(TimeoutError):
-                while said.get("op") != "serverInfo":
+                while reply.get("op") != "serverInfo":
                     text = watcher.connection.recv(1)
-                    said = json.loads(text) if isinstance(text, str) else {}
+                    reply = json.loads(text) if isinstance(text, str) else {}
                 break
-    assert said["sessionId"] != watcher.info["sessionId"]
+    assert reply["sessionId"] != watcher.info["sessionId"]
 
 
 def test_a_port_in_use_is_one_line(server: FoxgloveServer) -> None:
@@ -152,11 +156,11 @@ def test_the_layout_shows_channels_that_a_log_has(log: Path) -> None:
     layout = json.loads(LAYOUT.read_text())
     topics = {topic for topic, _ in messages_of(log)}
     panels = layout["configById"].values()
-    shown = {path["value"].partition(".")[0] for panel in panels for path in panel.get("paths", [])}
-    shown |= {panel["topicToRender"] for panel in panels if "topicToRender" in panel}
-    shown |= {topic for panel in panels for topic in panel.get("topics", {})}
-    assert shown
-    assert shown <= topics
+    shown_topics = {path["value"].partition(".")[0] for panel in panels for path in panel.get("paths", [])}
+    shown_topics |= {panel["topicToRender"] for panel in panels if "topicToRender" in panel}
+    shown_topics |= {topic for panel in panels for topic in panel.get("topics", {})}
+    assert shown_topics
+    assert shown_topics <= topics
 
 
 def test_what_a_client_sends_changes_nothing(server: FoxgloveServer) -> None:
@@ -175,8 +179,8 @@ def test_what_a_client_sends_changes_nothing(server: FoxgloveServer) -> None:
         watcher.until("/scene")
         drive(twin, 1)
         twin.flush()
-        seen = decoded(watcher, watcher.until("/khepera0/speed", SECOND)[-1])
+        speeds = decoded(watcher, watcher.until("/khepera0/speed", SECOND)[-1])
     with open_twin("default", TwinOptions()) as alone:
         drive(alone, 1)
-    assert seen.data[2:] == [8.0, 5.0]
+    assert speeds.data[2:] == [8.0, 5.0]
     assert twin.robot.pose == alone.robot.pose

@@ -42,8 +42,8 @@ def scene() -> SceneUpdate:
 
 
 def entity(scene: SceneUpdate, name: str) -> SceneUpdate:
-    (found,) = [each for each in scene.entities if each.id == name]
-    return found
+    (entity,) = [candidate for candidate in scene.entities if candidate.id == name]
+    return entity
 
 
 def place(pose: SceneUpdate) -> list[float]:
@@ -67,22 +67,22 @@ def test_what_is_written_is_what_protobuf_itself_would_write(name: str) -> None:
     read = SceneUpdate.FromString(data)
     read.DiscardUnknownFields()
     assert read.SerializeToString(deterministic=True) == data
-    names = [each.id for each in read.entities]
+    names = [entity.id for entity in read.entities]
     assert len(set(names)) == len(names)
     assert scene_update(to_spec(Playpen.load(name)).compile()) == data
 
 
 def test_every_entity_holds_for_ever_and_follows_its_frame(scene: SceneUpdate) -> None:
-    for each in scene.entities:
-        assert each.frame_locked
-        assert each.HasField("timestamp")
-        assert (each.timestamp.seconds, each.timestamp.nanos) == (0, 0)
-        assert (each.lifetime.seconds, each.lifetime.nanos) == (0, 0)
+    for entity in scene.entities:
+        assert entity.frame_locked
+        assert entity.HasField("timestamp")
+        assert (entity.timestamp.seconds, entity.timestamp.nanos) == (0, 0)
+        assert (entity.lifetime.seconds, entity.lifetime.nanos) == (0, 0)
     assert not scene.deletions
 
 
 def test_walls_and_blocks_stand_in_the_world_as_the_playpen_has_them(scene: SceneUpdate) -> None:
-    world = {each.id for each in scene.entities if each.frame_id == "world"}
+    world = {entity.id for entity in scene.entities if entity.frame_id == "world"}
     walls = {f"world/wall_{side}" for side in ("left", "right", "bottom", "top")}
     assert world == walls | {"world/floor", "world/block0", "world/cylinder0", "world/lamp0"}
     (block,) = entity(scene, "world/block0").cubes
@@ -114,9 +114,9 @@ def test_what_moves_is_drawn_in_its_own_frame(scene: SceneUpdate) -> None:
     assert np.abs(place(post.pose)).max() < 0.03
     base = entity(scene, "khepera0/base")
     assert base.frame_id == "khepera0/base"
-    assert max(size(each)[0] for each in base.cylinders) == pytest.approx(0.055, abs=0.002)
+    assert max(size(cylinder)[0] for cylinder in base.cylinders) == pytest.approx(0.055, abs=0.002)
     # Wheels look the same however they turn, and are drawn with the base.
-    assert sum(size(each)[2] == pytest.approx(0.003) for each in base.cylinders) == 2
+    assert sum(size(cylinder)[2] == pytest.approx(0.003) for cylinder in base.cylinders) == 2
 
 
 def test_colours_are_the_models() -> None:
@@ -140,7 +140,7 @@ def test_capsules_and_things_on_what_stands_still_are_drawn_where_they_are() -> 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     read = SceneUpdate.FromString(scene_update(model))
-    assert {each.frame_id for each in read.entities} == {"world"}
+    assert {entity.frame_id for entity in read.entities} == {"world"}
     pin = entity(read, "world/pin")
     (cylinder,) = pin.cylinders
     assert place(cylinder.pose) == pytest.approx(data.geom("pin").xpos.tolist(), abs=1e-12)
@@ -162,9 +162,9 @@ def test_a_log_has_the_scene_once_and_a_frame_for_every_entity(
         expected = scene_update(twin.world.model)
     with log.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
-        found = list(reader.iter_messages(topics=["/scene"]))
+        messages = list(reader.iter_messages(topics=["/scene"]))
     frames = {name for _, message in messages_of(log, "/tf") for name in read_transforms(message.data)}
-    ((schema, channel, message),) = found
+    ((schema, channel, message),) = messages
     assert schema is not None
     assert schema.name == "foxglove.SceneUpdate"
     assert schema.encoding == channel.message_encoding == "protobuf"
@@ -173,5 +173,5 @@ def test_a_log_has_the_scene_once_and_a_frame_for_every_entity(
     # By the definition in the log itself, as a viewer that knows nothing else reads it.
     kinds = GetMessages(FileDescriptorSet.FromString(schema.data).file)
     scene = kinds["foxglove.SceneUpdate"].FromString(message.data)
-    assert {each.frame_id for each in scene.entities} <= frames | {"world"}
-    assert {"cylinder0", "khepera0/gripper/left_finger"} <= {each.frame_id for each in scene.entities}
+    assert {entity.frame_id for entity in scene.entities} <= frames | {"world"}
+    assert {"cylinder0", "khepera0/gripper/left_finger"} <= {entity.frame_id for entity in scene.entities}

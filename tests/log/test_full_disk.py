@@ -1,4 +1,4 @@
-"""Disks that are full, files that may not grow, and descriptors that take nothing: what a log does then."""
+"""Full disks, files that may not grow, and descriptors that accept no bytes: the effects on a log."""
 
 import errno
 import os
@@ -35,8 +35,10 @@ LIMITED = (
     "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2); "
     "from khep_twin.cli.app import main; main()"
 )
-"""`khep-twin` whose files may not grow beyond as many bytes as its first argument says."""
-TOLD = re.compile(r"the log cannot be written any more at (\d+\.\d\d) s: (.*); what came before is kept in ")
+"""`khep-twin` whose files may not grow beyond the number of bytes in its first argument."""
+MESSAGE = re.compile(
+    r"the log cannot be written any more at (\d+\.\d\d) s: (.*); what came before is kept in "
+)
 
 mountable = pytest.mark.skipif(
     subprocess.run(
@@ -47,15 +49,15 @@ mountable = pytest.mark.skipif(
 )
 
 
-def until(part: Path) -> float:
+def end_of(part: Path) -> float:
     """Recovers a part; returns the time of its last sample [s]."""
-    found = recover(part)
-    assert found.is_complete
-    return max(message.log_time for _, message in messages_of(found.path, "/tf")) / SECOND
+    recovery = recover(part)
+    assert recovery.is_complete
+    return max(message.log_time for _, message in messages_of(recovery.path, "/tf")) / SECOND
 
 
 def on_a_small_disk(folder: Path, size: str, words: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """Runs a command on its own disk, which nobody else sees; what it leaves there comes to `folder`."""
+    """Run a command on a private small disk; copy its files to `folder`."""
     disk = folder / "disk"
     disk.mkdir()
     script = (
@@ -69,30 +71,30 @@ def on_a_small_disk(folder: Path, size: str, words: Sequence[str]) -> subprocess
 @mountable
 def test_a_run_on_a_full_disk_ends_with_one_line_and_what_was_written_is_rescued(tmp_path: Path) -> None:
     words = [*KHEP_TWIN, "run", "--seconds", "200", "--log", str(tmp_path / "disk" / "run.mcap")]
-    done = on_a_small_disk(tmp_path, "200k", words)
-    (line,) = [line for line in done.stderr.splitlines() if "khep-twin: " in line]
-    assert done.returncode == 1, done
-    assert (told := TOLD.search(line)), line
-    assert told[2] == "No space left on device"
+    process = on_a_small_disk(tmp_path, "200k", words)
+    (line,) = [line for line in process.stderr.splitlines() if "khep-twin: " in line]
+    assert process.returncode == 1, process
+    assert (message := MESSAGE.search(line)), line
+    assert message[2] == "No space left on device"
     # What a lock-step run had not written yet is at most five simulated seconds.
-    assert float(told[1]) - 5 <= until(tmp_path / "run.mcap.part") <= float(told[1])
+    assert float(message[1]) - 5 <= end_of(tmp_path / "run.mcap.part") <= float(message[1])
 
 
 @mountable
 def test_a_run_that_is_asked_to_carry_on_does_so_without_its_log(tmp_path: Path) -> None:
     log = tmp_path / "disk" / "run.mcap"
     words = [*KHEP_TWIN, "run", "--seconds", "30", "--log", str(log), "--ignore-log-errors"]
-    done = on_a_small_disk(tmp_path, "200k", words)
-    assert done.returncode == 3, done
-    (line,) = [line for line in done.stderr.splitlines() if "khep-twin: " in line]
+    process = on_a_small_disk(tmp_path, "200k", words)
+    assert process.returncode == 3, process
+    (line,) = [line for line in process.stderr.splitlines() if "khep-twin: " in line]
     assert line.endswith("run.mcap.part; the run goes on without it")
-    assert re.search(r"^\d+ cycles in 30\.\d s$", done.stdout, re.MULTILINE), done
-    assert "look at it" not in done.stdout
-    assert until(tmp_path / "run.mcap.part") >= 4
+    assert re.search(r"^\d+ cycles in 30\.\d s$", process.stdout, re.MULTILINE), process
+    assert "look at it" not in process.stdout
+    assert end_of(tmp_path / "run.mcap.part") >= 4
 
 
 def serve_until_it_is_full(log: Path, *options: str) -> tuple[subprocess.Popen[str], str]:
-    """Serves a twin whose log may not grow far, and polls it until it says so or ends."""
+    """Serve a twin whose log may not grow far, and poll it until it reports that or ends."""
     words = ["serve", "default", "--noise", "off", "--log", str(log), *options]
     server = Forked(
         [sys.executable, "-c", LIMITED, "60000", *words],
@@ -122,9 +124,9 @@ def test_a_server_whose_log_may_not_grow_loses_at_most_a_second_and_ends(tmp_pat
     server, line = serve_until_it_is_full(tmp_path / "run.mcap")
     _, rest = server.communicate(timeout=60)
     assert (server.returncode, rest) == (1, "")
-    assert (told := TOLD.search(line)), line
-    assert told[2] == "File too large"
-    assert float(told[1]) - 1 <= until(tmp_path / "run.mcap.part") <= float(told[1])
+    assert (message := MESSAGE.search(line)), line
+    assert message[2] == "File too large"
+    assert float(message[1]) - 1 <= end_of(tmp_path / "run.mcap.part") <= float(message[1])
 
 
 @pytest.mark.long
@@ -133,7 +135,7 @@ def test_a_server_that_is_asked_to_carry_on_goes_on_answering(tmp_path: Path) ->
     server, line = serve_until_it_is_full(tmp_path / "run.mcap", "--ignore-log-errors", "--link", str(link))
     assert line.endswith("; the run goes on without it\n")
     # What was written can be rescued while it goes on.
-    assert until(tmp_path / "run.mcap.part") > 0
+    assert end_of(tmp_path / "run.mcap.part") > 0
     port = os.open(link, os.O_RDWR | os.O_NOCTTY)
     os.write(port, b"B\n")
     reply = b""
@@ -154,36 +156,36 @@ def test_a_controller_that_catches_everything_does_not_hide_it(tmp_path: Path) -
     )
     log = tmp_path / "run.mcap"
     words = ["run", str(controller), "--seconds", "5000", "--log", str(log)]
-    done = run_python([sys.executable, "-c", LIMITED, "45000", *words])
-    assert done.returncode == 1, done
-    assert TOLD.search(done.stderr.splitlines()[-1])
-    assert "look at it" not in done.stdout
+    process = run_python([sys.executable, "-c", LIMITED, "45000", *words])
+    assert process.returncode == 1, process
+    assert MESSAGE.search(process.stderr.splitlines()[-1])
+    assert "look at it" not in process.stdout
 
 
 @pytest.mark.parametrize("command", ["run", "serve"])
 def test_what_to_do_without_a_log_needs_a_log(command: str) -> None:
-    done = CliRunner().invoke(app, [command, "--ignore-log-errors"])
-    assert done.exit_code == 2
-    assert done.stderr == (
+    result = CliRunner().invoke(app, [command, "--ignore-log-errors"])
+    assert result.exit_code == 2
+    assert result.stderr == (
         "khep-twin: --ignore-log-errors is about a log that fails; expected --log FILE.mcap with it\n"
     )
 
 
 def test_a_device_is_no_place_for_a_log() -> None:
-    done = khep_twin("run", "--seconds", "1", "--log", "/dev/full")
-    assert done.returncode == 1
-    (line,) = done.stderr.splitlines()
+    process = khep_twin("run", "--seconds", "1", "--log", "/dev/full")
+    assert process.returncode == 1
+    (line,) = process.stderr.splitlines()
     assert line.startswith("khep-twin: /dev/full: cannot write a log here: this is no regular file")
 
 
 def fill(twin: Twin) -> None:
-    """From here on the log's own descriptor leads to a device that is always full."""
+    """Redirect the log's descriptor to a device that is always full."""
     assert twin.recorder is not None
-    found = twin.recorder.part.resolve()
+    part = twin.recorder.part.resolve()
     (number,) = [
         int(entry.name)
         for entry in Path("/proc/self/fd").iterdir()
-        if entry.is_symlink() and os.path.realpath(entry) == str(found)
+        if entry.is_symlink() and os.path.realpath(entry) == str(part)
     ]
     full = os.open("/dev/full", os.O_WRONLY)
     os.dup2(full, number)
@@ -197,21 +199,21 @@ def test_a_full_device_under_the_log_takes_nothing_of_what_is_there(tmp_path: Pa
     fill(twin)
     with pytest.raises(LogError, match="No space left on device"):
         twin.advance_to(20 * SECOND)
-    assert until(tmp_path / "run.mcap.part") == 2
+    assert end_of(tmp_path / "run.mcap.part") == 2
 
 
 def test_a_log_that_fails_is_reported_once_and_the_run_is_the_same_without_it(
     tmp_path: Path, start: Start
 ) -> None:
-    told: list[str] = []
+    messages: list[str] = []
     twin = open_twin("obstacles", TwinOptions(seed=3))
-    twin.record(tmp_path / "run.mcap", on_failure=told.append)
+    twin.record(tmp_path / "run.mcap", on_failure=messages.append)
     fill(twin)
     drive(twin, 6)
     twin.world.log_event(None, "after")
     twin.close()
     twin.close()
-    (line,) = told
+    (line,) = messages
     assert line.endswith("; the run goes on without it")
     assert twin.recorder is not None
     assert twin.recorder.failure is not None
@@ -221,8 +223,10 @@ def test_a_log_that_fails_is_reported_once_and_the_run_is_the_same_without_it(
 
 
 def test_a_relay_is_reported_once_too_and_no_other_file_gets_its_bytes(tmp_path: Path) -> None:
-    told: list[str] = []
-    recorder = LineRecorder(tmp_path / "run.mcap", {"relay": "/dev/robot"}, lambda: 0, on_failure=told.append)
+    messages: list[str] = []
+    recorder = LineRecorder(
+        tmp_path / "run.mcap", {"relay": "/dev/robot"}, lambda: 0, on_failure=messages.append
+    )
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     size = (tmp_path / "run.mcap.part").stat().st_size
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
@@ -238,7 +242,7 @@ def test_a_relay_is_reported_once_too_and_no_other_file_gets_its_bytes(tmp_path:
         recorder.on_event("too late")
         recorder.flush()
         recorder.close()
-    assert len(told) == 1
+    assert len(messages) == 1
     assert other.read_bytes() == b""
     assert recorder.failure is not None
 
@@ -277,8 +281,8 @@ def test_wherever_a_file_fails_what_it_took_before_is_rescued(tmp_path: Path, wr
         with pytest.raises(LogError, match="nothing to rescue"):
             recover(part)
     else:
-        found = recover(part)
-        assert (found.n_messages, found.is_complete) == (len(written), True)
+        recovery = recover(part)
+        assert (recovery.n_messages, recovery.is_complete) == (len(written), True)
 
 
 def write(file: Failing, written: list[int]) -> None:

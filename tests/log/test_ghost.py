@@ -1,4 +1,4 @@
-"""What views add to a shadow's log."""
+"""Views of a shadow's log: the estimated robot and its particles."""
 
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -31,24 +31,26 @@ from khep_twin.shadow.shadow_viewer import ShadowViewer
 
 def times_ms(recording: Path) -> dict[str, list[int]]:
     """Times at which something is shown, by entity [ms]."""
-    return {entity: [time_ns // MS for time_ns in each] for entity, each in times_of(recording).items()}
+    return {
+        entity: [time_ns // MS for time_ns in times_ns] for entity, times_ns in times_of(recording).items()
+    }
 
 
 def test_a_view_of_a_shadow_has_estimate_reckoning_particles_rays_and_residuals(tmp_path: Path) -> None:
     view([written(tmp_path / "shadow.mcap")], tmp_path / "shadow.rrd")
-    found = times_ms(tmp_path / "shadow.rrd")
-    each = list(range(0, 3001, 50))
+    times = times_ms(tmp_path / "shadow.rrd")
+    expected = list(range(0, 3001, 50))
     for name in ("reckoned", "spread", "expected", "measured"):
-        assert found[f"/ghost/{name}"] == each
-    assert found["/ghost/particles"] == [0, 1000, 2000, 3000]
-    assert found["/trails/khepera0"] == found["/trails/reckoned"] == each[1:]
-    assert "/ghost/truth" not in found
+        assert times[f"/ghost/{name}"] == expected
+    assert times["/ghost/particles"] == [0, 1000, 2000, 3000]
+    assert times["/trails/khepera0"] == times["/trails/reckoned"] == expected[1:]
+    assert "/ghost/truth" not in times
     # Without what was not asked, which would interrupt the curves.
-    assert found["/khepera0/residual_proximity"] == each[::2]
-    assert found["/khepera0/residual_wheels"] == each
-    assert "/khepera0/residual_light" not in found
-    assert found["/event_marks"] == found["/khepera0/events"] == [1000, 2000]
-    assert found["/shadow/state"] == [0, 2000]
+    assert times["/khepera0/residual_proximity"] == expected[::2]
+    assert times["/khepera0/residual_wheels"] == expected
+    assert "/khepera0/residual_light" not in times
+    assert times["/event_marks"] == times["/khepera0/events"] == [1000, 2000]
+    assert times["/shadow/state"] == [0, 2000]
 
 
 def test_a_suspected_fault_is_a_curve_and_the_region_has_the_colour_of_the_state(tmp_path: Path) -> None:
@@ -66,8 +68,8 @@ def test_a_suspected_fault_is_a_curve_and_the_region_has_the_colour_of_the_state
 
 @pytest.mark.parametrize("topic", LINE_TOPICS[:2])
 def test_a_state_or_suspected_faults_that_cannot_be_are_one_line(topic: str, tmp_path: Path) -> None:
-    def other(own: str, time_ns: int, message: bytes) -> bytes:
-        return line_message(TextLine(time_ns, 20, "x", "Odd")) if own == topic else message
+    def other(marked_topic: str, time_ns: int, message: bytes) -> bytes:
+        return line_message(TextLine(time_ns, 20, "x", "Odd")) if marked_topic == topic else message
 
     log = rewritten(written(tmp_path / "shadow.mcap"), tmp_path / "x.mcap", other)
     with pytest.raises(LogError, match=rf"{topic} at 0\.\d000 s: \w+ Odd; expected "):
@@ -108,9 +110,9 @@ def test_a_shadow_is_shown_while_it_goes_on(tmp_path: Path) -> None:
         with rr.RecordingStream("khep_twin") as recording:
             recording.save(tmp_path / "live.rrd")
             follow(growing, recording, lambda: False)
-    found = times_ms(tmp_path / "live.rrd")
-    assert found["/ghost/reckoned"] == list(range(0, 3001, 50))
-    assert sorted(found["/shadow/alarms"]) == [1000, 2000]
+    times = times_ms(tmp_path / "live.rrd")
+    assert times["/ghost/reckoned"] == list(range(0, 3001, 50))
+    assert sorted(times["/shadow/alarms"]) == [1000, 2000]
 
 
 def test_a_viewer_that_cannot_open_is_told_and_leaves_nothing(

@@ -1,4 +1,4 @@
-"""Logs that somebody made up: one line that says where, what and what was expected, never a trace."""
+"""Forged logs: one line with the place, the value and the expectation, never a traceback."""
 
 import json
 import re
@@ -74,15 +74,15 @@ def floats(*numbers: float) -> bytes:
 
 
 def instead(topic: str, data: bytes) -> Callable[[str, int, bytes], bytes]:
-    return lambda each, time_ns, before: data if each == topic else before
+    return lambda message_topic, time_ns, before: data if message_topic == topic else before
 
 
 def attached(name: str, content: bytes | None) -> Callable[[str, bytes], bytes | None]:
     """An attachment has another content, or is missing."""
-    return lambda each, before: content if each == name else before
+    return lambda attachment, before: content if attachment == name else before
 
 
-def told(use: Callable[[Path], object], path: Path) -> str:
+def error_line(use: Callable[[Path], object], path: Path) -> str:
     """The one line that comes of using a log."""
     with pytest.raises(KhepTwinError) as caught:
         use(path)
@@ -120,7 +120,7 @@ def test_host_events_that_cannot_be_are_refused_with_their_position(
 ) -> None:
     numbers, expected = ACTS[name]
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", integers(*numbers)))
-    line = told(again, path)
+    line = error_line(again, path)
     assert "/host_events" in line
     assert re.search(expected, line), line
 
@@ -149,7 +149,7 @@ def test_messages_of_a_wrong_shape_are_refused_with_their_position(
         with open_twin("obstacles", TwinOptions(log=str(tmp_path / "event.mcap"))) as twin:
             twin.world.log_event(0, "taken away")
         path = rewritten(tmp_path / "event.mcap", path, instead(topic, MESSAGES[topic]))
-    line = told(use, path)
+    line = error_line(use, path)
     assert line.startswith(f"{path}: {topic} at 0.0"), line
     assert "; expected " in line
 
@@ -159,7 +159,7 @@ def test_messages_of_a_wrong_shape_are_refused_with_their_position(
 def test_empty_and_foreign_messages_everywhere_are_one_line(
     small: Path, tmp_path: Path, use: Callable[[Path], object], data: bytes
 ) -> None:
-    line = told(use, rewritten(small, tmp_path / "x.mcap", lambda topic, time_ns, before: data))
+    line = error_line(use, rewritten(small, tmp_path / "x.mcap", lambda topic, time_ns, before: data))
     assert "; expected " in line
 
 
@@ -177,8 +177,8 @@ NAMES = {
 def test_robots_that_are_not_there_are_refused(small: Path, tmp_path: Path, names: str) -> None:
     path = rewritten(small, tmp_path / "x.mcap", facts={"robots": names})
     for use in (read_log, read_series):
-        assert re.search(NAMES[names], told(use, path))
-    assert "robots = " in told(again, path)
+        assert re.search(NAMES[names], error_line(use, path))
+    assert "robots = " in error_line(again, path)
 
 
 CONFIGURATIONS = {
@@ -208,7 +208,7 @@ CONFIGURATIONS = {
 @pytest.mark.parametrize("name", CONFIGURATIONS)
 def test_configurations_that_cannot_be_are_one_line(small: Path, tmp_path: Path, name: str) -> None:
     change = attached("configuration.json", CONFIGURATIONS[name])
-    told(again, rewritten(small, tmp_path / "x.mcap", attachment=change))
+    error_line(again, rewritten(small, tmp_path / "x.mcap", attachment=change))
 
 
 @pytest.mark.parametrize(
@@ -219,8 +219,8 @@ def test_attached_files_that_cannot_be_are_one_line(
     small: Path, tmp_path: Path, name: str, content: bytes
 ) -> None:
     path = rewritten(small, tmp_path / "x.mcap", attachment=attached(name, content))
-    assert name in told(lambda path: make_report(read_series(path), str(path)), path)
-    told(again, path)
+    assert name in error_line(lambda path: make_report(read_series(path), str(path)), path)
+    error_line(again, path)
 
 
 LAMPS = [
@@ -236,30 +236,30 @@ POSES = [(float("nan"), 1, 1), (1e308, 1e308, 0), (-5, 3, 0), (100, 100, float("
     ("kind", "data"),
     [
         *((HostEventKind.SET_LAMPS, data) for data in LAMPS),
-        *((HostEventKind.PUT, struct.pack("<3d", *pose)) for pose in POSES),
-        (HostEventKind.SWITCH, struct.pack("<i?", -7, True)),
+        *((HostEventKind.MOVE_ROBOT, struct.pack("<3d", *pose)) for pose in POSES),
+        (HostEventKind.SWITCH_LAMP, struct.pack("<i?", -7, True)),
     ],
-    ids=lambda each: each.name if isinstance(each, HostEventKind) else "",
+    ids=lambda parameter: parameter.name if isinstance(parameter, HostEventKind) else "",
 )
 def test_lamps_and_positions_that_cannot_be_are_one_line(
     small: Path, tmp_path: Path, kind: HostEventKind, data: bytes
 ) -> None:
     message = events_message([(0, HostEvent(kind, 0, None, data))])
-    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
+    error_line(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
 
 
 def test_a_robot_s_speed_that_is_no_number_is_one_line(small: Path, tmp_path: Path) -> None:
     message = events_message([(0, HostEvent(HostEventKind.SEND, 0, None, b"B\n"))])
     facts = {"baud": "9" * 5000}
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message), facts=facts)
-    line = told(lambda path: replay_to_port(read_recorded_run(path), "khep://obstacles"), path)
+    line = error_line(lambda path: replay_to_port(read_recorded_run(path), "khep://obstacles"), path)
     assert "baud = 9999" in line
 
 
 def test_a_host_that_set_its_line_is_still_believed(small: Path, tmp_path: Path) -> None:
     events = [
-        (0, HostEvent(HostEventKind.SET, 0, LineSettings(3_000_000, 2))),
-        (5, HostEvent(HostEventKind.SET, 0, LineSettings(0, 1))),
+        (0, HostEvent(HostEventKind.LINE_SETTINGS, 0, LineSettings(3_000_000, 2))),
+        (5, HostEvent(HostEventKind.LINE_SETTINGS, 0, LineSettings(0, 1))),
         (5, HostEvent(HostEventKind.DISCONNECT, 0)),
     ]
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", events_message(events)))
@@ -269,10 +269,10 @@ def test_a_host_that_set_its_line_is_still_believed(small: Path, tmp_path: Path)
 def test_times_beyond_all_bounds_are_one_line(small: Path, tmp_path: Path) -> None:
     late = rewritten(small, tmp_path / "late.mcap", time=lambda topic, time_ns: 2**64 - 1)
     for use in (read_log, read_series, read_recorded_run, read_arrays, read_end_ns):
-        assert "expected at most" in told(use, late)
+        assert "expected at most" in error_line(use, late)
     line = line_message(TextLine(2**31 * SECOND - SECOND, Level.INFO, "host", "N"))
     path = rewritten(small, tmp_path / "line.mcap", instead("/khepera0/serial", line))
-    assert "expected at most 10.20 s" in told(again, path)
+    assert "expected at most 10.20 s" in error_line(again, path)
 
 
 SCENES = {
@@ -291,31 +291,31 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_that_cannot_be_are_one_line(small: Path, tmp_path: Path, name: str) -> None:
     path = rewritten(small, tmp_path / "x.mcap", attachment=attached("scene.xml", SCENES[name].encode()))
-    assert "scene.xml: " in told(lambda path: view([path], tmp_path / "x.rrd"), path)
+    assert "scene.xml: " in error_line(lambda path: view([path], tmp_path / "x.rrd"), path)
 
 
 def test_a_scene_of_a_run_has_all_its_shapes(small: Path) -> None:
     label = read_label(small)
     model = compile_shapes(label.attachments, label.robots, small)
     with open_twin("obstacles", TwinOptions(seed=3)) as twin:
-        whole = twin.world.model
+        original_model = twin.world.model
     for name in ("nbody", "ngeom", "ncam", "nq"):
-        assert getattr(model, name) == getattr(whole, name), name
-    assert np.allclose(model.geom_pos, whole.geom_pos, atol=1e-6)
+        assert getattr(model, name) == getattr(original_model, name), name
+    assert np.allclose(model.geom_pos, original_model.geom_pos, atol=1e-6)
 
 
 @pytest.mark.parametrize("topic", ["/tf", "/khepera0/proximity", "/events"])
 def test_a_view_of_a_foreign_message_is_one_line(small: Path, tmp_path: Path, topic: str) -> None:
     path = rewritten(small, tmp_path / "x.mcap", instead(topic, CDR_HEADER + bytes(5)))
     if topic != "/events":  # there is none
-        told(lambda path: view([path], tmp_path / "x.rrd"), path)
+        error_line(lambda path: view([path], tmp_path / "x.rrd"), path)
 
 
 def with_schemas(small: Path, path: Path, old: bytes, new: bytes) -> Path:
     """A log whose schemas have other bytes, as many."""
 
     def changed(record: Record) -> Record:
-        inner = tuple(changed(each) for each in record.inner)
+        inner = tuple(changed(part) for part in record.inner)
         is_schema = record.opcode == Opcode.SCHEMA
         return replace(
             record, inner=inner, content=record.content.replace(old, new) if is_schema else record.content
@@ -327,14 +327,14 @@ def with_schemas(small: Path, path: Path, old: bytes, new: bytes) -> Path:
 
 def test_a_view_of_types_that_no_viewer_can_read_is_one_line(small: Path, tmp_path: Path) -> None:
     path = with_schemas(small, tmp_path / "x.mcap", b"uint32 size", b"uint32= size"[:11])
-    line = told(lambda path: view([path], tmp_path / "x.rrd"), path)
+    line = error_line(lambda path: view([path], tmp_path / "x.rrd"), path)
     assert "rerun cannot show it: " in line
     assert not (tmp_path / "x.rrd").exists()
 
 
 def test_types_with_names_of_zero_bytes_are_refused(small: Path, tmp_path: Path) -> None:
     path = with_schemas(small, tmp_path / "x.mcap", b"rcl_interfaces", b"\0cl_interfaces")
-    assert "printable names" in told(lambda path: view([path], tmp_path / "x.rrd"), path)
+    assert "printable names" in error_line(lambda path: view([path], tmp_path / "x.rrd"), path)
     assert read_log(rescue(path).path).robots
 
 
@@ -344,7 +344,7 @@ def test_what_is_not_attached_is_one_line_or_not_needed(small: Path, tmp_path: P
         recording: Recording = read_series(path)
         make_report(recording, str(path))
         if missing != "scene.xml":
-            assert missing in told(again, path)
+            assert missing in error_line(again, path)
 
 
 def test_an_answer_is_shown_without_what_a_terminal_would_obey(small: Path, tmp_path: Path) -> None:
@@ -401,13 +401,15 @@ def test_messages_of_a_line_that_cannot_be_are_one_line_for_shadow_and_conform(
 ) -> None:
     log = rewritten(driven, tmp_path / "x.mcap", instead("/khepera0/serial", data))
     for use in (conform_recording, read_recording):
-        assert "; expected " in told(use, log)
+        assert "; expected " in error_line(use, log)
 
 
 @pytest.mark.parametrize("topic", ["tf", "x", "", "/", "//tf", "proximity", "a/b/c/registers"])
 def test_topics_of_any_form_are_read_over(small: Path, tmp_path: Path, topic: str) -> None:
     path = rewritten(
-        small, tmp_path / "x.mcap", rename=lambda each: topic if each == "/khepera0/leds" else each
+        small,
+        tmp_path / "x.mcap",
+        rename=lambda old_topic: topic if old_topic == "/khepera0/leds" else old_topic,
     )
     for use in (read_log, read_series, read_recorded_run, read_arrays):
         use(path)

@@ -29,7 +29,7 @@ from khep_twin.ports.resume import resume_run
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 NS = 1_000_000_000
-SAID = (b"K,63,0,0,0,32,0,0,0,0\r\n", b"D,200,150\r\n", b"U,4\r\n", b"N\r\n", b"G\r\n")
+COMMANDS = (b"K,63,0,0,0,32,0,0,0,0\r\n", b"D,200,150\r\n", b"U,4\r\n", b"N\r\n", b"G\r\n")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mixed") / "run.mcap"
     with open_twin("arena4-two", TwinOptions(seed=2, log=str(path))) as twin:
         for tenth in range(15):
-            twin.robot.send(SAID[min(tenth, 4)])
+            twin.robot.send(COMMANDS[min(tenth, 4)])
             twin.advance_to((tenth + 1) * NS // 10)
     return path
 
@@ -57,9 +57,9 @@ def test_a_read_log_has_the_channels_of_both_models(mixed: Path) -> None:
     assert large.extra_channels["leds"][-1].tolist() == [63, 0, 0, 0, 32, 0, 0, 0, 0]
     assert not small.extra_channels
     table = run.table()
-    own = table["robot"] == "khepera0"
-    assert table["khepera4_proximity_ground_left"][own].tolist() == large.proximity[:, 8].tolist()
-    assert np.isnan(table["proximity_left_90"][own].astype(float)).all()
+    is_first = table["robot"] == "khepera0"
+    assert table["khepera4_proximity_ground_left"][is_first].tolist() == large.proximity[:, 8].tolist()
+    assert np.isnan(table["proximity_left_90"][is_first].astype(float)).all()
     assert table["speed_left"].dtype == np.int64  # which both have
 
 
@@ -81,27 +81,27 @@ def test_an_export_has_the_columns_of_both_models(mixed: Path, tmp_path: Path) -
 def test_a_view_has_beams_as_long_as_readings_and_leds_in_their_colours(mixed: Path, tmp_path: Path) -> None:
     view([mixed], save=tmp_path / "run.rrd")
     track = khep_twin.read_log(mixed).robots["khepera0"]
-    shown = values_of(tmp_path / "run.rrd", "/obstacles/khepera0_ultrasonic", "LineStrips3D:strips")
-    time_ns, strips = shown[-1]
+    rows = values_of(tmp_path / "run.rrd", "/obstacles/khepera0_ultrasonic", "LineStrips3D:strips")
+    time_ns, strips = rows[-1]
     reading = int(track.extra_channels["ultrasonic"][track.times_ns.tolist().index(time_ns), 2])
     # Its axis is in the middle of the sector, and the sector of a disabled sensor has no size.
     middle = np.array(strips[2])[5]
     assert middle[0] == pytest.approx(RADIUS + reading / 100 * (reading < 1000), abs=1e-4)
     assert np.ptp(np.array(strips[0]), axis=0).max() == 0
     _, colours = values_of(tmp_path / "run.rrd", "/obstacles/khepera0_leds", "Ellipsoids3D:colors")[-1]
-    assert [int(each) >> 8 for each in colours] == [0xFF0000, 0x00FF00, 0]
+    assert [int(colour) >> 8 for colour in colours] == [0xFF0000, 0x00FF00, 0]
     rays = values_of(tmp_path / "run.rrd", "/obstacles/khepera0_sensors", "LineStrips3D:strips")
     assert len(rays[0][1]) == 12 * 5
 
 
 def test_a_report_knows_the_wheels_and_the_further_sensors(mixed: Path) -> None:
-    told = make_report(read_series(mixed), "run.mcap")
-    large, _, small = told.robots
+    page = make_report(read_series(mixed), "run.mcap")
+    large, _, small = page.robots
     assert dict(large.rows)["Distance by counters"].endswith(", 0.0 %")
     assert dict(large.rows)["Collisions"] == "none"
     assert [name for _, _, name in pictures(large)] == ["Sensors", "Wheel speeds", "Further sensors"]
     assert [name for _, _, name in pictures(small)] == ["Sensors", "Wheel speeds"]
-    assert html(told).count(b"<img") == 9
+    assert html(page).count(b"<img") == 9
 
 
 def test_a_run_at_the_serial_line_is_repeated_and_taken_up(mixed: Path) -> None:
@@ -122,12 +122,12 @@ def test_a_run_that_a_program_drove_is_neither_repeated_nor_taken_up(tmp_path: P
 
 def test_a_map_has_the_robots_wheels_arrows_up_ramps_and_no_walls_around_a_table() -> None:
     (axes,) = draw("arena4-ramps").axes
-    (up, *_) = [each for each in axes.patches if isinstance(each, FancyArrowPatch)]
+    (up, *_) = [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
     assert np.ptp(np.array(up.get_path().vertices)[:, 0]) > 0
-    wheels = [each.get_xy() for each in axes.patches if isinstance(each, Polygon)]
+    wheels = [patch.get_xy() for patch in axes.patches if isinstance(patch, Polygon)]
     assert any(np.isclose(np.ptp(corners, axis=0), (42, 6.5)).all() for corners in wheels)
     (axes,) = draw("arena4-table").axes
-    assert not [each for each in axes.patches if isinstance(each, Rectangle)]
+    assert not [patch for patch in axes.patches if isinstance(patch, Rectangle)]
 
 
 def test_ramps_and_the_edge_of_a_table_are_no_obstacles() -> None:

@@ -34,21 +34,21 @@ def test_a_strip_in_pieces_is_the_whole_one(cut: int) -> None:
     times_ns = np.arange(250) * 20_000_000
     images = np.random.default_rng(1).integers(0, 256, (250, 64)).astype(np.float64)
     first, last = Strips(), Strips()
-    whole = pictures(first, times_ns, images)
+    chunk = pictures(first, times_ns, images)
     pieces = pictures(last, times_ns[:cut], images[:cut]) + pictures(last, times_ns[cut:], images[cut:])
-    assert pieces == whole
-    assert len(whole) == 250 * 20_000_000 // ROW_INTERVAL_NS
-    newest = np.frombuffer(whole[-1], np.uint8).reshape(ROWS, 64)
+    assert pieces == chunk
+    assert len(chunk) == 250 * 20_000_000 // ROW_INTERVAL_NS
+    newest = np.frombuffer(chunk[-1], np.uint8).reshape(ROWS, 64)
     assert np.array_equal(newest[-2:], images[[240, 245]])
-    assert np.array_equal(newest[-len(whole)], images[0])
-    assert not newest[: -len(whole)].any()
+    assert np.array_equal(newest[-len(chunk)], images[0])
+    assert not newest[: -len(chunk)].any()
 
 
 def pictures(strips: Strips, times_ns: np.ndarray, images: np.ndarray) -> list[bytes]:
-    found: list[bytes] = []
+    encoded: list[bytes] = []
     for chunk in strips.chunks("khepera0", times_ns, images):
         assert chunk.entity_path == strip("khepera0")
         batch = chunk.to_record_batch()
         buffers = batch.column(batch.schema.get_field_index("Image:buffer"))
-        found += [bytes(row[0]) for row in buffers.to_pylist()]
-    return found
+        encoded += [bytes(row[0]) for row in buffers.to_pylist()]
+    return encoded

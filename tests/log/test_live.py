@@ -1,4 +1,4 @@
-"""Following a log that still grows, and what rerun is handed of it."""
+"""Following a log that still grows, and its data for rerun."""
 
 import os
 import shutil
@@ -30,11 +30,11 @@ from khep_twin.ports.twin import Twin
 
 
 def all_of(log: GrowingLog) -> list[Entry]:
-    """What can be read by now."""
-    found: list[Entry] = []
+    """Return all entries that can be read now."""
+    entries: list[Entry] = []
     while block := log.read_new():
-        found += block
-    return found
+        entries += block
+    return entries
 
 
 def test_what_a_run_writes_is_read_while_it_goes_on(start: Callable[[Path], Twin], tmp_path: Path) -> None:
@@ -50,8 +50,8 @@ def test_what_a_run_writes_is_read_while_it_goes_on(start: Callable[[Path], Twin
         twin.advance_to(3 * SECOND)
         twin.recorder.flush()
         late = all_of(log)
-    assert max(each.time_ns for each in early if each.topic == "/tf") == 2_000_000_000
-    assert min(each.time_ns for each in late if each.topic == "/tf") == 2_020_000_000
+    assert max(entry.time_ns for entry in early if entry.topic == "/tf") == 2_000_000_000
+    assert min(entry.time_ns for entry in late if entry.topic == "/tf") == 2_020_000_000
 
 
 def test_the_end_is_seen_through_the_renaming(start: Callable[[Path], Twin], tmp_path: Path) -> None:
@@ -59,21 +59,21 @@ def test_the_end_is_seen_through_the_renaming(start: Callable[[Path], Twin], tmp
         log = GrowingLog(tmp_path / "run.mcap.part")
         drive(twin)
     with log:
-        found = all_of(log)
+        entries = all_of(log)
     assert log.is_finished
-    assert sum(each.topic == "/khepera0/proximity" for each in found) == 101
+    assert sum(entry.topic == "/khepera0/proximity" for entry in entries) == 101
 
 
 def test_a_record_of_which_a_part_is_written_waits_for_its_rest(log: Path, tmp_path: Path) -> None:
     data = log.read_bytes()
     with _growing(tmp_path / "part", data[:5]) as growing:
-        found = all_of(growing)
+        entries = all_of(growing)
         for start in range(5, len(data), 997):
             with growing.part.open("ab") as file:
                 file.write(data[start : start + 997])
-            found += growing.read_new()
-        with _growing(tmp_path / "whole", data) as whole:
-            assert found == all_of(whole)
+            entries += growing.read_new()
+        with _growing(tmp_path / "whole", data) as complete:
+            assert entries == all_of(complete)
 
 
 def _growing(folder: Path, data: bytes) -> GrowingLog:
@@ -101,7 +101,7 @@ def test_a_damaged_chunk_is_one_line(log: Path, tmp_path: Path) -> None:
 
 
 def _end_of_data(data: bytes) -> int:
-    """Where what the end of a run writes begins."""
+    """Return the position of the first record that the end of a run writes."""
     place = len(MCAP0_MAGIC)
     while data[place] != Opcode.DATA_END:
         place += 9 + int.from_bytes(data[place + 1 : place + 9], "little")

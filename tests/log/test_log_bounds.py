@@ -1,4 +1,4 @@
-"""Files that declare more than they hold: refused in a line, in little memory and at once."""
+"""Files that declare more than they hold: refused in a line, in little memory and without delay."""
 
 import re
 import struct
@@ -60,11 +60,11 @@ def bomb() -> bytes:
     return b"".join([*(packer.compress(zeros) for _ in range(128)), packer.flush()])
 
 
-def said(path: Path) -> list[str]:
+def printed_lines(path: Path) -> list[str]:
     """The lines that come of using a log in little memory."""
-    done = run_python([sys.executable, "-c", CHILD, str(path)], timeout=300)
-    assert (done.returncode, done.stderr) == (0, ""), done.stderr[-2000:]
-    lines = done.stdout.splitlines()
+    process = run_python([sys.executable, "-c", CHILD, str(path)], timeout=300)
+    assert (process.returncode, process.stderr) == (0, ""), process.stderr[-2000:]
+    lines = process.stdout.splitlines()
     assert all(line.startswith(str(path.parent)) for line in lines), lines
     return lines
 
@@ -74,19 +74,24 @@ def test_a_log_put_together_again_is_the_log(parts: list[Record], tmp_path: Path
     path.write_bytes(put_together(parts))
     assert len(read_log(path).robots["khepera0"].times_ns) == 6
     assert read_end_ns(path) == SECOND // 10
-    assert said(path) == []
+    assert printed_lines(path) == []
 
 
 def test_a_chunk_that_unpacks_to_gigabytes_is_refused_in_little_memory(
     parts: list[Record], bomb: bytes, tmp_path: Path
 ) -> None:
     assert len(bomb) < 200_000
-    whole = zstandard.ZstdCompressor(level=1).compress(bytes(1 << 27))
-    lies = {"true": (bomb, 1 << 31), "small": (bomb, 1000), "vast": (bomb, 2**63), "known": (whole, 1000)}
+    compressed = zstandard.ZstdCompressor(level=1).compress(bytes(1 << 27))
+    lies = {
+        "true": (bomb, 1 << 31),
+        "small": (bomb, 1000),
+        "vast": (bomb, 2**63),
+        "known": (compressed, 1000),
+    }
     for name, (packed, size) in lies.items():
         path = tmp_path / f"{name}.mcap"
         path.write_bytes(put_together(with_packed(parts, packed, size)))
-        lines = said(path)
+        lines = printed_lines(path)
         assert len(lines) == 2, lines  # the label is whole, and so is what recover writes
         expected = f"at most {LARGEST_CHUNK}" if size > LARGEST_CHUNK else "what its size and checksum say"
         assert all(re.search(f"chunk at byte [0-9]+.*; expected .*{expected}", line) for line in lines)
@@ -105,7 +110,7 @@ def test_many_chunks_that_unpack_to_much_are_refused_in_time(parts: list[Record]
 
 
 def foot(data: bytes) -> tuple[int, int]:
-    """Where the index begins and where the footer is."""
+    """Return the positions of the index and of the footer."""
     place = len(data) - len(bytes_of(Footer(0, 0, 0))) - len(MCAP0_MAGIC)
     (start,) = struct.unpack_from("<Q", data, place + HEAD.size)
     return start, place
@@ -140,14 +145,14 @@ def test_an_index_that_names_records_across_each_other_is_refused(
     def longer(records: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
         return [
             (
-                each,
+                record,
                 content[:at]
                 + struct.pack("<Q", struct.unpack_from("<Q", content, at)[0] + shift)
                 + content[at + 8 :],
             )
-            if each == opcode
-            else (each, content)
-            for each, content in records
+            if record == opcode
+            else (record, content)
+            for record, content in records
         ]
 
     path = tmp_path / "across.mcap"
@@ -174,10 +179,10 @@ def test_lengths_of_texts_and_counts_are_not_believed(parts: list[Record], tmp_p
     for opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
         for at in range(0, 40, 4):
             changed = [
-                Record(each.opcode, each.content[:at] + b"\xff\xff\xff\x7f" + each.content[at + 4 :])
-                if each.opcode == opcode
-                else each
-                for each in parts
+                Record(part.opcode, part.content[:at] + b"\xff\xff\xff\x7f" + part.content[at + 4 :])
+                if part.opcode == opcode
+                else part
+                for part in parts
             ]
             path = tmp_path / "x.mcap"
             path.write_bytes(put_together(changed))
@@ -190,6 +195,6 @@ def test_lengths_of_texts_and_counts_are_not_believed(parts: list[Record], tmp_p
 def test_what_is_recovered_of_a_bomb_can_be_read(parts: list[Record], bomb: bytes, tmp_path: Path) -> None:
     path = tmp_path / "bomb.mcap"
     path.write_bytes(put_together(with_packed(parts, bomb, 1 << 31)))
-    found = recover(path)
-    assert found.n_damaged == 1
-    read_log(found.path)
+    recovery = recover(path)
+    assert recovery.n_damaged == 1
+    read_log(recovery.path)

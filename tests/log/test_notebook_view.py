@@ -1,4 +1,4 @@
-"""The live view in a notebook: what rerun is handed while a twin runs."""
+"""The live view in a notebook: the data for rerun while a twin runs."""
 
 from contextlib import closing
 from pathlib import Path
@@ -29,9 +29,11 @@ def test_it_is_handed_what_a_replay_shows(tmp_path: Path) -> None:
         shown_live.flush()  # the event comes in a piece without a pose
         twin.world.log_event(0, "taken away")
     view([tmp_path / "run.mcap"], tmp_path / "replay.rrd")
-    shown = entities(tmp_path / "live.rrd")
-    assert {"/tf", "/khepera0/serial", "/khepera0/proximity"} <= shown
-    assert shown >= {each for each in entities(tmp_path / "replay.rrd") if not each.startswith("/__")}
+    live_entities = entities(tmp_path / "live.rrd")
+    assert {"/tf", "/khepera0/serial", "/khepera0/proximity"} <= live_entities
+    assert live_entities >= {
+        entity for entity in entities(tmp_path / "replay.rrd") if not entity.startswith("/__")
+    }
 
 
 def test_without_a_notebook_it_is_one_line() -> None:
@@ -56,4 +58,4 @@ def test_a_log_is_completed_even_if_a_view_fails_at_the_end(tmp_path: Path) -> N
         drive(twin)
         with pytest.raises(OSError, match="no space left"):
             twin.close()
-    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]

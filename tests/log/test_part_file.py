@@ -61,7 +61,7 @@ def test_a_log_that_was_finished_meanwhile_is_no_remains(
 
     monkeypatch.setattr(fcntl, "flock", late)
     assert set_aside(log.part) is None
-    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 
 
 def test_a_run_that_is_given_up_removes_its_own_file_only(
@@ -92,30 +92,30 @@ def test_a_log_that_cannot_be_removed_does_not_hide_why_its_run_has_not_begun(
     assert not log.open
 
 
-@pytest.mark.parametrize("there", ["nothing", "an earlier log", "a link"])
+@pytest.mark.parametrize("occupant", ["nothing", "an earlier log", "a link"])
 @pytest.mark.parametrize("links", [True, False])
 def test_a_file_that_appears_under_a_logs_name_meanwhile_is_kept(
-    there: str, links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    occupant: str, links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, file = tmp_path / "run.mcap", tmp_path / ("other.mcap" if there == "a link" else "run.mcap")
-    if there == "a link":
+    path, file = tmp_path / "run.mcap", tmp_path / ("other.mcap" if occupant == "a link" else "run.mcap")
+    if occupant == "a link":
         path.symlink_to(file)
-    if there == "an earlier log":
+    if occupant == "an earlier log":
         path.write_bytes(MCAP0_MAGIC)
     if not links:
         monkeypatch.setattr(os, "link", _no_links)
     log = LogFile(path, lambda: 0)
     log.describe({}, {"robots": "khepera0"})
     file.write_text("a year's work")
-    kept = file.with_name(f"{file.stem}.kept.mcap")
+    kept_log = file.with_name(f"{file.stem}.kept.mcap")
     with pytest.raises(LogError) as error:
         log.finish()
     assert str(error.value) == (
-        f"{path}: another file is there by now, and stays; what was to be written is {kept}"
+        f"{path}: another file is there by now, and stays; what was to be written is {kept_log}"
     )
     assert file.read_text() == "a year's work"
-    assert read_label(kept).robots == ("khepera0",)
-    assert sorted(tmp_path.iterdir()) == sorted({path, file, kept})
+    assert read_label(kept_log).robots == ("khepera0",)
+    assert sorted(tmp_path.iterdir()) == sorted({path, file, kept_log})
 
 
 @pytest.mark.parametrize("links", [True, False])

@@ -1,4 +1,4 @@
-"""A log read back: the same values as in the world, and one line for what is no log."""
+"""A log read back: the same values as in the world, and one line for a file that is no log."""
 
 import re
 from itertools import chain
@@ -56,9 +56,9 @@ def test_each_channel_comes_back_at_its_own_times(log: Path) -> None:
     run, recording = read_log(log), read_series(log)
     track, series = run.robots["khepera0"], recording.series
     for name in ("pose", "proximity", "ambient", "speed", "duty", "registers"):
-        found = series[f"/khepera0/{name}"]
-        assert found.times_ns.tolist() == track.times_ns.tolist()
-        assert found.values.tolist() == getattr(track, name).tolist()
+        rows = series[f"/khepera0/{name}"]
+        assert rows.times_ns.tolist() == track.times_ns.tolist()
+        assert rows.values.tolist() == getattr(track, name).tolist()
     assert series["/khepera0/registers"].values.dtype == np.int64
     assert recording.lines == {"/khepera0/serial": track.serial, "/events": run.events}
     assert recording.label.metadata == run.metadata
@@ -83,12 +83,14 @@ def test_a_late_reply_alone_in_a_chunk_keeps_its_place(tmp_path: Path) -> None:
         log.add_event(time_ns, "khepera0", text)
         log.flush()
     log.finish()
-    found = [read_line(data).text for _, data in read_raw(path, lambda topic: True)[1]["/events"]]
-    assert found == ["asked", "late", "kept", "asked again"]
-    last, *rest = ([read_line(each.data).text for each in piece] for piece in read_since(path, "/events", 3))
+    events = [read_line(data).text for _, data in read_raw(path, lambda topic: True)[1]["/events"]]
+    assert events == ["asked", "late", "kept", "asked again"]
+    last, *rest = (
+        [read_line(event.data).text for event in piece] for piece in read_since(path, "/events", 3)
+    )
     assert (last, [*chain(*rest)]) == (["kept"], ["asked again"])
     with path.open("rb") as file:
-        parts = [[each.time_ns for each in part] for _, part in Content(file).batches(1)]
+        parts = [[entry.time_ns for entry in part] for _, part in Content(file).batches(1)]
     assert parts == [[1], [3], [4], [9]]
 
 
@@ -112,10 +114,10 @@ def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(LogError) as caught:
         read_log(path)
-    told = f"{path}: no whole log: no MCAP file; expected one that begins and ends as such"
-    assert caught.value.plain == told
+    message = f"{path}: no whole log: no MCAP file; expected one that begins and ends as such"
+    assert caught.value.plain == message
     remedy = " recover " if content.startswith(b"\x89MCAP0") else " run --log run.mcap"
-    assert remedy in str(caught.value).removeprefix(told)
+    assert remedy in str(caught.value).removeprefix(message)
 
 
 def test_a_missing_log_names_the_one_that_was_probably_meant(tmp_path: Path) -> None:
@@ -141,7 +143,7 @@ def test_a_missing_log_and_a_directory_are_one_line(tmp_path: Path) -> None:
 
 
 def reading(path: Path) -> str | None:
-    """What is wrong with a log, None if nothing is."""
+    """Return the message about a log, None for a sound one."""
     try:
         read_log(path)
         read_series(path)
@@ -151,11 +153,11 @@ def reading(path: Path) -> str | None:
 
 
 def test_damage_anywhere_is_one_line_or_harmless(log: Path, tmp_path: Path) -> None:
-    whole, path = log.read_bytes(), tmp_path / "torn.mcap"
-    for place in np.random.default_rng(1).integers(0, len(whole), 40).tolist():
-        path.write_bytes(whole[:place])
+    data, path = log.read_bytes(), tmp_path / "torn.mcap"
+    for place in np.random.default_rng(1).integers(0, len(data), 40).tolist():
+        path.write_bytes(data[:place])
         assert len((reading(path) or "").splitlines()) == 1
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
         assert len((reading(path) or "").splitlines()) <= 1
 
 
@@ -163,10 +165,10 @@ def test_a_log_packed_with_lz4_is_read_and_recovered(log: Path, tmp_path: Path) 
     copy = rewritten(log, tmp_path / "lz4.mcap", compression=CompressionType.LZ4)
     assert read_series(copy).lines == read_series(log).lines
     (tmp_path / "torn.mcap").write_bytes(copy.read_bytes()[:-9])
-    found = recover(tmp_path / "torn.mcap")
-    assert found.n_messages == recover(copy).n_messages > 300
+    recovery = recover(tmp_path / "torn.mcap")
+    assert recovery.n_messages == recover(copy).n_messages > 300
     assert (
-        read_log(found.path).robots["khepera0"].pose.tolist()
+        read_log(recovery.path).robots["khepera0"].pose.tolist()
         == read_log(log).robots["khepera0"].pose.tolist()
     )
 

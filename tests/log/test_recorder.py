@@ -37,10 +37,10 @@ Start = Callable[[Path], Twin]
 
 def records(path: Path) -> list[object]:
     """Every record of a log as it stands in the file; a torn end is left out."""
-    found: list[object] = []
+    records: list[object] = []
     with path.open("rb") as file, suppress(Exception):
-        found += StreamReader(file).records
-    return found
+        records += StreamReader(file).records
+    return records
 
 
 def messages_in(path: Path) -> list[Message]:
@@ -88,13 +88,13 @@ def test_a_log_can_be_completed_by_another_thread_at_any_line_of_a_sample(line: 
 def test_lamps_that_change_are_recorded_and_others_are_not(tmp_path: Path) -> None:
     text = playpen.dump(Playpen.load("two-lamps"))
     for name, mode in (("turns", "sequenced"), ("still", "all")):
-        lit = playpen.parse(text.replace('mode = "all"', f'mode = "{mode}"'), name)
-        with open_twin(lit, TwinOptions(log=str(tmp_path / f"{name}.mcap"))) as twin:
+        playpen_with_mode = playpen.parse(text.replace('mode = "all"', f'mode = "{mode}"'), name)
+        with open_twin(playpen_with_mode, TwinOptions(log=str(tmp_path / f"{name}.mcap"))) as twin:
             twin.advance_to(SECOND)
             # Back to the lower wall, where the lamps are switched.
             twin.robot.send(b"D,-20,-20\n")
             twin.advance_to(4 * SECOND)
-    powers = [read_array(each.data, "d") for _, each in messages_of(tmp_path / "turns.mcap", "/lamps")]
+    powers = [read_array(message.data, "d") for _, message in messages_of(tmp_path / "turns.mcap", "/lamps")]
     assert powers[0] == (7, 0)
     assert len(powers) == 201
     assert powers[-1] == (0, 2)
@@ -108,17 +108,17 @@ def test_a_lamp_that_a_hand_switches_is_recorded_from_then_on(tmp_path: Path) ->
         twin.advance_to(SECOND)
         switch(twin.world, 1, False)
         twin.advance_to(2 * SECOND)
-    found = [(each.log_time, read_array(each.data, "d")) for _, each in messages_of(path, "/lamps")]
-    assert found == [(SECOND + sample * SAMPLE_NS, (7, 0)) for sample in range(1, 51)]
+    powers = [(message.log_time, read_array(message.data, "d")) for _, message in messages_of(path, "/lamps")]
+    assert powers == [(SECOND + sample * SAMPLE_NS, (7, 0)) for sample in range(1, 51)]
 
 
 def test_what_describes_the_run_comes_before_its_first_message(log: Path) -> None:
-    found = records(log)
-    kinds = [type(record) for record in found]
+    log_records = records(log)
+    kinds = [type(record) for record in log_records]
     first = kinds.index(Message)
-    assert isinstance(found[0], Header)
-    assert found[0].library.startswith("khep_twin ")
-    assert [record.name for record in found if isinstance(record, Attachment)] == [
+    assert isinstance(log_records[0], Header)
+    assert log_records[0].library.startswith("khep_twin ")
+    assert [record.name for record in log_records if isinstance(record, Attachment)] == [
         "playpen.toml",
         "scene.xml",
         "configuration.json",
@@ -127,7 +127,7 @@ def test_what_describes_the_run_comes_before_its_first_message(log: Path) -> Non
     for kind in (Attachment, Metadata):
         assert all(place < first for place, other in enumerate(kinds) if other is kind)
     assert all(
-        record.create_time == record.log_time == 0 for record in found if isinstance(record, Attachment)
+        record.create_time == record.log_time == 0 for record in log_records if isinstance(record, Attachment)
     )
 
 
@@ -177,9 +177,9 @@ def test_noise_on_the_line_is_written_as_escapes(tmp_path: Path, start: Start) -
         assert twin.recorder is not None
         twin.recorder.on_bytes(1, 0, True, b"N\x00\xff\x1b\\\n")
         twin.recorder.on_bytes(2, 0, True, b"\xaa" * 5000)
-    first, *others = read_log(tmp_path / "run.mcap").robots["khepera0"].serial
+    first, *rest = read_log(tmp_path / "run.mcap").robots["khepera0"].serial
     assert first.time_ns in (0, 1)
-    assert r"N\x00\xff\x1b\\" in {first.text, *(line.text for line in others)}
+    assert r"N\x00\xff\x1b\\" in {first.text, *(line.text for line in rest)}
 
 
 def test_a_run_ended_by_an_error_is_a_whole_log(tmp_path: Path, start: Start) -> None:
@@ -248,7 +248,7 @@ def test_what_is_no_log_is_left_alone(tmp_path: Path, start: Start, kind: str) -
     with pytest.raises(LogError, match=r"precious.py: cannot write a log here: this (file is no log|is )"):
         start(path).__enter__()
     assert path.stat().st_mode == before
-    assert [each.name for each in tmp_path.iterdir()] == ["precious.py"]
+    assert [path.name for path in tmp_path.iterdir()] == ["precious.py"]
 
 
 def test_what_a_crash_left_behind_is_kept(tmp_path: Path, start: Start) -> None:
@@ -284,16 +284,16 @@ def test_places_where_no_log_can_be_are_one_line_before_anything_is_written(tmp_
 
 
 def fill_disk_after(size: int, monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """From now on files take `size` bytes more; returns the list of what is tried afterwards."""
+    """Let files accept `size` more bytes; return the list of the sizes that later writes try."""
     write, room, tried = os.write, [size], []
 
     def limited(descriptor: int, data: bytes) -> int:
         tried.append(len(data))
         if not room[0]:
             raise OSError(28, "No space left on device")
-        done = write(descriptor, data[: room[0]])
-        room[0] -= done
-        return done
+        n_written = write(descriptor, data[: room[0]])
+        room[0] -= n_written
+        return n_written
 
     monkeypatch.setattr(os, "write", limited)
     return tried
@@ -348,9 +348,9 @@ def test_a_limit_on_file_sizes_is_a_full_disk_too(tmp_path: Path) -> None:
         "with open_twin('default', TwinOptions(log=sys.argv[1])) as twin:\n"
         "    twin.advance_to(60 * 10**9)\n"
     )
-    done = run_python([sys.executable, "-c", program, tmp_path / "run.mcap"])
-    assert "LogError: " in done.stderr.splitlines()[-1]
-    assert "File too large" in done.stderr.splitlines()[-1]
+    process = run_python([sys.executable, "-c", program, tmp_path / "run.mcap"])
+    assert "LogError: " in process.stderr.splitlines()[-1]
+    assert "File too large" in process.stderr.splitlines()[-1]
     (part,) = tmp_path.iterdir()
     assert part.stat().st_size <= 200_000
     assert len(messages_in(part)) > 1000
@@ -364,7 +364,7 @@ def test_a_killed_run_keeps_what_was_flushed(tmp_path: Path) -> None:
         "os.kill(os.getpid(), 9)\n"
     )
     run_python([sys.executable, "-c", program, tmp_path / "run.mcap"])
-    assert max(each.log_time for each in messages_in(tmp_path / "run.mcap.part")) == 2 * SECOND
+    assert max(message.log_time for message in messages_in(tmp_path / "run.mcap.part")) == 2 * SECOND
 
 
 def test_several_robots_and_movable_objects_are_all_recorded(tmp_path: Path) -> None:

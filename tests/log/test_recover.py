@@ -1,4 +1,4 @@
-"""Recovery: all that is whole is kept, what is lost is said, nothing is half-written."""
+"""Recovery: all complete records are kept, losses are reported, no file is half-written."""
 
 import os
 import random
@@ -46,35 +46,35 @@ def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def rescued(folder: Path, data: bytes) -> Recovery | None:
-    """What can be rescued of these bytes; the file is opened, too."""
+    """Return the recovery of these bytes, after its file was read."""
     part = folder / "torn.mcap.part"
     part.write_bytes(data)
     target = folder / "torn.mcap"
     target.unlink(missing_ok=True)
     try:
-        found = recover(part)
+        recovery = recover(part)
     except LogError:
         assert os.listdir(folder) == [part.name]
         return None
     assert sorted(os.listdir(folder)) == [target.name, part.name]
     assert part.read_bytes() == data
-    assert len(messages_of(target)) == found.n_messages
-    return found
+    assert len(messages_of(target)) == recovery.n_messages
+    return recovery
 
 
 def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(long_log.read_bytes())
-    found = recover(path)
-    assert found.path == tmp_path / "run.recovered.mcap"
-    assert found.is_complete
-    assert found.end_ns == 12 * SECOND
-    before, after = messages_of(path), messages_of(found.path)
-    assert [(topic, each.log_time, each.data) for topic, each in before] == [
-        (topic, each.log_time, each.data) for topic, each in after
+    recovery = recover(path)
+    assert recovery.path == tmp_path / "run.recovered.mcap"
+    assert recovery.is_complete
+    assert recovery.end_ns == 12 * SECOND
+    before, after = messages_of(path), messages_of(recovery.path)
+    assert [(topic, message.log_time, message.data) for topic, message in before] == [
+        (topic, message.log_time, message.data) for topic, message in after
     ]
-    assert read_log(found.path).attachments == read_log(path).attachments
-    assert read_log(found.path).metadata == read_log(path).metadata
+    assert read_log(recovery.path).attachments == read_log(path).attachments
+    assert read_log(recovery.path).metadata == read_log(path).metadata
     assert recover(path).path == tmp_path / "run.recovered.2.mcap"
 
 
@@ -90,27 +90,27 @@ def test_more_bytes_never_give_fewer_messages(cuts: int, tmp_path: Path, long_lo
         assert now[1] >= before[1], point
         before = now
     # Opening each takes its time: every third, and what is in it is what was there.
-    whole = [(topic, each.log_time, each.data) for topic, each in messages_of(long_log)]
-    known = set(whole)
+    originals = [(topic, message.log_time, message.data) for topic, message in messages_of(long_log)]
+    original_set = set(originals)
     for point in points[::3]:
-        if (found := rescued(tmp_path, data[:point])) is None:
+        if (recovery := rescued(tmp_path, data[:point])) is None:
             continue
         opened += 1
-        kept = messages_of(found.path)
-        assert {(topic, each.log_time, each.data) for topic, each in kept} <= known
-        if found.n_messages:
-            run = read_log(found.path)
+        recovered = messages_of(recovery.path)
+        assert {(topic, message.log_time, message.data) for topic, message in recovered} <= original_set
+        if recovery.n_messages:
+            run = read_log(recovery.path)
             assert list(run.attachments) == ATTACHMENTS
             assert run.metadata["playpen"] == "obstacles"
     assert opened > cuts // 5
-    assert before[0] == len(whole)
+    assert before[0] == len(originals)
 
 
 @pytest.mark.parametrize("flips", share([40, 300], 2))
 def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(flips: int, long_log: Path) -> None:
     data = long_log.read_bytes()
-    whole = {(topic, each.log_time, each.data) for topic, each in messages_of(long_log)}
-    known = {each[1:] for each in whole}
+    originals = {(topic, message.log_time, message.data) for topic, message in messages_of(long_log)}
+    time_data = {original[1:] for original in originals}
     rng = random.Random(2)
     for _ in range(flips):
         place = rng.randrange(8, len(data))
@@ -118,33 +118,34 @@ def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(flips: int, 
         damaged[place] ^= 1 << rng.randrange(8)
         records = IntactRecords(bytes(damaged))
         # Channels are named in the summary, too: only the chunk that was hit is lost.
-        kept = {
-            (records.channels[each.channel_id].topic, each.log_time, each.data) for each in records.messages()
+        recovered = {
+            (records.channels[message.channel_id].topic, message.log_time, message.data)
+            for message in records.messages()
         }
-        assert len(kept) >= len(whole) * 0.4, place
+        assert len(recovered) >= len(originals) * 0.4, place
         assert sum(not name.name.startswith("damaged/") for name in records.attachments) >= 3, place
         if records.n_damaged == 0 and not records.is_truncated:
-            assert len(kept) == len(whole), place
-        assert {each[1:] for each in kept} <= known, place
+            assert len(recovered) == len(originals), place
+        assert {message[1:] for message in recovered} <= time_data, place
 
 
 def test_damage_in_the_middle_is_skipped_and_said(tmp_path: Path, long_log: Path) -> None:
     data = bytearray(long_log.read_bytes())
     data[len(data) // 2 : len(data) // 2 + 40] = bytes(40)
-    found = rescued(tmp_path, bytes(data))
-    assert found is not None
-    assert (found.n_damaged, found.is_truncated) == (1, False)
-    assert found.end_ns == 12 * SECOND
-    assert 0 < found.n_messages < len(messages_of(long_log))
+    recovery = rescued(tmp_path, bytes(data))
+    assert recovery is not None
+    assert (recovery.n_damaged, recovery.is_truncated) == (1, False)
+    assert recovery.end_ns == 12 * SECOND
+    assert 0 < recovery.n_messages < len(messages_of(long_log))
 
 
 def test_a_damaged_attachment_does_not_pass_for_a_good_one(tmp_path: Path, long_log: Path) -> None:
     data = long_log.read_bytes()
     place = data.index(b"obstacles")
-    found = rescued(tmp_path, data[:place] + b"0bstacles" + data[place + 9 :])
-    assert found is not None
-    assert found.n_damaged == 1
-    assert list(read_log(found.path).attachments) == ["damaged/playpen.toml", *ATTACHMENTS[1:]]
+    recovery = rescued(tmp_path, data[:place] + b"0bstacles" + data[place + 9 :])
+    assert recovery is not None
+    assert recovery.n_damaged == 1
+    assert list(read_log(recovery.path).attachments) == ["damaged/playpen.toml", *ATTACHMENTS[1:]]
 
 
 def test_messages_outside_of_chunks_are_kept(tmp_path: Path) -> None:
@@ -162,9 +163,9 @@ def test_messages_outside_of_chunks_are_kept(tmp_path: Path) -> None:
     counts = [sum(1 for _ in IntactRecords(data[:size]).messages()) for size in range(0, len(data), 7)]
     assert counts == sorted(counts)
     assert counts[-1] == 100
-    found = rescued(folder, data[: len(data) // 2])
-    assert found is not None
-    assert (found.n_messages, found.is_truncated) == (counts[len(data) // 14], True)
+    recovery = rescued(folder, data[: len(data) // 2])
+    assert recovery is not None
+    assert (recovery.n_messages, recovery.is_truncated) == (counts[len(data) // 14], True)
 
 
 def test_exit_codes_tell_all_part_and_nothing(tmp_path: Path, long_log: Path) -> None:
@@ -182,13 +183,13 @@ def test_exit_codes_tell_all_part_and_nothing(tmp_path: Path, long_log: Path) ->
     for name, (content, code) in cases.items():
         part = tmp_path / f"{name}.mcap.part"
         part.write_bytes(content)
-        done = khep_twin("recover", part)
-        assert done.returncode == code, (name, done)
-        assert len((done.stdout + done.stderr).splitlines()) == (1 if code == 1 else 2), (name, done)
+        process = khep_twin("recover", part)
+        assert process.returncode == code, (name, process)
+        assert len((process.stdout + process.stderr).splitlines()) == (1 if code == 1 else 2), (name, process)
         assert (tmp_path / f"{name}.mcap").exists() == (code != 1)
     for path in (folder, tmp_path / "not there.mcap.part"):
-        done = khep_twin("recover", path)
-        assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (1, "", 1)
+        process = khep_twin("recover", path)
+        assert (process.returncode, process.stdout, len(process.stderr.splitlines())) == (1, "", 1)
 
 
 def test_a_log_that_a_run_is_writing_is_left_alone(tmp_path: Path) -> None:
@@ -225,13 +226,13 @@ def test_a_killed_run_is_rescued_and_the_next_one_says_how(tmp_path: Path) -> No
     finally:
         child.send_signal(signal.SIGKILL)
         child.wait()
-    done = khep_twin("run", "--seconds", "1", "--log", log)
-    (told,) = [line for line in done.stderr.splitlines() if "unfinished" in line]
-    remedy = re.search(r"recover (\S+)$", told)
+    process = khep_twin("run", "--seconds", "1", "--log", log)
+    (warning,) = [line for line in process.stderr.splitlines() if "unfinished" in line]
+    remedy = re.search(r"recover (\S+)$", warning)
     assert remedy is not None
     assert remedy[1] == f"{log}.part.1"
-    done = khep_twin("recover", remedy[1])
-    assert (done.returncode, done.stderr) == (0, "")
+    process = khep_twin("recover", remedy[1])
+    assert (process.returncode, process.stderr) == (0, "")
     run = read_log(tmp_path / "run.recovered.mcap")
     assert list(run.attachments) == [*ATTACHMENTS, "controller/controllers.py"]
     # In lock-step what was written up to every fifth simulated second is there.
@@ -263,11 +264,11 @@ def test_what_reads_no_log_is_left_out_and_said(tmp_path: Path, long_log: Path) 
     path = rewritten(long_log, tmp_path / "wrong.mcap", change)
     with pytest.raises(LogError, match=r"/khepera0/proximity at 1\.0000 s"):
         read_log(path)
-    found = recover(path)
-    assert (found.n_refused, found.n_damaged, found.is_complete) == (1, 0, False)
-    assert "1 left out" in summary(path, found)
+    recovery = recover(path)
+    assert (recovery.n_refused, recovery.n_damaged, recovery.is_complete) == (1, 0, False)
+    assert "1 left out" in summary(path, recovery)
     assert (
-        len(read_log(found.path).robots["khepera0"].proximity)
+        len(read_log(recovery.path).robots["khepera0"].proximity)
         == len(read_log(long_log).robots["khepera0"].proximity) - 1
     )
 
@@ -280,11 +281,11 @@ def test_what_is_rescued_of_random_damage_can_be_read(tmp_path: Path, long_log: 
         for _ in range(rng.randrange(1, 30)):
             place, size = rng.randrange(len(data)), rng.choice((1, 1, 8, 100, 5000))
             damaged[place : place + size] = rng.choice((rng.randbytes(size), bytes(size), b""))
-        if (found := rescued(tmp_path, bytes(damaged))) is None:
+        if (recovery := rescued(tmp_path, bytes(damaged))) is None:
             continue
         try:
-            read_log(found.path)
-            read_series(found.path)
+            read_log(recovery.path)
+            read_series(recovery.path)
             opened += 1
         except LogError as error:
             assert "no log of khep_twin" in str(error)  # noqa: PT017

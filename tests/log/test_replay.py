@@ -1,4 +1,4 @@
-"""What rerun makes of a log, with and without our layout, asked of its readers and not of its pictures."""
+"""Recordings of a log in rerun, with and without our layout, by its readers and not by pictures."""
 
 import os
 import shutil
@@ -26,12 +26,12 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 
 
 def components(chunks: list[Chunk]) -> set[tuple[str, str]]:
-    """What is shown where: (entity, component)."""
-    found: set[tuple[str, str]] = set()
+    """Return entity and component of all data."""
+    components: set[tuple[str, str]] = set()
     for chunk in chunks:
         names = [str(field.name) for field in chunk.to_record_batch().schema]
-        found |= {(chunk.entity_path, name) for name in names if ":" in name}
-    return found
+        components |= {(chunk.entity_path, name) for name in names if ":" in name}
+    return components
 
 
 EXPECTED = {
@@ -68,13 +68,13 @@ def test_rerun_names_the_curves_of_a_log_by_itself(log: Path) -> None:
 
 
 def test_the_boards_whole_state_opens_no_plot(log: Path) -> None:
-    found = components(list(McapReader(log).stream()))
-    assert ("/khepera0/registers", "Scalars:scalars") not in found
+    entities = components(list(McapReader(log).stream()))
+    assert ("/khepera0/registers", "Scalars:scalars") not in entities
 
 
 def test_the_scene_for_foxglove_draws_nothing_twice(log: Path) -> None:
-    found = {name for entity, name in components(list(McapReader(log).stream())) if entity == "/scene"}
-    assert {name for name in found if not name.startswith("Mcap")} == {"foxglove.SceneUpdate:message"}
+    names = {name for entity, name in components(list(McapReader(log).stream())) if entity == "/scene"}
+    assert {name for name in names if not name.startswith("Mcap")} == {"foxglove.SceneUpdate:message"}
 
 
 def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path) -> None:
@@ -125,10 +125,10 @@ def test_a_recording_that_fills_the_disk_is_an_error(log: Path, tmp_path: Path, 
         "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]),) * 2)\n"
         "view([Path(sys.argv[1])], Path(sys.argv[2]))\n"
     )
-    done = run_python([sys.executable, "-c", program, log, tmp_path / "run.rrd", size], timeout=30)
-    assert "LogError: " in done.stderr.splitlines()[-1]
+    process = run_python([sys.executable, "-c", program, log, tmp_path / "run.rrd", size], timeout=30)
+    assert "LogError: " in process.stderr.splitlines()[-1]
     reason = "File too large" if size else "No usable temporary directory found"
-    assert f"run.rrd: the recording cannot be written: {reason}" in done.stderr.splitlines()[-1]
+    assert f"run.rrd: the recording cannot be written: {reason}" in process.stderr.splitlines()[-1]
     assert os.listdir(tmp_path) == []
 
 
@@ -142,7 +142,7 @@ def test_without_a_screen_the_way_out_is_named(log: Path, monkeypatch: pytest.Mo
 
 @pytest.fixture
 def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A stand-in for rerun's viewer, which notes what it is asked to show."""
+    """Return a stand-in for rerun's viewer, which records its arguments."""
     noted, program = tmp_path / "noted", tmp_path / "viewer"
     program.write_text(f'#!/bin/sh\nls "$1" > {noted}\necho "$@" >> {noted}\n')
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
@@ -167,7 +167,7 @@ def test_a_viewer_that_fails_is_one_line(log: Path, viewer: Path) -> None:
 
 def test_a_recording_has_khepbase_and_what_the_sensors_look_at(log: Path, tmp_path: Path) -> None:
     view([log], tmp_path / "run.rrd")
-    found = components(chunks_of(tmp_path / "run.rrd"))
+    entities = components(chunks_of(tmp_path / "run.rrd"))
     assert {
         ("/khepera0/khepbase/outline", "LineStrips2D:strips"),
         ("/khepera0/khepbase/full", "LineStrips2D:strips"),
@@ -177,14 +177,14 @@ def test_a_recording_has_khepbase_and_what_the_sensors_look_at(log: Path, tmp_pa
         ("/khepera0/khepbase/speed", "LineStrips2D:strips"),
         ("/obstacles/khepera0_sensors", "LineStrips3D:strips"),
         ("/obstacles/khepera0_sensors", "CoordinateFrame:frame"),
-    } <= found
+    } <= entities
 
 
 def test_bars_are_filled_and_as_long_as_what_they_tell() -> None:
     values = np.array([[0.0, 0.5], [1.0, -1.0]])
     columns = {
-        str(each.component_descriptor()): each.as_arrow_array()
-        for each in robot_panel._bars(values, np.zeros((2, 2)), (1, 2, 3))
+        str(bar.component_descriptor()): bar.as_arrow_array()
+        for bar in robot_panel._bars(values, np.zeros((2, 2)), (1, 2, 3))
     }
     (strips,) = (column for name, column in columns.items() if "strips" in name)
     points = np.array(strips.flatten().to_pylist())  # of each bar eight corners
@@ -201,7 +201,7 @@ def test_bars_are_filled_and_as_long_as_what_they_tell() -> None:
 
 def rows(recording: Path, entity: str, component: str) -> list[tuple[int, list[Any]]]:
     """Time [ns] and values of each row of an entity's component, in order of time."""
-    found: list[tuple[int, list[Any]]] = []
+    series: list[tuple[int, list[Any]]] = []
     for chunk in chunks_of(recording):
         batch = chunk.to_record_batch()
         if chunk.entity_path == entity and component in batch.schema.names:
@@ -211,13 +211,13 @@ def rows(recording: Path, entity: str, component: str) -> list[tuple[int, list[A
                 else [None] * batch.num_rows
             )
             times = [0 if time is None else time.value for time in at]
-            found += zip(times, batch[component].to_pylist(), strict=True)
-    return sorted(found, key=lambda row: row[0])
+            series += zip(times, batch[component].to_pylist(), strict=True)
+    return sorted(series, key=lambda row: row[0])
 
 
 @pytest.fixture
 def at_a_wall(tmp_path: Path) -> Path:
-    """A recording of a robot that looks at a wall 20 mm away, with nothing else near, and drives at it."""
+    """A recording of a robot that looks at a wall 20 mm away, with no other object near, and drives at it."""
     lamps = table("lamp", x_mm=100, y_mm=100, power_w=4)
     lamps += table("lamp", x_mm=100, y_mm=400, power_w=4, on_s=[[0, 0.5]])
     (tmp_path / "wall.toml").write_text(arena() + lamps + robot(552.5, 250))
@@ -236,16 +236,16 @@ def test_curves_show_the_whole_run_and_the_legend_stands_before_it(at_a_wall: Pa
     for chunk in chunks_of(at_a_wall, blueprint=True):
         batch = chunk.to_record_batch()
         if "TimeAxis:view_range" in batch.schema.names:
-            ((found,),) = batch["TimeAxis:view_range"].to_pylist()
-            ranges.append((found["start"], found["end"]))
+            ((view_range,),) = batch["TimeAxis:view_range"].to_pylist()
+            ranges.append((view_range["start"], view_range["end"]))
     assert ranges == [(-160_000_000, 1_020_000_000)] * 4
 
 
 def test_rays_are_as_long_as_what_they_see_and_coloured_by_the_reading(at_a_wall: Path) -> None:
-    found = rows(at_a_wall, "/obstacles/khepera0_sensors", "LineStrips3D:strips")
+    strips = rows(at_a_wall, "/obstacles/khepera0_sensors", "LineStrips3D:strips")
     colours = rows(at_a_wall, "/obstacles/khepera0_sensors", "LineStrips3D:colors")
-    assert len(found) == 11  # ten a second
-    first = np.array(found[0][1]).reshape(8, -1, 2, 3)
+    assert len(strips) == 11  # ten a second
+    first = np.array(strips[0][1]).reshape(8, -1, 2, 3)
     lengths = np.linalg.norm(first[:, :, 1] - first[:, :, 0], axis=-1)
     # Left 10 and right 10 have their middle ray to the wall, 22.5 mm ahead; the back ones see nothing.
     np.testing.assert_allclose(lengths[2:4, 2], 0.0225 / np.cos(np.radians(8)), rtol=0.03)
@@ -258,8 +258,8 @@ def test_rays_are_as_long_as_what_they_see_and_coloured_by_the_reading(at_a_wall
 
 
 def test_the_trail_grows_from_pose_to_pose_without_a_gap(at_a_wall: Path) -> None:
-    found = rows(at_a_wall, "/trails/khepera0", "LineStrips3D:strips")
-    strips = np.array([row[0] for _, row in found])
+    trails = rows(at_a_wall, "/trails/khepera0", "LineStrips3D:strips")
+    strips = np.array([row[0] for _, row in trails])
     np.testing.assert_array_equal(strips[1:, 0], strips[:-1, 1])
     assert strips[0, 0, :2] == pytest.approx((0.5525, 0.25), abs=1e-4)
     assert strips[-1, 1, 0] > 0.56
@@ -284,14 +284,14 @@ def test_the_floor_is_lit_by_the_lamps_that_are_on(at_a_wall: Path) -> None:
 def test_a_still_shows_the_end_of_the_run_unless_a_time_is_given(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[float] = []
-    monkeypatch.setattr(replay, "write_still", lambda recording, at_s, *_: asked.append(at_s))
+    intervals: list[float] = []
+    monkeypatch.setattr(replay, "write_still", lambda recording, at_s, *_: intervals.append(at_s))
     assert CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png")]).exit_code == 0
     assert (
         CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png"), "--at", "0"]).exit_code
         == 0
     )
-    assert asked == [2.0, 0.0]
+    assert intervals == [2.0, 0.0]
 
 
 def test_a_still_that_cannot_be_drawn_is_one_line(
@@ -330,10 +330,10 @@ def twins(log: Path, tmp_path: Path) -> list[Path]:
 def test_logs_side_by_side_keep_apart(twins: list[Path], tmp_path: Path) -> None:
     view(twins, tmp_path / "both.rrd")
     chunks = chunks_of(tmp_path / "both.rrd")
-    found = components(chunks)
+    entities = components(chunks)
     for place in (r"/first\/run", r"/second\/run"):
-        assert {(place + entity, name) for entity, name in EXPECTED} <= found
-        assert (f"{place}/khepera0/khepbase/proximity", "LineStrips2D:strips") in found
+        assert {(place + entity, name) for entity, name in EXPECTED} <= entities
+        assert (f"{place}/khepera0/khepbase/proximity", "LineStrips2D:strips") in entities
     frames = {
         (chunk.entity_path.split("/run")[0][1:-1], frame.split("/")[0])
         for chunk in chunks

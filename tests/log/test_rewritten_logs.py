@@ -1,4 +1,4 @@
-"""Logs that other tools have written anew: what MCAP allows is read, with the same results everywhere."""
+"""Logs rewritten by other tools: all forms that MCAP allows are read, with the same results."""
 
 from pathlib import Path
 
@@ -16,11 +16,11 @@ from khep_twin.lab.dataset.episodes import episodes_of
 from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.log.reader import (
     read_arrays,
+    read_batches,
     read_end_ns,
     read_first_messages,
     read_label,
     read_log,
-    read_batches,
     read_raw,
     read_since,
 )
@@ -57,18 +57,18 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def wanted(original: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+def expected(original: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     return everything(original, tmp_path_factory.mktemp("wanted"))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("how", REWRITINGS)
 def test_each_command_gives_the_same_of_a_rewritten_log(
-    how: str, original: Path, wanted: dict[str, object], tmp_path: Path
+    how: str, original: Path, expected: dict[str, object], tmp_path: Path
 ) -> None:
     log = rewritten(original, tmp_path / "rewritten.mcap", **REWRITINGS[how])
-    found = everything(log, tmp_path / "found")
-    assert [name for name in wanted if found[name] != wanted[name]] == []
+    contents = everything(log, tmp_path / "found")
+    assert [name for name in expected if contents[name] != expected[name]] == []
 
 
 @pytest.mark.parametrize("how", REWRITINGS)
@@ -94,13 +94,13 @@ def test_what_is_missing_is_said(original: Path, tmp_path: Path) -> None:
 def read(path: Path) -> dict[str, object]:
     """Return a log as each function reads it that the commands call."""
     recorded, resumed = read_recorded_run(path), read_since(path, "/snapshot", SECOND)
-    heads, whole = read_first_messages(path).series, read_log(path)
+    heads, run = read_first_messages(path).series, read_log(path)
     return {
         "label": read_label(path),
-        "tracks": {name: repr(track) for name, track in whole.robots.items()},
-        "events": whole.events,
-        "heads": {topic: (each.times_ns.tolist(), each.values.tolist()) for topic, each in heads.items()},
-        "pieces": [repr(sorted(each.series.items())) for each in read_batches(path)],
+        "tracks": {name: repr(track) for name, track in run.robots.items()},
+        "events": run.events,
+        "heads": {topic: (track.times_ns.tolist(), track.values.tolist()) for topic, track in heads.items()},
+        "pieces": [repr(sorted(batch.series.items())) for batch in read_batches(path)],
         "arrays": repr(sorted(read_arrays(path)[1].items())),
         "recorded": (recorded.events, recorded.states, recorded.lines, recorded.last_ns),
         "resumed": [*order_events(path, resumed, recorded.label.robots)],
@@ -110,32 +110,32 @@ def read(path: Path) -> dict[str, object]:
 
 
 def everything(path: Path, folder: Path) -> dict[str, object]:
-    """Return what comes of a log by each command."""
+    """Return the result of each command for a log."""
     folder.mkdir(exist_ok=True)
     log = folder / "run.mcap"
     log.write_bytes(path.read_bytes())
     (folder / "p.toml").write_text(ARENA)
-    found: dict[str, object] = {}
-    found["export"] = good("export", log.name, "-o", "t.csv", "--transcript", "lines.csv", folder=folder)
+    contents: dict[str, object] = {}
+    contents["export"] = good("export", log.name, "-o", "t.csv", "--transcript", "lines.csv", folder=folder)
     good("export", log.name, "-o", "t.mat", folder=folder)
     good("playpen", "draw", "p.toml", "--log", log.name, "-o", "map.svg", folder=folder)
     good("report", log.name, "-o", "page.html", folder=folder)
-    found["repeat"] = good("repeat", log.name, folder=folder)
-    found["conform"] = khep_twin("conform", log.name, folder=folder).stdout
+    contents["repeat"] = good("repeat", log.name, folder=folder)
+    contents["conform"] = khep_twin("conform", log.name, folder=folder).stdout
     good("branch", log.name, "--at", "1.1", "-o", "branch.mcap", folder=folder)
-    found["branch"] = messages(folder / "branch.mcap")
-    found["view"] = _check_and_copy(log, folder / "copy.mcap", None)
-    found["viewed"] = messages(folder / "copy.mcap")
-    found["recover"] = good("recover", log.name, folder=folder).partition(": ")[2]
-    found["recovered"] = messages(folder / "run.recovered.mcap")
+    contents["branch"] = messages(folder / "branch.mcap")
+    contents["view"] = _check_and_copy(log, folder / "copy.mcap", None)
+    contents["viewed"] = messages(folder / "copy.mcap")
+    contents["recover"] = good("recover", log.name, folder=folder).partition(": ")[2]
+    contents["recovered"] = messages(folder / "run.recovered.mcap")
     episodes = episodes_of(log, find_task("ObstacleAvoidance"), 50_000_000)
-    found["dataset"] = [(each.observations.tolist(), each.rewards.tolist()) for each in episodes]
-    found["end"] = read_end_ns(log)
+    contents["dataset"] = [(episode.observations.tolist(), episode.rewards.tolist()) for episode in episodes]
+    contents["end"] = read_end_ns(log)
     files = ("t.csv", "lines.csv", "t.mat", "map.svg", "page.html")
-    return found | {name: (folder / name).read_bytes() for name in files}
+    return contents | {name: (folder / name).read_bytes() for name in files}
 
 
 def messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
     """Return all messages of a log by topic, in order of time."""
-    _, found, _ = read_raw(path, lambda _: True)
-    return {topic: sorted(each) for topic, each in sorted(found.items())}
+    _, messages, _ = read_raw(path, lambda _: True)
+    return {topic: sorted(rows) for topic, rows in sorted(messages.items())}

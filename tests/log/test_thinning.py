@@ -33,7 +33,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def collected(log: Path, step_ns: int, folder: Path) -> tuple[Collector, list[int], list[str]]:
-    """What views are made of, times of the transcript [ns] and its texts, in a copy."""
+    """Return the collector of a copy, and times [ns] and texts of the transcript."""
     collector, times_ns, texts = Collector(), list[int](), list[str]()
     copy = folder / f"{step_ns}.mcap"
     with copy.open("wb") as file:
@@ -49,7 +49,7 @@ def collected(log: Path, step_ns: int, folder: Path) -> tuple[Collector, list[in
             names = batch.schema.names
             times_ns += batch.column(names.index(TIMELINE)).to_numpy(zero_copy_only=False).tolist()
             texts += batch.column(names.index("TextLog:text")).flatten().to_pylist()
-    return collector, [int(each) for each in times_ns], texts
+    return collector, [int(time_ns) for time_ns in times_ns], texts
 
 
 def test_an_hour_is_shown_whole_and_a_day_is_thinned() -> None:
@@ -59,8 +59,8 @@ def test_an_hour_is_shown_whole_and_a_day_is_thinned() -> None:
 
 
 def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path, tmp_path: Path) -> None:
-    whole, thin = collected(log, 0, tmp_path)[0], collected(log, SECOND, tmp_path)[0]
-    all_samples, samples, poses = whole.samples("khepera0"), thin.samples("khepera0"), thin.poses()
+    full, thin = collected(log, 0, tmp_path)[0], collected(log, SECOND, tmp_path)[0]
+    all_samples, samples, poses = full.samples("khepera0"), thin.samples("khepera0"), thin.poses()
     assert all_samples is not None
     assert samples is not None
     assert poses is not None
@@ -69,7 +69,7 @@ def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path, t
     assert samples.times_ns.tolist() == all_samples.times_ns[first].tolist()
     assert samples.proximity.tolist() == all_samples.proximity[first].tolist()
     assert poses.rows_at(samples.times_ns) is not None
-    assert thin.events()[1] == whole.events()[1] == ["[khepera0] taken away"]
+    assert thin.events()[1] == full.events()[1] == ["[khepera0] taken away"]
 
 
 def test_of_the_transcript_a_command_and_its_reply_are_kept(log: Path, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_any_bitmap_becomes_its_playpen_or_is_reported_to_be_solid(
         with pytest.raises(BitmapError, match="every pixel is solid"):
             to_playpen(solid, "x", mm_per_pixel=120.0)
         return
-    made = to_playpen(solid, "x", mm_per_pixel=120.0, find_place=False)
+    made = to_playpen(solid, "x", mm_per_pixel=120.0, place_robot=False)
     inner, borders = strip(solid)
     assert made.borders == borders
     middles = [(block.x_mm, block.y_mm, block.length_mm * block.width_mm) for block in made.playpen.blocks]

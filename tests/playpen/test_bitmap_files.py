@@ -62,7 +62,7 @@ def refused(data: bytes, *arguments: Any) -> str:
 @pytest.mark.parametrize("dtype", ["u1", "f8"])
 def test_a_scan_is_read_as_it_lies_in_the_file(version: str, dtype: str) -> None:
     found = decode(saved({"btmap1": MARKS.astype(dtype), "other": np.eye(20)}, format=version))
-    assert (found.what, found.scanned) == ("btmap1", True)
+    assert (found.label, found.is_scan) == ("btmap1", True)
     np.testing.assert_array_equal(found.solid, DRAWN)
 
 
@@ -75,7 +75,7 @@ def test_the_only_matrix_is_the_bitmap_whatever_its_name_and_values() -> None:
 @pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA", "LA"])
 def test_a_picture_of_any_kind_is_solid_where_it_is_dark(mode: str) -> None:
     found = decode(png(grey(np.where(DRAWN, 20, 230)).convert(mode, dither=Image.Dither.NONE)))
-    assert (found.what, found.scanned) == ("picture", False)
+    assert (found.label, found.is_scan) == ("picture", False)
     np.testing.assert_array_equal(found.solid, DRAWN)
 
 
@@ -211,7 +211,7 @@ PICTURES = [
 @pytest.mark.parametrize(("kind", "mode", "options"), PICTURES)
 def test_pictures_of_many_kinds_are_read_alike(kind: str, mode: str, options: dict[str, str]) -> None:
     found = decode(saved_as(kind, grey(np.where(DRAWN, 0, 255)).convert(mode), **options))
-    assert (found.what, found.scanned) == ("picture", False)
+    assert (found.label, found.is_scan) == ("picture", False)
     # JPEG blurs the edges.
     assert np.mean(found.solid != DRAWN) < (0.01 if kind == "JPEG" else 1e-9)
 

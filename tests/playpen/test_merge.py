@@ -6,7 +6,7 @@ import pytest
 from khep_twin import playpen
 from khep_twin.board.kernel import PROXIMITY
 from khep_twin.playpen import Block
-from khep_twin.playpen.merge import merged
+from khep_twin.playpen.merge import merge_blocks
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.world import World
 
@@ -17,24 +17,24 @@ def block(x_mm: float, y_mm: float, length_mm: float = 40, width_mm: float = 10,
 
 
 def test_blocks_in_a_line_that_touch_or_cross_are_one() -> None:
-    ((number, one),) = merged([block(100, 50), block(140, 50), block(170, 50)])
+    ((number, one),) = merge_blocks([block(100, 50), block(140, 50), block(170, 50)])
     assert (number, one.x_mm, one.y_mm, one.length_mm, one.width_mm) == (0, 135, 50, 110, 10)
 
 
 def test_blocks_side_by_side_are_one_across() -> None:
-    ((_, one),) = merged([block(100, 50), block(100, 60)])
+    ((_, one),) = merge_blocks([block(100, 50), block(100, 60)])
     assert (one.y_mm, one.length_mm, one.width_mm) == pytest.approx((55, 40, 20))
 
 
 def test_a_checker_of_squares_becomes_one_block() -> None:
     squares = [block(10 + 20 * i, 10 + 20 * k, 20, 20) for i in range(4) for k in range(3)]
-    ((_, one),) = merged(squares)
+    ((_, one),) = merge_blocks(squares)
     assert (one.x_mm, one.y_mm, one.length_mm, one.width_mm) == pytest.approx((40, 30, 80, 60))
 
 
 def test_slanting_blocks_are_merged_along_their_own_axis() -> None:
     step = 40 / np.sqrt(2)
-    ((_, one),) = merged([block(100, 100, angle_deg=45.0), block(100 + step, 100 + step, angle_deg=45.0)])
+    ((_, one),) = merge_blocks([block(100, 100, angle_deg=45.0), block(100 + step, 100 + step, angle_deg=45.0)])
     assert one.length_mm == pytest.approx(80)
     np.testing.assert_allclose([one.x_mm, one.y_mm], 100 + step / 2)
 
@@ -51,7 +51,7 @@ def test_what_differs_is_named_moves_or_leaves_a_gap_stays_apart() -> None:
         block(140, 50, movable=True),
         block(140, 50, angle_deg=1.0),
     ):
-        assert [number for number, _ in merged([first, other])] == [0, 1]
+        assert [number for number, _ in merge_blocks([first, other])] == [0, 1]
 
 
 def test_a_scene_has_fewer_geoms_and_looks_the_same_to_a_robot() -> None:

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle, overlap
-from khep_twin.playpen.overlap import Thing, label, placement_problems
+from khep_twin.playpen.overlap import PlacedPart, part_label, placement_problems
 from khep_twin.playpen.parts import Arena
 
 Points = NDArray[np.float64]
@@ -20,8 +20,8 @@ def arena(side_mm: float) -> Arena:
 
 def thing(
     number: int, footprint: Footprint, *, free: bool = True, bottom: float = 0, top: float = 50
-) -> Thing:
-    return Thing("block", number, None, footprint, bottom, top, free)
+) -> PlacedPart:
+    return PlacedPart("block", number, None, footprint, bottom, top, free)
 
 
 def holds(shape: Footprint, points: Points) -> NDArray[np.bool_]:
@@ -67,7 +67,7 @@ def test_each_free_thing_is_held_against_every_other_thing() -> None:
     expected = {
         (one.number, other.number)
         for one, other in itertools.combinations(things, 2)
-        if (one.free or other.free) and overlap(one.footprint, other.footprint)
+        if (one.is_free or other.is_free) and overlap(one.footprint, other.footprint)
     }
     told = [re.findall(r"block (\d+)", each.text) for each in placement_problems(things, arena(1000))]
     assert {tuple(sorted(map(int, numbers))) for numbers in told} == expected
@@ -85,5 +85,5 @@ def test_things_above_each_other_are_clear_of_each_other(bottom: float, told: in
 
 
 def test_a_label_has_kind_number_and_name() -> None:
-    assert label("block", 2, None) == "block 2"
-    assert label("block", 2, "pillar") == "block 2 (pillar)"
+    assert part_label("block", 2, None) == "block 2"
+    assert part_label("block", 2, "pillar") == "block 2 (pillar)"

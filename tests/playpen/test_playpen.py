@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from khep_twin import playpen as playpens
-from khep_twin.board.turrets import installed
+from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import PlaypenError
 from khep_twin.files.toml_files import PROBLEM_LIMIT
 from khep_twin.playpen import Block, Cylinder, Lamp, Playpen, RobotEntry
 from khep_twin.playpen.footprint import Circle, overlap
-from khep_twin.playpen.overlap import THING_LIMIT
+from khep_twin.playpen.overlap import PART_LIMIT
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 
 HEAD = 'version = 1\nname = "p"\n'
@@ -222,7 +222,7 @@ WRONG_IN_ARENA = {
     "[radio]\nrange = 5\n"
     + ROBOT: "radio: range = 5: unknown key; did you mean 'range_mm'? (choices: range_mm, loss, air_time_ms)",
     ROBOT + 'turrets = ["griper"]\n': "robot 1: turrets = ['griper']: unknown turret 'griper'; "
-    f"did you mean 'gripper'? (choices: {', '.join(installed())})",
+    f"did you mean 'gripper'? (choices: {', '.join(installed_turrets())})",
     ROBOT
     + 'turrets = ["gripper", "gripper"]\n': "robot 1: turrets = ['gripper', 'gripper']: turret 'gripper' is "
     "named twice",
@@ -374,7 +374,7 @@ def test_huge_numbers_and_deep_tables_are_refused() -> None:
 
 
 def test_so_many_objects_are_refused_before_they_are_compared() -> None:
-    lamps = ",".join(["{x_mm=50,y_mm=450,power_w=7}"] * (THING_LIMIT + 1))
+    lamps = ",".join(["{x_mm=50,y_mm=450,power_w=7}"] * (PART_LIMIT + 1))
     (line,) = lines_about(f"lamp = [{lamps}]\n" + HEAD + ARENA)
     assert line == "p.toml: 5001 blocks, cylinders, lamps and robots; expected up to 5000 together"
 

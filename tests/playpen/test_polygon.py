@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from khep_twin.playpen.footprint import Rectangle
-from khep_twin.playpen.polygon import area, contains, corner_before, crossing, distance, pieces, walls_around
+from khep_twin.playpen.polygon import area, contains, corner_before, find_crossing, distance, pieces, walls_around
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 L_SHAPE = [(0.0, 0.0), (300.0, 0.0), (300.0, 100.0), (100.0, 100.0), (100.0, 300.0), (0.0, 300.0)]
@@ -40,7 +40,7 @@ def test_the_area_of_a_polygon_has_the_sign_of_its_sense() -> None:
 def test_a_polygon_that_meets_itself_is_found(
     points: list[tuple[float, float]], meeting: tuple[int, int] | None
 ) -> None:
-    assert crossing(points) == meeting
+    assert find_crossing(points) == meeting
 
 
 def test_what_is_inside_a_polygon() -> None:

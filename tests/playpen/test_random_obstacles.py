@@ -9,7 +9,7 @@ import pytest
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.footprint import Circle, overlap
-from khep_twin.playpen.random_obstacles import LANE_MM, _grown, obstacle_field
+from khep_twin.playpen.random_obstacles import LANE_MM, _grow, obstacle_field
 
 
 def field(density: float, seed: int) -> Playpen:
@@ -28,7 +28,7 @@ def test_a_field_covers_what_was_asked_and_leaves_lanes(density: float, seed: in
     assert density <= area / 1e6 < density + 0.015
     for one, other in itertools.combinations([*shapes, found.robots[0].footprint], 2):
         # A grown rectangle has corners that are farther off; one clear way round is enough.
-        grown, other_grown = (_grown(shape, LANE_MM - 1e-6) for shape in (one, other))
+        grown, other_grown = (_grow(shape, LANE_MM - 1e-6) for shape in (one, other))
         assert not (overlap(grown, other) and overlap(one, other_grown))
     for shape in shapes:
         for way in ((1.0, 0.0), (0.0, 1.0)):

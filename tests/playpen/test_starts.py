@@ -10,7 +10,7 @@ import pytest
 from khep_twin import playpen
 from khep_twin.lab.experiment.start_poses import starts
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.starts import anywhere, at_spots, at_start, free_pose, no_room, starts_rng
+from khep_twin.playpen.starts import anywhere, at_spots, at_start, draw_free_pose, find_obstruction, starts_rng
 from khep_twin.world import World
 
 ARENA = Playpen.load("obstacles")
@@ -20,19 +20,19 @@ def test_runs_and_trials_draw_the_same_pose_by_the_same_seed() -> None:
     for seed in range(10):
         robot = anywhere(ARENA, seed).robots[0]
         (start,) = starts(["random"], ARENA, 0, 1, seed)
-        assert start == (robot.x_mm, robot.y_mm, robot.heading_deg) == free_pose(ARENA, 0, starts_rng(seed))
+        assert start == (robot.x_mm, robot.y_mm, robot.heading_deg) == draw_free_pose(ARENA, 0, starts_rng(seed))
 
 
 def test_the_draws_of_a_seed_stay_those_of_earlier_versions() -> None:
-    assert free_pose(ARENA, 0, starts_rng(3)) == (470.2, 452.2, 172.4)
+    assert draw_free_pose(ARENA, 0, starts_rng(3)) == (470.2, 452.2, 172.4)
 
 
 def test_a_free_pose_has_room_and_one_decimal() -> None:
     rng = np.random.default_rng(1)
     for _ in range(50):
-        start = free_pose(ARENA, 0, rng)
+        start = draw_free_pose(ARENA, 0, rng)
         assert start is not None
-        assert not no_room(ARENA, 0, start[0], start[1])
+        assert not find_obstruction(ARENA, 0, start[0], start[1])
         assert start == tuple(round(each, 1) for each in start)
 
 
@@ -40,7 +40,7 @@ def test_a_full_floor_has_no_free_pose() -> None:
     width, depth = ARENA.arena.width_mm, ARENA.arena.height_mm
     block = playpen.Block(x_mm=width / 2, y_mm=depth / 2, length_mm=width, width_mm=depth, height_mm=50)
     full = ARENA.model_copy(update={"blocks": (block,)})
-    assert free_pose(full, 0, starts_rng(1)) is None
+    assert draw_free_pose(full, 0, starts_rng(1)) is None
 
 
 def test_a_world_takes_the_spot_that_the_seed_draws() -> None:

@@ -9,8 +9,8 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Block, Playpen
 from khep_twin.playpen.footprint import Circle, Rectangle
-from khep_twin.playpen.merge import merged
-from khep_twin.playpen.stripes import panels, panels_within, stretches
+from khep_twin.playpen.merge import merge_blocks
+from khep_twin.playpen.stripes import panels, panels_within, stripe_intervals
 from khep_twin.playpen_to_mjcf import to_spec
 
 PATTERN = ((20.0, "black"), (30.0, "white"))
@@ -26,7 +26,7 @@ def parsed(text: str) -> Playpen:
 
 
 def test_a_pattern_repeats_along_a_side_and_its_last_stripe_is_cut() -> None:
-    found = list(stretches(110, PATTERN))
+    found = list(stripe_intervals(110, PATTERN))
     assert [(first, last) for first, last, _ in found] == [(0, 20), (20, 50), (50, 70), (70, 100), (100, 110)]
     assert [surface for _, _, surface in found] == ["black", "white", "black", "white", "black"]
 
@@ -106,8 +106,8 @@ def test_striped_blocks_are_not_merged() -> None:
     blocks = [
         Block(x_mm=x, y_mm=100, length_mm=20, width_mm=20, height_mm=50, stripes=PATTERN) for x in (100, 120)
     ]
-    assert len(merged(blocks)) == 2
-    assert len(merged([block.model_copy(update={"stripes": ()}) for block in blocks])) == 1
+    assert len(merge_blocks(blocks)) == 2
+    assert len(merge_blocks([block.model_copy(update={"stripes": ()}) for block in blocks])) == 1
 
 
 @pytest.mark.parametrize(

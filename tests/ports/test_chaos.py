@@ -1,4 +1,4 @@
-"""Hosts that come and go as they like, and what they leave behind."""
+"""Hosts that open and close a port at any time, and leave settings, locks and bytes."""
 
 import fcntl
 import os
@@ -64,21 +64,21 @@ def leave_exclusive(path: str) -> None:
 
 
 def two_at_once(path: str) -> None:
-    """Two hosts that take each other's bytes."""
+    """Two hosts that read each other's bytes."""
     with subprocess.Popen(["/bin/sh", "-c", f"exec 3<>{path}; printf 'N\\nB\\n' >&3; exec sleep 0.3"]):
         time.sleep(0.1)
         exchange(path, b"N\nB\n", bytes(200), timeout=0.2)
 
 
 def flow_control(path: str) -> None:
-    """A host that has asked for XON/XOFF and has said XOFF."""
+    """A host that has set XON/XOFF and sent XOFF."""
     with serial.Serial(path, 9600, xonxoff=True, timeout=0.2) as port:
         port.write(b"N\n\x13")
         port.read(10)
 
 
 def wrong_speed(path: str) -> None:
-    """A host at another speed."""
+    """A host at another baud rate."""
     with serial.Serial(path, 38400, stopbits=1, timeout=0.2) as port:
         port.write(b"B\nD,")
         port.read(5)

@@ -1,4 +1,4 @@
-"""A connection of a robot's line to a host, and the loop that serves it, by turns instead of by time."""
+"""A connection of a robot's line to a host, and the loop that serves it, by cycles instead of by time."""
 
 import math
 import os
@@ -23,7 +23,7 @@ REPLY = b"b,5.02,5.01\r\n"
 
 @dataclass
 class Cable:
-    """A host that wakes the loop all the time, and sends what it is told to."""
+    """A host port that always wakes the loop, with a list of results."""
 
     descriptor: int
     news: list[Received] = field(default_factory=list[Received])
@@ -33,7 +33,7 @@ class Cable:
     occupied: bool = True
     bauds: list[int] = field(default_factory=list[int])
 
-    def descriptors(self, room: bool) -> Sequence[int]:
+    def descriptors(self, has_room: bool) -> Sequence[int]:
         return [self.descriptor]
 
     def set_baud(self, baud: int) -> None:
@@ -42,7 +42,7 @@ class Cable:
     def settings(self) -> LineSettings | None:
         return None
 
-    def receive(self, limit: int, answered: bool = False) -> Received:
+    def receive(self, limit: int, is_answered: bool = False) -> Received:
         return self.news.pop(0) if self.news else NOTHING
 
     def write(self, data: bytes) -> None:
@@ -61,45 +61,45 @@ def cable() -> Iterator[Cable]:
     os.close(writer)
 
 
-def turns(count: int) -> Callable[[], bool]:
-    """Let the loop take so many turns."""
-    left = iter(range(count))
-    return lambda: next(left, None) is None
+def cycles_limit(count: int) -> Callable[[], bool]:
+    """Stop the loop after some cycles."""
+    cycles = iter(range(count))
+    return lambda: next(cycles, None) is None
 
 
 def line_ns(n_bytes: int) -> int:
     return n_bytes * 11 * 10**9 // 9600
 
 
-def asked(cable: Cable) -> tuple[Twin, Connection]:
-    """A twin that has just read a command and sends its reply."""
+def open_asked_twin(cable: Cable) -> tuple[Twin, Connection]:
+    """Open a twin that has just read a command and sends its reply."""
     twin = open_twin("default", TwinOptions())
     connection = Connection(twin, twin.robot, cable, print)
-    connection.take()
+    connection.receive()
     twin.advance_to(connection.next_ns())
     return twin, connection
 
 
 def test_bytes_that_are_due_do_not_wait_for_the_world(cable: Cable) -> None:
-    twin, connection = asked(cable)
+    twin, connection = open_asked_twin(cable)
     due_ns = connection.next_ns()
-    connection.give()
-    connection.give_early(due_ns - 1)
+    connection.deliver()
+    connection.deliver_early(due_ns - 1)
     assert cable.written == []
-    connection.give_early(due_ns)
+    connection.deliver_early(due_ns)
     assert cable.written == [b"b"]
     assert twin.world.time_ns < due_ns
 
 
 def test_bytes_wait_for_the_world_while_a_command_may_wait_for_room(cable: Cable) -> None:
-    twin, connection = asked(cable)
+    twin, connection = open_asked_twin(cable)
     due_ns = connection.next_ns()
     cable.news.append(Received(b"B"))
-    connection.take()
-    connection.give_early(due_ns)
+    connection.receive()
+    connection.deliver_early(due_ns)
     assert cable.written == []
     twin.advance_to(due_ns)
-    connection.give()
+    connection.deliver()
     assert cable.written == [b"b"]
 
 
@@ -107,13 +107,13 @@ def test_bytes_wait_for_the_world_while_a_command_may_wait_for_room(cable: Cable
 def test_a_host_that_has_not_woken_the_loop_is_looked_after_regularly_alone(
     look_ns: int, answered: list[bytes], cable: Cable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serving, "LOOK_NS", look_ns)
+    monkeypatch.setattr(serving, "CHECK_INTERVAL_WALL_NS", look_ns)
     scene = Playpen.load("swarm")
     scene = scene.model_copy(update={"robots": scene.robots[:2]})
     twin = open_twin(scene, TwinOptions(robot=None))
     reader, writer = os.pipe()
     quiet = Cable(reader, [Received(b"B\n")])
-    serve(twin, [quiet, cable], WIRE, stop=turns(1), notify=print)
+    serve(twin, [quiet, cable], WIRE, stop=cycles_limit(1), notify=print)
     assert cable.written == [REPLY]
     assert quiet.written == answered
     os.close(reader)
@@ -133,21 +133,21 @@ def test_a_cable_is_told_the_speed_of_the_robots_line_whenever_it_changes(
     cable: Cable, sent: bytes, bauds: list[int]
 ) -> None:
     cable.news = [Received(sent)]
-    twin, connection = asked(cable)
+    twin, connection = open_asked_twin(cable)
     for _ in range(10):
-        connection.take()
+        connection.receive()
         twin.advance_to(twin.world.time_ns + 100_000_000)
     assert cable.bauds == bauds
 
 
 def test_a_reply_comes_in_one_piece_by_the_wire_clock_and_byte_by_byte_at_full_speed(cable: Cable) -> None:
     twin = open_twin("default", TwinOptions())
-    serve(twin, [cable], WIRE, stop=turns(1), notify=print)
+    serve(twin, [cable], WIRE, stop=cycles_limit(1), notify=print)
     assert cable.written == [REPLY]
     assert twin.world.time_ns == line_ns(2) + line_ns(len(REPLY))
     cable.written.clear()
     cable.news.append(Received(b"B\n"))
-    serve(twin, [cable], math.inf, stop=turns(50), notify=print)
+    serve(twin, [cable], math.inf, stop=cycles_limit(50), notify=print)
     assert cable.written == [bytes((byte,)) for byte in REPLY]
 
 
@@ -155,7 +155,7 @@ def test_a_reply_comes_in_one_piece_by_the_wire_clock_and_byte_by_byte_at_full_s
 def test_by_the_wire_clock_a_line_longer_than_the_queue_ends(cable: Cable, unpaced: bool) -> None:
     twin = open_twin("default", TwinOptions(unpaced=unpaced))
     cable.news[:] = [Received(b"x" * QUEUE_LIMIT), Received(b"x" * 10), Received(b"\nB\n")]
-    serve(twin, [cable], WIRE, stop=turns(3), notify=print)
+    serve(twin, [cable], WIRE, stop=cycles_limit(3), notify=print)
     assert cable.written[-1].endswith(REPLY)
     waited_ns = 0 if unpaced else line_ns(QUEUE_LIMIT + 13)
     assert twin.world.time_ns >= waited_ns
@@ -166,13 +166,13 @@ def test_without_time_on_the_line_the_turn_that_reads_a_command_answers_it(
     cable: Cable, speed: float
 ) -> None:
     twin = open_twin("default", TwinOptions(unpaced=True))
-    serve(twin, [cable], speed, stop=turns(1), notify=print)
+    serve(twin, [cable], speed, stop=cycles_limit(1), notify=print)
     assert cable.written == [REPLY]
 
 
 def test_time_goes_on_while_hosts_wake_the_loop_and_send_nothing(cable: Cable) -> None:
     twin = open_twin("default", TwinOptions())
-    end, count = 50_000_000, turns(100_000)
+    end, count = 50_000_000, cycles_limit(100_000)
     serve(twin, [cable], 1000.0, stop=lambda: twin.world.time_ns >= end or count(), notify=print)
     assert twin.world.time_ns >= end
 
@@ -188,7 +188,7 @@ def test_a_command_is_not_answered_later_by_as_much_as_the_loop_was_held_up(
         return receive(*arguments)
 
     monkeypatch.setattr(cable, "receive", receive_late)
-    done = lambda: b"".join(cable.written) == REPLY or time.monotonic() > end  # noqa: E731
-    pacer = serve(twin, [cable], 1.0, stop=done, notify=print)
+    is_done = lambda: b"".join(cable.written) == REPLY or time.monotonic() > end  # noqa: E731
+    pacer = serve(twin, [cable], 1.0, stop=is_done, notify=print)
     assert pacer.slipped_ns >= 400_000_000
     assert twin.world.time_ns < 300_000_000

@@ -1,4 +1,4 @@
-"""What wakes the serving loop."""
+"""Sources that wake the serving loop."""
 
 import os
 import threading
@@ -6,25 +6,25 @@ from pathlib import Path
 
 import pytest
 
-from khep_twin.ports.event_sources import Event, exact_timeouts, open_events
+from khep_twin.ports.event_sources import Event, open_events, set_exact_timeouts
 from khep_twin.ports.pty import PtyPort
 
 
 def test_only_the_thread_that_wants_them_has_exact_timeouts() -> None:
-    own = Path(f"/proc/{threading.get_native_id()}/timerslack_ns")
-    if not own.exists():
+    slack_file = Path(f"/proc/{threading.get_native_id()}/timerslack_ns")
+    if not slack_file.exists():
         pytest.skip("this system has no timerslack_ns")
-    before, inside = own.read_text(), list[str]()
+    before, inside = slack_file.read_text(), list[str]()
 
     def ask() -> None:
-        exact_timeouts()
+        set_exact_timeouts()
         inside.append(Path(f"/proc/{threading.get_native_id()}/timerslack_ns").read_text())
 
     thread = threading.Thread(target=ask)
     thread.start()
     thread.join()
     assert inside == ["1\n"]
-    assert own.read_text() == before
+    assert slack_file.read_text() == before
 
 
 def test_more_events_than_fit_a_read_are_returned_at_once() -> None:

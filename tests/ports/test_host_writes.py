@@ -1,52 +1,57 @@
-"""Bytes that were read are compared with writes that were reported, and divided among hosts."""
+"""Comparison of bytes read with writes reported, and split of the bytes among hosts."""
 
 import pytest
 
-from khep_twin.ports.host_writes import Change, Reading, divide, divide_at_leaving
+from khep_twin.ports.host_writes import Change, ReadState, split_at_departure, split_by_host
 
-EVEN, AHEAD, BEHIND, SPLIT = Reading.EVEN, Reading.AHEAD, Reading.BEHIND, Reading.SPLIT
+MATCHED, UNREPORTED, UNREAD, SPLIT = (
+    ReadState.MATCHED,
+    ReadState.UNREPORTED,
+    ReadState.UNREAD,
+    ReadState.SPLIT,
+)
 
 STAYED = Change()
 
 
 @pytest.mark.parametrize(
-    ("state", "got_bytes", "writes", "more", "next_state"),
+    ("state", "has_read", "writes", "is_full", "next_state"),
     [
-        pytest.param(EVEN, False, 0, False, EVEN, id="nothing-happens"),
-        pytest.param(EVEN, True, 1, False, EVEN, id="a-write-is-read-and-reported"),
-        pytest.param(EVEN, True, 0, False, AHEAD, id="bytes-come-before-their-report"),
-        pytest.param(EVEN, False, 1, False, BEHIND, id="a-report-comes-before-its-bytes"),
-        pytest.param(EVEN, True, 1, True, BEHIND, id="a-reported-write-finds-too-little-room"),
-        pytest.param(EVEN, True, 0, True, SPLIT, id="bytes-before-their-report-find-too-little-room"),
-        pytest.param(EVEN, False, 0, True, BEHIND, id="there-is-no-room-at-all"),
-        pytest.param(AHEAD, False, 0, False, AHEAD, id="the-report-is-still-to-come"),
+        pytest.param(MATCHED, False, 0, False, MATCHED, id="nothing-happens"),
+        pytest.param(MATCHED, True, 1, False, MATCHED, id="a-write-is-read-and-reported"),
+        pytest.param(MATCHED, True, 0, False, UNREPORTED, id="bytes-come-before-their-report"),
+        pytest.param(MATCHED, False, 1, False, UNREAD, id="a-report-comes-before-its-bytes"),
+        pytest.param(MATCHED, True, 1, True, UNREAD, id="a-reported-write-finds-too-little-room"),
+        pytest.param(MATCHED, True, 0, True, SPLIT, id="bytes-before-their-report-find-too-little-room"),
+        pytest.param(MATCHED, False, 0, True, UNREAD, id="there-is-no-room-at-all"),
+        pytest.param(UNREPORTED, False, 0, False, UNREPORTED, id="the-report-is-still-to-come"),
         pytest.param(
-            AHEAD, False, 1, False, BEHIND, id="a-report-without-new-bytes-is-taken-for-a-new-write"
+            UNREPORTED, False, 1, False, UNREAD, id="a-report-without-new-bytes-is-taken-for-a-new-write"
         ),
-        pytest.param(AHEAD, True, 1, False, EVEN, id="a-report-with-new-bytes-ends-all-doubt"),
-        pytest.param(AHEAD, True, 0, False, AHEAD, id="more-bytes-before-any-report"),
-        pytest.param(AHEAD, True, 0, True, SPLIT, id="more-bytes-than-room-before-any-report"),
-        pytest.param(BEHIND, True, 0, False, EVEN, id="the-rest-of-a-write-is-read"),
-        pytest.param(BEHIND, True, 0, True, BEHIND, id="a-part-of-the-rest-is-read"),
-        pytest.param(BEHIND, True, 1, False, EVEN, id="the-rest-and-another-write-are-read"),
-        pytest.param(BEHIND, False, 1, False, BEHIND, id="another-report-and-still-no-bytes"),
-        pytest.param(SPLIT, True, 0, False, AHEAD, id="the-rest-is-read-and-not-reported"),
-        pytest.param(SPLIT, True, 1, False, EVEN, id="the-rest-is-read-and-reported"),
-        pytest.param(SPLIT, True, 1, True, BEHIND, id="a-part-of-the-rest-is-read-and-reported"),
+        pytest.param(UNREPORTED, True, 1, False, MATCHED, id="a-report-with-new-bytes-ends-all-doubt"),
+        pytest.param(UNREPORTED, True, 0, False, UNREPORTED, id="more-bytes-before-any-report"),
+        pytest.param(UNREPORTED, True, 0, True, SPLIT, id="more-bytes-than-room-before-any-report"),
+        pytest.param(UNREAD, True, 0, False, MATCHED, id="the-rest-of-a-write-is-read"),
+        pytest.param(UNREAD, True, 0, True, UNREAD, id="a-part-of-the-rest-is-read"),
+        pytest.param(UNREAD, True, 1, False, MATCHED, id="the-rest-and-another-write-are-read"),
+        pytest.param(UNREAD, False, 1, False, UNREAD, id="another-report-and-still-no-bytes"),
+        pytest.param(SPLIT, True, 0, False, UNREPORTED, id="the-rest-is-read-and-not-reported"),
+        pytest.param(SPLIT, True, 1, False, MATCHED, id="the-rest-is-read-and-reported"),
+        pytest.param(SPLIT, True, 1, True, UNREAD, id="a-part-of-the-rest-is-read-and-reported"),
         pytest.param(SPLIT, True, 0, True, SPLIT, id="a-part-of-the-rest-is-read-and-not-reported"),
     ],
 )
 def test_each_read_and_report_leads_to_the_next_state(
-    state: Reading, got_bytes: bool, writes: int, more: bool, next_state: Reading
+    state: ReadState, has_read: bool, writes: int, is_full: bool, next_state: ReadState
 ) -> None:
-    assert state.after(got_bytes, writes, more) is next_state
+    assert state.next_state(has_read, writes, is_full) is next_state
 
 
-@pytest.mark.parametrize(("state", "unread"), [(EVEN, 2), (AHEAD, 1), (BEHIND, 3), (SPLIT, 2)])
+@pytest.mark.parametrize(("state", "unread"), [(MATCHED, 2), (UNREPORTED, 1), (UNREAD, 3), (SPLIT, 2)])
 def test_of_two_reported_writes_those_read_early_are_done_and_earlier_ones_are_left(
-    state: Reading, unread: int
+    state: ReadState, unread: int
 ) -> None:
-    assert state.unread(2) == unread
+    assert state.count_unread(2) == unread
 
 
 @pytest.mark.parametrize(
@@ -63,26 +68,40 @@ def test_of_two_reported_writes_those_read_early_are_done_and_earlier_ones_are_l
 def test_bytes_are_divided_by_lines(
     data: bytes, n_before: int, n_writes: int, last: bytes, rest: bytes
 ) -> None:
-    assert divide(data, n_before, n_writes) == (last, rest)
+    assert split_by_host(data, n_before, n_writes) == (last, rest)
 
 
 @pytest.mark.parametrize(
     ("state", "first", "is_whole", "rest", "change", "later", "divided"),
     [
         pytest.param(
-            EVEN, b"N\n", True, b"B\n", Change(True, 1, 1), STAYED, (b"N\n", b"B\n"), id="a-write-each"
+            MATCHED, b"N\n", True, b"B\n", Change(True, 1, 1), STAYED, (b"N\n", b"B\n"), id="a-write-each"
         ),
         pytest.param(
-            AHEAD, b"", False, b"B\n", Change(True, 1, 1), STAYED, (b"", b"B\n"), id="the-last-was-read-early"
+            UNREPORTED,
+            b"",
+            False,
+            b"B\n",
+            Change(True, 1, 1),
+            STAYED,
+            (b"", b"B\n"),
+            id="the-last-was-read-early",
         ),
         pytest.param(
-            BEHIND, b"N\n", True, b"B\n", Change(True, 0, 1), STAYED, (b"N\n", b"B\n"), id="some-was-left"
+            UNREAD, b"N\n", True, b"B\n", Change(True, 0, 1), STAYED, (b"N\n", b"B\n"), id="some-was-left"
         ),
         pytest.param(
-            EVEN, b"", False, b"B\n", Change(True), Change(False, 1), (b"", b"B\n"), id="reported-afterwards"
+            MATCHED,
+            b"",
+            False,
+            b"B\n",
+            Change(True),
+            Change(False, 1),
+            (b"", b"B\n"),
+            id="reported-afterwards",
         ),
         pytest.param(
-            EVEN,
+            MATCHED,
             b"N\n",
             True,
             b"B\nO\n",
@@ -92,7 +111,7 @@ def test_bytes_are_divided_by_lines(
             id="two-hosts-left-one-after-the-other",
         ),
         pytest.param(
-            EVEN,
+            MATCHED,
             b"N\n",
             True,
             b"B\nO\n",
@@ -104,7 +123,7 @@ def test_bytes_are_divided_by_lines(
     ],
 )
 def test_bytes_around_a_leaving_are_of_the_right_hosts(
-    state: Reading,
+    state: ReadState,
     first: bytes,
     is_whole: bool,
     rest: bytes,
@@ -112,4 +131,4 @@ def test_bytes_around_a_leaving_are_of_the_right_hosts(
     later: Change,
     divided: tuple[bytes, bytes],
 ) -> None:
-    assert divide_at_leaving(state, first, is_whole, rest, change, later) == divided
+    assert split_at_departure(state, first, is_whole, rest, change, later) == divided

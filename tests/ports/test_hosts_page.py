@@ -1,4 +1,4 @@
-"""docs/hosts.md: its commands serve what they say."""
+"""The commands in docs/hosts.md serve as described."""
 
 import re
 from pathlib import Path

@@ -1,7 +1,7 @@
-"""Hosts of the network that leave in the middle of something: the next is served at once, with no stale byte.
+"""Network hosts that leave within a line or negotiation: the next one is served soon, with no stale byte.
 
-The suite takes a share of them; `KHEP_LEAVINGS=1000` takes 1,000 at a port of each kind and holds the server
-to half a second, as `make long LONG=leavings` does.
+The suite runs some of them; `KHEP_LEAVINGS=1000` runs 1,000 at a port of each kind and requires an answer
+within half a second, as `make long LONG=leavings` does.
 """
 
 import os
@@ -18,7 +18,7 @@ from served_twin import all_of, connected, served, stop
 
 LEAVINGS = int(os.environ.get("KHEP_LEAVINGS", "25"))
 MOST_S = 0.5 if "KHEP_LEAVINGS" in os.environ else 10.0
-"""Longest that a next host may wait: in the suite the machine is busy; on the line 20 kB take 22 s."""
+"""Longest wait of the next host: in the suite the machine is busy; on the line 20 kB take 22 s."""
 
 GREETING = {"--tcp": b"", "--rfc2217": bytes.fromhex("fffb01 fffb03 fffd00 fffb2c")}
 SPEED = bytes.fromhex("fffa2c 01 00002580 fff0")
@@ -28,7 +28,7 @@ KILLED = "import os, socket, sys, time; host = socket.socket(fileno=int(sys.argv
 
 
 def flood(host: socket.socket, data: bytes, size: int) -> None:
-    """Send as much of a flood as finds room."""
+    """Send repeated data until there is no room."""
     host.setblocking(False)
     try:
         for _ in range(-(-size // 10_000)):
@@ -38,28 +38,28 @@ def flood(host: socket.socket, data: bytes, size: int) -> None:
 
 
 def fall_silent(host: socket.socket, rng: random.Random) -> None:
-    """Close with nothing said."""
+    """Send no bytes."""
 
 
 def ask(host: socket.socket, rng: random.Random) -> None:
-    """Ask and leave the replies unread."""
+    """Send commands and leave the replies unread."""
     host.sendall(b"N\nO\nH\n" * rng.randint(1, 20))
     time.sleep(rng.choice([0, 0.005, 0.05]))
 
 
 def begin_a_line(host: socket.socket, rng: random.Random) -> None:
-    """Leave in the middle of a command."""
+    """Send a part of a command."""
     host.sendall(rng.choice([b"G,12", b"N\nG,9", b"L,0,1\nD,", b"restart", b"\n\nB"]))
     time.sleep(rng.choice([0, 0.005]))
 
 
 def negotiate(host: socket.socket, rng: random.Random) -> None:
-    """Leave in the middle of a negotiation; plain bytes to a port that negotiates nothing."""
+    """Send a part of a negotiation, which a port without RFC 2217 treats as plain bytes."""
     host.sendall((SPEED * 3)[: rng.randint(1, 30)])
 
 
 def negotiate_wrongly(host: socket.socket, rng: random.Random) -> None:
-    """Send what is no negotiation."""
+    """Send an invalid negotiation."""
     host.sendall(rng.choice([b"\xff\xf0", b"N\n\xff\xfa\x2c\x01\x01\xff\xf0N\n", b"\xff\xfa" + bytes(400)]))
 
 
@@ -81,7 +81,7 @@ def reset(host: socket.socket) -> None:
 
 
 def finish(host: socket.socket) -> None:
-    """Finish sending, and go on reading: it is closed when the next host has been served."""
+    """Finish sending, but keep reading: it is closed when the next host has been served."""
     try:
         host.shutdown(socket.SHUT_WR)
     except OSError:
@@ -89,7 +89,7 @@ def finish(host: socket.socket) -> None:
 
 
 def die(host: socket.socket) -> None:
-    """Let the last process that has the connection be killed."""
+    """Kill the last process that has the connection."""
     command = [sys.executable, "-S", "-E", "-c", KILLED, str(host.fileno())]
     with subprocess.Popen(command, pass_fds=[host.fileno()]) as process:
         host.close()
@@ -101,14 +101,14 @@ LEAVES = [close, close, reset, reset, finish, die]
 
 
 def served_next(url: str, greeting: bytes, number: int) -> tuple[float, bytes]:
-    """Return how long the next host waits for its own replies, and what it gets [s]."""
+    """Return the time [s] that the next host waits for its replies, and all bytes that it gets."""
     start = time.monotonic()
-    wanted, got = greeting + b"g\r\nh,%d,7\r\n" % number, b""
+    expected, replies = greeting + b"g\r\nh,%d,7\r\n" % number, b""
     with connected(url) as host:
         host.sendall(b"G,%d,7\nH\n" % number)
-        while len(got) < len(wanted) and (more := host.recv(1000)):
-            got += more
-    return time.monotonic() - start, got
+        while len(replies) < len(expected) and (chunk := host.recv(1000)):
+            replies += chunk
+    return time.monotonic() - start, replies
 
 
 @pytest.mark.parametrize("kind", ["--tcp", "--rfc2217"])
@@ -122,9 +122,9 @@ def test_the_host_after_one_that_left_is_served_at_once_with_no_stale_byte(kind:
                 deed(first, rng)
                 leave(first)
                 time.sleep(rng.choice([0, 0, 0.0005, 0.005, 0.03]))
-                waited, got = served_next(url, GREETING[kind], count)
+                waited, replies = served_next(url, GREETING[kind], count)
             named = (count, deed.__name__, leave.__name__)
-            assert got == GREETING[kind] + b"g\r\nh,%d,7\r\n" % count, (named, got)
+            assert replies == GREETING[kind] + b"g\r\nh,%d,7\r\n" % count, (named, replies)
             assert waited < MOST_S, (named, waited)
             times.append(waited)
         code, errors = stop(process)
@@ -150,7 +150,7 @@ def test_a_host_that_has_finished_sending_gets_all_its_replies_through_a_relay()
 
 
 def check_finished_hosts(url: str, greeting: bytes) -> None:
-    """Check that hosts that behave as `nc -N` get their replies to the last, and then the end."""
+    """Check that hosts that behave as `nc -N` get all replies, and then the end of the connection."""
     sent = b"B\n" * 20 + b"C,12"
     # The rest of the third takes longer on the line than the reply, and on the wire clock never crosses it.
     for lines in (sent, sent, b"D,0,0\nD,12345"):

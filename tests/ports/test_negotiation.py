@@ -1,4 +1,4 @@
-"""RFC 2217: what a host may send as a negotiation, and what comes of it."""
+"""RFC 2217: negotiations of hosts, valid and invalid, and their answers."""
 
 import socket
 from pathlib import Path
@@ -26,46 +26,46 @@ OUT_OF_RANGE = {
     "03 4d": "67 01",
     "04 09": "68 02",
 }
-"""Negotiations with a value that there is not, and the answers."""
+"""Negotiations with an invalid value, and their answers."""
 
 GREETING = bytes.fromhex("fffb01 fffb03 fffd00 fffb2c")
 
 
-def negotiated(*sent: bytes) -> tuple[bytes, bytes, Negotiator]:
-    """What reaches the robot, what is answered, and the end that did it."""
+def negotiate(*sent: bytes) -> tuple[bytes, bytes, Negotiator]:
+    """Return the bytes for the robot, the answers, and the negotiator."""
     answers = bytearray()
     negotiator = Negotiator(9600, answers.extend)
     answers.clear()
-    taken = b"".join(map(negotiator.received, sent))
-    return taken, bytes(answers), negotiator
+    data = b"".join(map(negotiator.decode, sent))
+    return data, bytes(answers), negotiator
 
 
 @pytest.mark.parametrize("wrong", TOO_SHORT)
 def test_a_value_too_short_is_a_fault_that_shows_the_bytes(wrong: str) -> None:
-    taken, answers, negotiator = negotiated(b"B\n" + BEGIN + bytes.fromhex(wrong) + END + b"N\n", b"E\n")
+    data, answers, negotiator = negotiate(b"B\n" + BEGIN + bytes.fromhex(wrong) + END + b"N\n", b"E\n")
     assert negotiator.fault.startswith(f"negotiation ff fa 2c {wrong} ff f0 cannot be understood; expected ")
-    assert (taken, answers) == (b"B\n", b"")
+    assert (data, answers) == (b"B\n", b"")
 
 
 def test_an_end_without_a_beginning_is_a_fault() -> None:
-    taken, _, negotiator = negotiated(b"B\n" + END + b"N\n")
+    data, _, negotiator = negotiate(b"B\n" + END + b"N\n")
     assert negotiator.fault.startswith("negotiation ff f0 cannot be understood")
-    assert taken == b"B\n"
+    assert data == b"B\n"
 
 
 @pytest.mark.parametrize("piece", [1, 7, 10_000])
 def test_a_negotiation_without_an_end_is_a_fault_before_it_takes_memory(piece: int) -> None:
     sent = BEGIN + b"x" * 10_000
-    _, _, negotiator = negotiated(*(sent[at : at + piece] for at in range(0, len(sent), piece)))
+    _, _, negotiator = negotiate(*(sent[at : at + piece] for at in range(0, len(sent), piece)))
     assert "78 78 ... without an end cannot be understood" in negotiator.fault
     assert len(negotiator.fault) < 300
 
 
 @pytest.mark.parametrize(("wrong", "answer"), OUT_OF_RANGE.items())
 def test_a_value_out_of_range_is_answered_with_the_one_in_force(wrong: str, answer: str) -> None:
-    taken, answers, negotiator = negotiated(BEGIN + bytes.fromhex(wrong) + END + b"B\n")
+    data, answers, negotiator = negotiate(BEGIN + bytes.fromhex(wrong) + END + b"B\n")
     assert answers == BEGIN + bytes.fromhex(answer) + END
-    assert taken == b"B\n"
+    assert data == b"B\n"
     assert not negotiator.fault
     assert negotiator.settings() == LineSettings(9600, 2)
 
@@ -74,48 +74,50 @@ def test_a_value_out_of_range_is_answered_with_the_one_in_force(wrong: str, answ
     ("mask", "answer"), [("0a 00", "6e 00"), ("0b ff ff", "6f ff ff"), ("0b 10", "6f 10")]
 )
 def test_a_mask_of_notices_is_confirmed(mask: str, answer: str) -> None:
-    taken, answers, negotiator = negotiated(BEGIN + bytes.fromhex(mask) + END + b"B\n")
-    assert (taken, answers, negotiator.fault) == (b"B\n", BEGIN + bytes.fromhex(answer) + END, "")
+    data, answers, negotiator = negotiate(BEGIN + bytes.fromhex(mask) + END + b"B\n")
+    assert (data, answers, negotiator.fault) == (b"B\n", BEGIN + bytes.fromhex(answer) + END, "")
 
 
 def test_states_of_the_line_are_told() -> None:
-    asked = b"".join(BEGIN + bytes((5, state)) + END for state in (4, 7, 10, 8, 9, 7))
-    told = b"".join(BEGIN + bytes((105, state)) + END for state in (6, 8, 11, 8, 9, 9))
-    assert negotiated(asked)[1] == told
+    request = b"".join(BEGIN + bytes((5, state)) + END for state in (4, 7, 10, 8, 9, 7))
+    notices = b"".join(BEGIN + bytes((105, state)) + END for state in (6, 8, 11, 8, 9, 9))
+    assert negotiate(request)[1] == notices
 
 
 def test_the_twin_signs_where_it_is_asked_to() -> None:
-    taken, answers, negotiator = negotiated(BEGIN + b"\0" + END + BEGIN + b"\0a host" + END + b"B\n")
+    data, answers, negotiator = negotiate(BEGIN + b"\0" + END + BEGIN + b"\0a host" + END + b"B\n")
     assert answers == BEGIN + b"\x64" + SIGNATURE + END
     assert SIGNATURE.startswith(b"khep_twin ")
-    assert (taken, negotiator.fault) == (b"B\n", "")
+    assert (data, negotiator.fault) == (b"B\n", "")
 
 
 @pytest.mark.parametrize(
-    ("asked", "in_force"), [*((value, 14) for value in (13, 14, 15, 16, 18)), (17, 1), (19, 1)]
+    ("request", "in_force"), [*((value, 14) for value in (13, 14, 15, 16, 18)), (17, 1), (19, 1)]
 )
-def test_flow_control_that_there_is_not_is_answered_with_what_is_in_force(asked: int, in_force: int) -> None:
-    assert negotiated(BEGIN + bytes((5, asked)) + END)[1] == BEGIN + bytes((105, in_force)) + END
+def test_flow_control_that_there_is_not_is_answered_with_what_is_in_force(
+    request: int, in_force: int
+) -> None:
+    assert negotiate(BEGIN + bytes((5, request)) + END)[1] == BEGIN + bytes((105, in_force)) + END
 
 
 @pytest.mark.parametrize("baud", [LOWEST_BAUD, 19200, HIGHEST_BAUD])
 def test_a_value_in_range_is_taken(baud: int) -> None:
     value = b"\x01" + baud.to_bytes(4, "big")
-    _, answers, negotiator = negotiated(BEGIN + value + END + BEGIN + b"\x04\x01" + END)
+    _, answers, negotiator = negotiate(BEGIN + value + END + BEGIN + b"\x04\x01" + END)
     assert answers == BEGIN + b"\x65" + value[1:] + END + BEGIN + b"\x68\x01" + END
     assert negotiator.settings() == LineSettings(baud, 1)
 
 
 def test_a_nul_behind_a_carriage_return_is_part_of_the_line_end() -> None:
-    assert negotiated(b"\xff\xfc\x00B\r", b"\0N\r\0\0")[0] == b"B\rN\r\0"
+    assert negotiate(b"\xff\xfc\x00B\r", b"\0N\r\0\0")[0] == b"B\rN\r\0"
 
 
 @pytest.mark.parametrize(
     "harmless", ["05", "05 63", "0c", "0c 09", "63 01", "", "00" + " 41" * (LONGEST - 2)]
 )
 def test_what_has_no_answer_is_passed_over(harmless: str) -> None:
-    taken, answers, negotiator = negotiated(BEGIN + bytes.fromhex(harmless) + END + b"B\n")
-    assert (taken, answers, negotiator.fault) == (b"B\n", b"", "")
+    data, answers, negotiator = negotiate(BEGIN + bytes.fromhex(harmless) + END + b"B\n")
+    assert (data, answers, negotiator.fault) == (b"B\n", b"", "")
 
 
 def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
@@ -130,18 +132,18 @@ def test_any_bytes_are_negotiated_with(data: bytes) -> None:
 
 def test_the_seeds_have_what_clients_send(tmp_path: Path) -> None:
     seeds(tmp_path)
-    said = [path.read_bytes() for path in tmp_path.iterdir()]
-    assert len(said) > len(WELL_FORMED + ODD)
-    for data in said:
+    files = [path.read_bytes() for path in tmp_path.iterdir()]
+    assert len(files) > len(WELL_FORMED + ODD)
+    for data in files:
         check(data)
 
 
 @pytest.mark.parametrize("wrong", [b"", b"B\n\n", BEGIN + b"\x02\x07" + END])
 def test_a_negotiator_that_works_wrongly_is_noticed(monkeypatch: pytest.MonkeyPatch, wrong: bytes) -> None:
-    def received(self: Negotiator, data: bytes) -> bytes:
+    def decode_wrongly(self: Negotiator, data: bytes) -> bytes:
         return wrong
 
-    monkeypatch.setattr(Negotiator, "received", received)
+    monkeypatch.setattr(Negotiator, "decode", decode_wrongly)
     with pytest.raises(AssertionError):
         check(b"\0B\n" + BEGIN + b"\x02\x07" + END)
 
@@ -162,9 +164,9 @@ def test_no_negotiation_ends_a_server_or_its_log(tmp_path: Path) -> None:
             assert all_of(host) == GREETING + answers + b"b,5.02,5.01\r\n"
         code, errors = stop(process)
     assert code == 0
-    told = [line.text for line in read_log(log).events if "cut off" in line.text]
-    assert len(told) == len(TOO_SHORT)
-    for wrong, line in zip(TOO_SHORT, told, strict=True):
+    notices = [line.text for line in read_log(log).events if "cut off" in line.text]
+    assert len(notices) == len(TOO_SHORT)
+    for wrong, line in zip(TOO_SHORT, notices, strict=True):
         assert line.startswith(
             f"a host, 127.0.0.1, was cut off: negotiation ff fa 2c {wrong} ff f0 cannot be"
         )

@@ -1,4 +1,4 @@
-"""TCP and RFC 2217 as the far end of a robot's line, and several robots at once."""
+"""TCP and RFC 2217 ports of a served twin, and several robots together."""
 
 import os
 import socket
@@ -17,7 +17,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.conformance.port.check import CheckedPort
 from khep_twin.lab.conformance.port.conform import checks, run_check
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
-from khep_twin.ports.network_host import LONGEST_LINE, SILENCE
+from khep_twin.ports.network_host import LONGEST_LINE, SILENCE_S
 
 
 # pyserial's own client of RFC 2217 has not followed Python.
@@ -50,19 +50,23 @@ def test_a_reply_leaves_in_one_piece_when_its_last_byte_has_come(kind: str) -> N
     with served("default", kind, "127.0.0.1:0") as (_, url), connected(url) as port:
         if kind == "--rfc2217":
             port.recv(1000)  # what the server begins the negotiation with
-        for asked, length in ((b"N\n", 10), (b"B\r", 13), (b"T,1,B\r\n", 30), (b"hello\n", 19)):
+        for command, length in ((b"N\n", 10), (b"B\r", 13), (b"T,1,B\r\n", 30), (b"hello\n", 19)):
             start = time.monotonic()
-            port.sendall(asked)
+            port.sendall(command)
             reply = port.recv(1000)
             took = time.monotonic() - start
             assert reply.endswith(b"\r\n")
             assert reply.count(b"\r\n") == 1
             assert len(reply) >= length
-            assert took >= (len(asked.rstrip()) + 1 + len(reply)) * 11 / 9600 * 0.98
+            assert took >= (len(command.rstrip()) + 1 + len(reply)) * 11 / 9600 * 0.98
 
 
 def test_the_pace_of_a_network_port_conforms() -> None:
-    pace = next(each for each in checks(False) if each.name.startswith("every reply starts within 10 ms"))
+    pace = next(
+        conformance_check
+        for conformance_check in checks(False)
+        if conformance_check.name.startswith("every reply starts within 10 ms")
+    )
     with served("default", "--tcp", ":0") as (_, url), Khepera(url) as robot:
         # What a busy machine delays is no deviation of the port's.
         assert "" in (run_check(pace, CheckedPort(robot.port)).deviation for _ in range(5))
@@ -123,7 +127,7 @@ def test_a_line_that_never_ends_leaves_after_a_moment_and_a_long_one_at_once() -
         with pytest.raises(TimeoutError):
             host.recv(1000)
         host.settimeout(5)
-        time.sleep(SILENCE * 1.1)
+        time.sleep(SILENCE_S * 1.1)
         server.receive(0)
         assert host.recv(1000) == b"h,1"
         server.write(b"x" * LONGEST_LINE)
@@ -216,8 +220,8 @@ def test_a_host_that_reads_gets_all_replies_to_a_burst_on_a_line_without_time(
             port.sendall(b"N\n" * 500)
             replies = b""
             try:
-                while replies.count(b"\n") < 500 and (more := port.recv(100000)):
-                    replies += more
+                while replies.count(b"\n") < 500 and (chunk := port.recv(100000)):
+                    replies += chunk
             except TimeoutError:
                 pass
         stop(process)

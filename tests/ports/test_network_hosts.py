@@ -1,4 +1,4 @@
-"""Hosts at a network port: those that leave, those that only finish sending, those that take without end."""
+"""Hosts at a network port that leave, that only finish sending, or that never read."""
 
 import errno
 import os
@@ -36,41 +36,41 @@ def connect(port: TcpPort) -> socket.socket:
     return socket.create_connection(("127.0.0.1", number), timeout=TIMEOUT_S)
 
 
-def until(
-    port: TcpPort, wanted: Callable[[Received], object], limit: int = 0, answered: bool = False
+def wait_for(
+    port: TcpPort, is_expected: Callable[[Received], object], limit: int = 0, answered: bool = False
 ) -> Received:
-    """Ask the port for news until it has what is wanted."""
+    """Poll the port until a result is as expected."""
     end = time.monotonic() + TIMEOUT_S
-    while not wanted(received := port.receive(limit, answered)):
+    while not is_expected(received := port.receive(limit, answered)):
         assert time.monotonic() < end, "this did not come"
         time.sleep(0.001)
     return received
 
 
 def narrow(port: TcpPort) -> None:
-    """Leave the system little room for what hosts do not read."""
+    """Reduce the system's buffer of unread bytes."""
     with socket.socket(fileno=os.dup(port.descriptors(False)[0])) as server:
         server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
 
 
-def seated(port: TcpPort) -> socket.socket:
-    """A host that the port has taken."""
+def connect_host(port: TcpPort) -> socket.socket:
+    """Connect a host, and wait until the port has accepted it."""
     host = connect(port)
-    until(port, lambda _: port.occupied)
+    wait_for(port, lambda _: port.occupied)
     return host
 
 
 def test_the_next_host_s_negotiation_begins_at_the_speed_of_the_robots_line(
     port: TcpPort, negotiating: TcpPort
 ) -> None:
-    with seated(negotiating):
+    with connect_host(negotiating):
         negotiating.set_baud(38400)
         assert negotiating.settings() == LineSettings(9600, 2)
-    until(negotiating, lambda received: received.left, answered=True)
-    with seated(negotiating):
+    wait_for(negotiating, lambda received: received.hosts_left, answered=True)
+    with connect_host(negotiating):
         assert negotiating.settings() == LineSettings(38400, 2)
     port.set_baud(38400)
-    with seated(port):
+    with connect_host(port):
         assert port.settings() is None  # plain bytes have no speed
 
 
@@ -92,7 +92,7 @@ def finish(host: socket.socket) -> None:
 def test_a_host_that_leaves_makes_room_at_once_however_much_it_left(
     port: TcpPort, leave: Callable[[socket.socket], None], size: int
 ) -> None:
-    with seated(port) as first:
+    with connect_host(port) as first:
         first.settimeout(0.2)
         flood = b"D,1,2\n" * (size // 6 + 1)
         try:
@@ -103,48 +103,48 @@ def test_a_host_that_leaves_makes_room_at_once_however_much_it_left(
         leave(first)
         with connect(port) as second:
             second.sendall(b"B\n")
-            received = until(port, lambda received: received.left, 10)
-            assert received.last == flood[: len(received.last)]
-            assert len(received.last) <= LAST_LIMIT
+            received = wait_for(port, lambda received: received.hosts_left, 10)
+            assert received.last_data == flood[: len(received.last_data)]
+            assert len(received.last_data) <= LAST_LIMIT
             if leave is not reset:
-                assert len(received.last) == min(size, LAST_LIMIT)
-            data = received.data or until(port, lambda received: received.data, 10).data
+                assert len(received.last_data) == min(size, LAST_LIMIT)
+            data = received.data or wait_for(port, lambda received: received.data, 10).data
             assert data == b"B\n"
             port.write(b"b\r\n")
             assert second.recv(100) == b"b\r\n"
 
 
 def test_a_reset_connection_is_gone_without_a_next_host_and_its_commands_are_kept(port: TcpPort) -> None:
-    with seated(port) as host:
+    with connect_host(port) as host:
         host.sendall(b"D,0,0\n" * 5)
         while port.receive(6).data != b"D,0,0\n":
             pass
         reset(host)
-        received = until(port, lambda received: received.left)
-    assert received.last == b"D,0,0\n" * 4
+        received = wait_for(port, lambda received: received.hosts_left)
+    assert received.last_data == b"D,0,0\n" * 4
     assert not port.occupied
 
 
 def test_a_second_host_is_refused_and_costs_the_first_nothing(port: TcpPort) -> None:
     sent = bytes(range(1, 255)) * 50
-    with seated(port) as first:
+    with connect_host(port) as first:
         first.sendall(sent)
         with connect(port) as second:
-            notices = until(port, lambda received: received.notices).notices
+            notices = wait_for(port, lambda received: received.notices).notices
             assert notices == ["a second host, 127.0.0.1, was refused: the port is taken"]
             assert second.recv(10) == b""
-        taken = b""
-        while len(taken) < len(sent):
-            taken += until(port, lambda received: received.data, 1000).data
-    assert taken == sent
+        data = b""
+        while len(data) < len(sent):
+            data += wait_for(port, lambda received: received.data, 1000).data
+    assert data == sent
 
 
 def test_a_host_with_too_much_waiting_gives_way_and_is_reported(port: TcpPort) -> None:
-    with seated(port) as first:
+    with connect_host(port) as first:
         first.sendall(b"\n" * WAITING_LIMIT)
         with connect(port):
-            received = until(port, lambda received: received.left)
-            assert received.last == b"\n" * LAST_LIMIT
+            received = wait_for(port, lambda received: received.hosts_left)
+            assert received.last_data == b"\n" * LAST_LIMIT
             assert received.notices == [
                 "a host, 127.0.0.1, gave way to the next, 127.0.0.1: 16384 bytes or more of it were waiting"
             ]
@@ -157,55 +157,55 @@ def test_hosts_that_come_and_go_while_no_one_polls_follow_one_another(port: TcpP
             host.sendall(text)
     with connect(port) as host:
         host.sendall(b"B\n")
-        said: list[tuple[bytes, bytes]] = []
-        while not said or said[-1][1] != b"B\n":
-            received = until(port, lambda received: received.left or received.data, 100)
-            said.append((received.last, received.data))
+        calls: list[tuple[bytes, bytes]] = []
+        while not calls or calls[-1][1] != b"B\n":
+            received = wait_for(port, lambda received: received.hosts_left or received.data, 100)
+            calls.append((received.last_data, received.data))
         # The bytes of no two of them come in the same part of the same call.
-        assert b"|".join(part for call in said for part in call if part) == b"one\n|two|three\n|B\n"
+        assert b"|".join(part for call in calls for part in call if part) == b"one\n|two|three\n|B\n"
 
 
 def test_a_host_that_has_finished_sending_gets_its_replies_and_is_let_go(port: TcpPort) -> None:
-    with seated(port) as host:
+    with connect_host(port) as host:
         host.sendall(b"B\nN\n")
         finish(host)
-        assert until(port, lambda received: received.data, 100).data == b"B\nN\n"
-        assert not port.receive(100).left
+        assert wait_for(port, lambda received: received.data, 100).data == b"B\nN\n"
+        assert not port.receive(100).hosts_left
         port.write(b"b\r\n")
-        assert not port.receive(100).left
+        assert not port.receive(100).hosts_left
         port.write(b"n\r\n")
-        assert until(port, lambda received: received.left, 100, answered=True).last == b""
+        assert wait_for(port, lambda received: received.hosts_left, 100, answered=True).last_data == b""
         replies = b""
-        while more := host.recv(100):
-            replies += more
+        while chunk := host.recv(100):
+            replies += chunk
     assert replies == b"b\r\nn\r\n"
 
 
 def test_a_host_that_has_finished_sending_does_not_keep_the_server_awake(port: TcpPort) -> None:
-    with seated(port) as host:
+    with connect_host(port) as host:
         assert len(port.descriptors(True)) == 2
         finish(host)
-        until(port, lambda _: len(port.descriptors(True)) == 1, 100)
+        wait_for(port, lambda _: len(port.descriptors(True)) == 1, 100)
         assert port.occupied
 
 
 def test_replies_that_found_no_room_leave_when_there_is_some(port: TcpPort) -> None:
     narrow(port)
-    with seated(port) as host:
+    with connect_host(port) as host:
         lines = 0
         while not port.dropped:
             port.write(b"x" * 510 + b"\r\n")
             lines += 1
-        wanted, got = lines * 512 - port.dropped, 0
-        while got < wanted:
+        is_expected, got = lines * 512 - port.dropped, 0
+        while got < is_expected:
             port.receive(0)  # nothing is written any more
             got += len(host.recv(65536))
-    assert got == wanted
+    assert got == is_expected
 
 
 def test_escapes_are_never_cut_for_a_host_that_does_not_read_in_time(negotiating: TcpPort) -> None:
     narrow(negotiating)
-    with seated(negotiating) as host:
+    with connect_host(negotiating) as host:
         while negotiating.dropped < 3 * QUEUE_LIMIT:
             negotiating.write(b"\xffx" * 254 + b"\xff\r\n")
         host.settimeout(0.2)
@@ -230,7 +230,7 @@ def test_a_host_that_negotiates_on_and_never_reads_is_cut_off(negotiating: TcpPo
         host.connect(("127.0.0.1", number))
         host.setblocking(False)
         end, received = time.monotonic() + TIMEOUT_S, Received()
-        while not received.left and time.monotonic() < end:
+        while not received.hosts_left and time.monotonic() < end:
             try:
                 host.send(question * 100)
             except (BlockingIOError, ConnectionError):
@@ -253,12 +253,12 @@ def test_a_browser_is_cut_off_before_a_command_in_its_request_is_taken(
     served = negotiating if is_negotiated else port
     with connect(served) as page:
         page.sendall(beginning + b"\r\nHost: 127.0.0.1\r\n\r\nD,10,10\nD,10,10\n")
-        taken, received = b"", Received()
+        data, received = b"", Received()
         end = time.monotonic() + TIMEOUT_S
-        while not received.left and time.monotonic() < end:
+        while not received.hosts_left and time.monotonic() < end:
             received = served.receive(limit)
-            taken += received.data + received.last
-    assert b"\n" not in taken
+            data += received.data + received.last_data
+    assert b"\n" not in data
     assert len(received.notices) == 1
     assert received.notices[0].endswith("as a browser does; expected a robot's host")
     assert not served.occupied
@@ -279,35 +279,35 @@ def test_an_error_of_the_network_is_a_host_that_has_gone(number: int) -> None:
             if is_sent_to:
                 host.write(b"b\r\n")
             else:
-                assert host.take(10) == b""
-            assert host.lost
-            assert host.take(LAST_LIMIT) == b""
+                assert host.receive(10) == b""
+            assert host.is_lost
+            assert host.receive(LAST_LIMIT) == b""
 
 
 def test_a_host_that_finds_no_descriptor_is_reported_and_let_in_later(port: TcpPort) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with connect(port) as host:
-        taken = [os.dup(host.fileno())]
+        descriptors = [os.dup(host.fileno())]
         try:
             resource.setrlimit(resource.RLIMIT_NOFILE, (max(map(int, os.listdir("/proc/self/fd"))) + 2, hard))
             try:
                 while True:
-                    taken.append(os.dup(host.fileno()))
+                    descriptors.append(os.dup(host.fileno()))
             except OSError:
                 pass
             notices = port.receive(10).notices
             assert notices == ["a host could not be let in: Too many open files"]
             assert not port.occupied
         finally:
-            for descriptor in taken:
+            for descriptor in descriptors:
                 os.close(descriptor)
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         host.sendall(b"B\n")
-        assert until(port, lambda received: received.data, 10).data == b"B\n"
+        assert wait_for(port, lambda received: received.descriptors, 10).descriptors == b"B\n"
 
 
 def test_no_more_waits_here_than_is_bounded(port: TcpPort) -> None:
-    with seated(port) as host:
+    with connect_host(port) as host:
         host.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         host.settimeout(0.2)
         sent = 0
@@ -320,7 +320,7 @@ def test_no_more_waits_here_than_is_bounded(port: TcpPort) -> None:
 
 
 def test_the_system_looks_for_hosts_that_vanish(port: TcpPort) -> None:
-    with seated(port):
+    with connect_host(port):
         (client,) = set(port.descriptors(True)) - set(port.descriptors(False))
         with socket.socket(fileno=os.dup(client)) as end:
             assert end.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)

@@ -1,4 +1,4 @@
-"""Who has a port open, without a touch of it."""
+"""Users of a port, detected without opening it."""
 
 import errno
 import os
@@ -25,12 +25,12 @@ HOLDS = "import os, sys; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print();
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, int, str]]:
-    """A pseudo-terminal whose far end is here, one descriptor of the host's side kept."""
-    master, kept = os.openpty()
-    tty.setraw(kept)
-    yield master, kept, os.ttyname(kept)
+    """A pseudo-terminal with its master side here, and one descriptor of the host's side open."""
+    master, host_side = os.openpty()
+    tty.setraw(host_side)
+    yield master, host_side, os.ttyname(host_side)
     os.close(master)
-    os.close(kept)
+    os.close(host_side)
 
 
 def test_who_keeps_the_far_end_is_no_host_and_another_process_is(
@@ -83,8 +83,8 @@ def test_a_lock_of_a_holder_that_cannot_be_seen_counts(
 ) -> None:
     import fcntl
 
-    _, kept, path = terminal
-    fcntl.flock(kept, fcntl.LOCK_EX)
+    _, host_side, path = terminal
+    fcntl.flock(host_side, fcntl.LOCK_EX)
     assert port_user(path) == ""
     with pytest.raises(PortInUse, match="in use by a program that has locked it"):
         identify_robot(path)
@@ -112,8 +112,8 @@ def test_an_established_connection_holds_a_port_of_the_network(address: str) -> 
     near = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(address, address)
     with server:
         number = server.getsockname()[1]
-        shown = f"[{address}]" if ":" in address else address
-        url = f"socket://{shown}:{number}"
+        host_text = f"[{address}]" if ":" in address else address
+        url = f"socket://{host_text}:{number}"
         assert port_user(url) == ""
         with socket.create_connection((near, number), timeout=5):
             assert port_user(url) == "a connection"

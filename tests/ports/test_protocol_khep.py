@@ -1,4 +1,4 @@
-"""khep://: pyserial's manners in simulated time."""
+"""khep://: the behaviour of pyserial in simulated time."""
 
 from pathlib import Path
 
@@ -147,7 +147,7 @@ def test_while_replies_wait_no_more_commands_are_taken() -> None:
         port.write(b"N\n" * 400)
         port.sleep(0.8)
         tx = port.twin.robot.uart.tx
-        assert len(tx) - tx.arrived(port.time_ns) <= 256 + 45
+        assert len(tx) - tx.count_arrived(port.time_ns) <= 256 + 45
         replies = [port.readline() for _ in range(400)]
         assert all(reply.count(b",") == 8 for reply in replies)
 
@@ -175,7 +175,7 @@ def test_a_write_that_finds_no_room_ends_with_its_timeout() -> None:
 def test_another_speed_of_the_host_is_felt_and_reported_once() -> None:
     with connect() as port:
         port.baudrate = 38400
-        with pytest.warns(UserWarning, match="at 38400 baud.* taken all the same; .*mode=3"):
+        with pytest.warns(UserWarning, match="at 38400 baud.* still accepted; .*mode=3"):
             port.write(b"B\n")
         assert port.readline() == b"b,5.02,5.01\r\n"
         # The host's bytes cross at the host's speed, the robot's at the robot's.
@@ -258,7 +258,7 @@ def test_a_url_is_taken_apart() -> None:
         ("khep://nowhere", "nowhere: no such file"),
         ("khep://[", "khep://[: no URL: "),
         ("khep://default?log=a#b", "'#' ends a URL; expected %23 in its place"),
-        ("khep://a?b.toml", "'?' begins the options of a URL; expected %3F in a name"),
+        ("khep://a?b.toml", "'?' starts the options of a URL; expected %3F in a name"),
         ("khep://default?seed=1_0", "seed = '1_0'; expected an integer"),
         ("khep://default?log=", ": cannot write a log here: this is a directory"),
         ("khep://default?log=/no/such/place/run.mcap", "/no/such/place/run.mcap: cannot write a log here"),

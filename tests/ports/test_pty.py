@@ -1,4 +1,4 @@
-"""The pseudo-terminal by itself."""
+"""The pseudo-terminal without a twin."""
 
 import errno
 import os
@@ -35,7 +35,7 @@ def test_no_free_terminal_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 
         monkeypatch.setattr(os, "openpty", refuse)
         with pytest.raises(
-            PortError, match=rf"can be had: {os.strerror(number)}; expected a free one, or --tcp"
+            PortError, match=rf"is available: {os.strerror(number)}; expected a free one, or --tcp"
         ):
             PtyPort()
 
@@ -78,15 +78,15 @@ def test_a_host_that_never_reads_loses_bytes_and_blocks_no_other() -> None:
 def test_leftovers_of_a_host_are_removed(monkeypatch: pytest.MonkeyPatch) -> None:
     with PtyPort() as port:
         with serial.Serial(port.path, 9600, timeout=1) as host:
-            assert not port.receive(1000).left
+            assert not port.receive(1000).hosts_left
             host.write(bytes(3000))
             assert len(port.receive(1000).data) == 1000
             port.write(b"unread\r\n")
         received = port.receive(1000)
-        assert (received.left, received.data, received.last) == (True, b"", bytes(2000))
+        assert (received.hosts_left, received.data, received.last_data) == (True, b"", bytes(2000))
         # A host that comes at once has its own settings; for others they are put back.
         monkeypatch.setattr(pty_module, "_RESTORE_S", 0.0)
-        assert not port.receive(1000).left
+        assert not port.receive(1000).hosts_left
         with open(port.path, "rb", buffering=0) as next_host:
             os.set_blocking(next_host.fileno(), False)
             assert next_host.read(100) is None
@@ -111,8 +111,8 @@ def test_a_host_that_may_have_got_an_old_reply_is_reported(
         with serial.Serial(port.path, 9600, timeout=0) as next_host:
             next_host.read(100)
             received = port.receive(100)
-    assert received.left
-    assert [*received.notices] == ([] if is_read else [pty_module._IN_A_MOMENT])
+    assert received.hosts_left
+    assert [*received.notices] == ([] if is_read else [pty_module._MIXED_NOTICE])
 
 
 def test_a_host_that_reads_an_old_reply_before_it_is_flushed_is_reported(
@@ -133,8 +133,8 @@ def test_a_host_that_reads_an_old_reply_before_it_is_flushed_is_reported(
         monkeypatch.setattr(port, "_drop_replies", come_and_flush)
         received = port.receive(100)
         os.close(came[0])
-    assert received.left
-    assert [*received.notices] == [pty_module._IN_A_MOMENT]
+    assert received.hosts_left
+    assert [*received.notices] == [pty_module._MIXED_NOTICE]
 
 
 def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_a_server_killed_while_it_makes_its_link_leaves_none_that_cannot_be_repl
         link.symlink_to("/dev/pts/9999")
         lock.write_text("/dev/pts/9999")
 
-        def kill(*given: object) -> int:
+        def kill(*arguments: object) -> int:
             raise KeyboardInterrupt
 
         with monkeypatch.context() as killed:
@@ -265,9 +265,9 @@ def test_bytes_that_found_no_room_before_their_host_left_are_not_the_next_one_s(
         host = opened(port)
         os.write(host, b"B\n")
         received = port.receive(0)
-        print(received.left, len(received.last), received.data[-20:], received.notices)
-        assert received.left
-        assert (received.last, received.data) == (b"N\n" * 450, b"B\n")
+        print(received.hosts_left, len(received.last_data), received.data[-20:], received.notices)
+        assert received.hosts_left
+        assert (received.last_data, received.data) == (b"N\n" * 450, b"B\n")
         assert len(received.notices) == 1
         os.close(host)
 
@@ -289,7 +289,7 @@ def test_a_write_that_was_read_early_and_reported_with_a_later_one_is_no_silent_
         os.write(host, b"B\n")
         received = port.receive(100)
         print(received)
-        assert received.left
+        assert received.hosts_left
         assert received.data == b"B\n" or received.notices
         os.close(host)
 
@@ -307,5 +307,5 @@ def test_bytes_that_were_read_in_several_calls_do_not_hide_a_later_write_of_thei
         host = opened(port)
         os.write(host, b"B\n")
         received = port.receive(100)
-        assert (received.left, received.last, received.data) == (True, b"H\n", b"B\n")
+        assert (received.hosts_left, received.last_data, received.data) == (True, b"H\n", b"B\n")
         os.close(host)

@@ -1,6 +1,6 @@
-"""Hosts that open and close one line at random, several processes at once: every line gets its own reply.
+"""Several processes that open and close one line at random: every command gets its reply.
 
-The suite takes a share of them; `KHEP_OPENINGS=2000` takes 2,000, as `make long LONG=reconnects` does, and
+The suite runs some of them; `KHEP_OPENINGS=2000` runs 2,000, as `make long LONG=reconnects` does, and
 `KHEP_FIRST=8` draws others.
 """
 
@@ -53,7 +53,7 @@ class Bystander:
         self.n_held = 0
 
     def tell(self, order: str) -> None:
-        """Give an order that is carried out at some later moment."""
+        """Send an order that is executed later."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{order}\n".encode())
         self._process.stdin.flush()
@@ -84,8 +84,8 @@ def stty(path: str) -> None:
 
 def shell_and_stty(path: str) -> None:
     script = 'exec 3<>"$0"; stty -F "$0" 9600; printf "B\\n" >&3; read -r -t 20 line <&3; echo "$line"'
-    done = subprocess.run(["bash", "-c", script, path], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "b,5.02,5.01"
+    completed = subprocess.run(["bash", "-c", script, path], capture_output=True, text=True, check=True)
+    assert completed.stdout.strip() == "b,5.02,5.01"
 
 
 def cat_and_printf(path: str) -> None:
@@ -114,8 +114,8 @@ def socat(path: str) -> None:
 
 def picocom(path: str) -> None:
     command = ["picocom", "-q", "-b", "9600", "-p", "2", "-x", "500", path]
-    done = subprocess.run(command, input=b"B\n", capture_output=True, timeout=60, check=False)
-    assert done.returncode == 0
+    completed = subprocess.run(command, input=b"B\n", capture_output=True, timeout=60, check=False)
+    assert completed.returncode == 0
 
 
 TOOLS = [stty, shell_and_stty, cat_and_printf, socat, picocom]
@@ -129,25 +129,25 @@ def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relay
         process, path = stack.enter_context(served("default", "--unpaced"))
         if relayed:
             process, path = stack.enter_context(served("--relay", path))
-        others = stack.enter_context(bystanders(path, 3))
+        processes = stack.enter_context(bystanders(path, 3))
         wrong = []
         for number in range(OPENINGS):
-            other = rng.choice(others)
+            other = rng.choice(processes)
             # The last host leaves something behind, and the next one comes at once or a little later.
-            if rng.random() < 0.5 and not any(each.n_held for each in others):
-                for each in others:
-                    each.leave_behind(b"")
+            if rng.random() < 0.5 and not any(bystander.n_held for bystander in processes):
+                for bystander in processes:
+                    bystander.leave_behind(b"")
                 other.leave_behind(rng.choice(LEFT_BEHIND))
                 time.sleep(rng.choice([0, 0.0001, 0.001, 0.005]))
             host = os.open(path, os.O_RDWR | os.O_NOCTTY)
             try:
                 for turn in range(3):
                     # Descriptors come and go while this host waits for its reply.
-                    for each in others:
-                        if each.n_held and rng.random() < 0.6:
-                            each.tell("close")
+                    for bystander in processes:
+                        if bystander.n_held and rng.random() < 0.6:
+                            bystander.tell("close")
                         elif rng.random() < 0.4:
-                            each.tell("open")
+                            bystander.tell("open")
                     if rng.random() < 0.3:
                         os.close(os.open(path, os.O_RDWR | os.O_NOCTTY))
                     position = 3 * number + turn
@@ -162,15 +162,15 @@ def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relay
             finally:
                 os.close(host)
             if number % 2:
-                for each in others:
-                    while each.n_held:
-                        each.tell("close")
+                for bystander in processes:
+                    while bystander.n_held:
+                        bystander.tell("close")
             if number % 50 == 49:
-                while any(each.n_held for each in others):
-                    next(each for each in others if each.n_held).tell("close")
+                while any(bystander.n_held for bystander in processes):
+                    next(bystander for bystander in processes if bystander.n_held).tell("close")
                 time.sleep(0.05)
                 rng.choice(tools)(path)
         _, errors = stop(process)
-    # The server cannot tell bytes of two hosts apart that come and go while it sleeps; each time is told.
+    # The server cannot separate bytes of two hosts that open and close while it sleeps, but reports it.
     assert len(wrong) <= errors.count("came in the moment"), (wrong, errors)
-    print(f"{OPENINGS} reconnects, {len(wrong)} in doubt, each of which the server told")
+    print(f"{OPENINGS} reconnects, {len(wrong)} in doubt, each of which the server reported")

@@ -1,4 +1,4 @@
-"""`serve --relay`: host and robot as if nothing were between them, and a log of what both say."""
+"""`serve --relay`: transparent forwarding between host and robot, and a log of both."""
 
 import os
 import select
@@ -44,15 +44,15 @@ def test_both_directions_are_passed_on_and_logged_as_a_twins_are(tmp_path: Path)
     run = read_log(log)
     assert run.metadata["relay"] == robot
     track = run.robots["khepera0"]
-    said = [(line.name, line.text.encode()) for line in track.serial]
-    assert said == [
+    transcript = [(line.name, line.text.encode()) for line in track.serial]
+    assert transcript == [
         entry
         for request, reply in zip(requests, replies, strict=True)
         for entry in (("host", request.strip()), ("robot", reply.strip()))
     ]
     times = [line.time_ns for line in track.serial]
     assert times == sorted(times)
-    # What the robot told of itself stands where a twin's log has it.
+    # The robot's readings are in the same channels as in a twin's log.
     assert track.proximity.tolist() == [numbers(replies[1])]
     assert track.speed.tolist() == [[*numbers(replies[3]), 3, -4]]
     assert track.ambient.tolist() == [numbers(replies[4])]
@@ -105,8 +105,8 @@ def opened(port: PtyPort) -> int:
     return os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
 
 
-def heard(descriptor: int) -> bytes:
-    """What can be read at once."""
+def read_available(descriptor: int) -> bytes:
+    """Return the bytes that are available."""
     return os.read(descriptor, 100) if select.select([descriptor], [], [], 0)[0] else b""
 
 
@@ -114,45 +114,45 @@ def heard(descriptor: int) -> bytes:
 def test_a_new_relay_gives_no_host_the_replies_to_an_earlier_one_but_what_a_robot_says_by_itself(
     until_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked, got = b"", b""
+    commands, replies = b"", b""
     with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
         host = opened(port)
         os.write(host, b"B\n")
 
-        def turn() -> bool:
-            nonlocal asked, got
+        def step() -> bool:
+            nonlocal commands, replies
             time_s[0] += 0.01
             if time_s[0] < until_s:
                 os.write(robot, b".")
-            if new := heard(robot):
-                asked += new
+            if data := read_available(robot):
+                commands += data
                 os.write(robot, b"b")
-            got += heard(host)
+            replies += read_available(host)
             return time_s[0] > 3
 
-        relaying.relay(device, port, stop=turn, notify=print)
+        relaying.relay(device, port, stop=step, notify=print)
         os.close(host)
-    assert asked == b"B\n"
-    assert got.strip(b".") == b"b"
-    assert (b"." in got) == (until_s > relaying._BEGIN_S)
+    assert commands == b"B\n"
+    assert replies.strip(b".") == b"b"
+    assert (b"." in replies) == (until_s > relaying._STARTUP_S)
 
 
 def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    asked, got = b"", b""
+    commands, replies = b"", b""
     with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
         host = opened(port)
         os.write(host, b"N\n")
 
         left_s: list[float] = []
 
-        def turn() -> bool:
-            nonlocal asked, got, host
+        def step() -> bool:
+            nonlocal commands, replies, host
             time_s[0] += 0.1
-            if new := heard(robot):
-                asked += new
-                if b"N" in new:
+            if data := read_available(robot):
+                commands += data
+                if b"N" in data:
                     os.close(host)
                     host = opened(port)
                     os.write(host, b"B\n")
@@ -165,12 +165,12 @@ def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
                 os.write(robot, b"n\r\n")
                 assert select.select([device.descriptor], [], [], 10)[0]
                 time_s[0] += 1.0
-            got += heard(host)
+            replies += read_available(host)
             return time_s[0] > 5
 
-        relaying.relay(device, port, stop=turn, notify=print)
+        relaying.relay(device, port, stop=step, notify=print)
         os.close(host)
-    assert (asked, got) == (b"N\nB\n", b"b\r\n")
+    assert (commands, replies) == (b"N\nB\n", b"b\r\n")
 
 
 # pyserial names its threads as Python did before 3.10.
@@ -205,8 +205,8 @@ def test_a_robot_that_goes_is_reported_and_the_log_is_whole(tmp_path: Path) -> N
             process.wait(60)
         _, errors = process.communicate()
     assert process.returncode == 1
-    begun, failed = errors.splitlines()
-    assert begun.startswith(f"khep-twin: serving a robot at {robot}; ")
+    started, failed = errors.splitlines()
+    assert started.startswith(f"khep-twin: serving a robot at {robot}; ")
     assert failed.startswith(f"khep-twin: {robot}: the robot's port failed")
     assert [line.text for line in read_log(log).robots["khepera0"].serial] == ["B", "b,5.02,5.01"]
 
@@ -249,50 +249,50 @@ def test_a_host_that_leaves_amid_a_reply_of_several_lines_leaves_none_to_the_nex
 def test_a_robot_that_speaks_all_the_time_keeps_no_next_host_waiting_for_ever(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    asked = b""
+    commands = b""
     with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
         host = opened(port)
         os.write(host, b"N\n")
 
-        def turn() -> bool:
-            nonlocal asked, host
+        def step() -> bool:
+            nonlocal commands, host
             time_s[0] += 0.01
             os.write(robot, b".")
-            if new := heard(robot):
-                asked += new
-                if asked == b"N\n":
+            if data := read_available(robot):
+                commands += data
+                if commands == b"N\n":
                     os.close(host)
                     host = opened(port)
                     os.write(host, b"B\n")
-            return asked.endswith(b"B\n") or time_s[0] > 60
+            return commands.endswith(b"B\n") or time_s[0] > 60
 
-        relaying.relay(device, port, stop=turn, notify=print)
+        relaying.relay(device, port, stop=step, notify=print)
         os.close(host)
-    assert asked == b"N\nB\n"
+    assert commands == b"N\nB\n"
 
 
 def test_a_reply_that_was_lost_does_not_end_the_polls(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = b""
+    commands = b""
     with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
         monkeypatch.setattr(idle_polls, "time", relaying.time)
 
-        def turn() -> bool:
-            nonlocal asked
+        def step() -> bool:
+            nonlocal commands
             time_s[0] += 0.01
-            if new := heard(robot):
-                asked += new
-                if asked != b"N\n":  # the first one is lost
-                    os.write(robot, b"h,0,0\r\n" if asked.endswith(b"H\n") else b"n,0,0,0,0,0,0,0,0\r\n")
-            return asked.count(b"\n") == 3 or time_s[0] > 20
+            if data := read_available(robot):
+                commands += data
+                if commands != b"N\n":  # the first one is lost
+                    os.write(robot, b"h,0,0\r\n" if commands.endswith(b"H\n") else b"n,0,0,0,0,0,0,0,0\r\n")
+            return commands.count(b"\n") == 3 or time_s[0] > 20
 
-        relaying.relay(device, port, polls=IdlePolls(), stop=turn, notify=print)
-    assert asked == b"N\nH\nN\n"
+        relaying.relay(device, port, polls=IdlePolls(), stop=step, notify=print)
+    assert commands == b"N\nH\nN\n"
 
 
 def test_a_robot_that_takes_no_more_is_still_heard_and_the_relay_ends() -> None:
     robot, device = os.openpty()
     tty.setraw(device)
-    ended, got = threading.Event(), b""
+    ended, replies = threading.Event(), b""
     with PtyPort() as port:
         arguments = (Device(os.ttyname(device), 9600), port)
         thread = threading.Thread(
@@ -310,7 +310,7 @@ def test_a_robot_that_takes_no_more_is_still_heard_and_the_relay_ends() -> None:
                 time.sleep(0.01)
         os.write(robot, b"n\r\n")
         if select.select([host], [], [], 5)[0]:
-            got = os.read(host, 100)
+            replies = os.read(host, 100)
         ended.set()
         thread.join(5)
         was_alive = thread.is_alive()
@@ -319,5 +319,5 @@ def test_a_robot_that_takes_no_more_is_still_heard_and_the_relay_ends() -> None:
         os.close(host)
     os.close(robot)
     os.close(device)
-    assert got == b"n\r\n"
+    assert replies == b"n\r\n"
     assert not was_alive

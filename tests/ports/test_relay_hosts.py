@@ -1,4 +1,4 @@
-"""A relay between hosts that leave and a robot that takes its time."""
+"""A relay between hosts that leave and a slow robot."""
 
 import re
 import time
@@ -12,26 +12,26 @@ from khep_twin.ports.relay import Device, relay
 
 
 class SlowRobot:
-    """A robot at a port that takes a hundred bytes at a time, answers nothing, and remembers all."""
+    """A robot at a port that accepts 100 bytes at a time, stores them and never answers."""
 
     url, baud, descriptor, unsent = "robot", 9600, None, 0
 
     def __init__(self) -> None:
-        self.heard = b""
+        self.received = b""
 
-    def follow(self, host: LineSettings) -> str:
+    def apply_settings(self, host: LineSettings) -> str:
         return ""
 
     def read(self) -> bytes:
         return b""
 
     def write(self, data: bytes) -> int:
-        self.heard += data[:100]
+        self.received += data[:100]
         return len(data[:100])
 
 
 class Hosts:
-    """A cable whose hosts come as they are listed."""
+    """A host port with a list of results."""
 
     path, dropped, occupied = "hosts", 0, True
 
@@ -39,32 +39,32 @@ class Hosts:
         self.news = list(news)
         self.answered: list[bool] = []
 
-    def descriptors(self, room: bool) -> list[int]:
+    def descriptors(self, has_room: bool) -> list[int]:
         return []
 
     def set_baud(self, baud: int) -> None:
-        """Its hosts set none."""
+        """Do nothing: its hosts set no baud rate."""
 
     def settings(self) -> None:
         return None
 
-    def receive(self, limit: int, answered: bool = False) -> Received:
-        self.answered.append(answered)
+    def receive(self, limit: int, is_answered: bool = False) -> Received:
+        self.answered.append(is_answered)
         ready = self.news and (limit or not self.news[0].data)
         return self.news.pop(0) if ready else Received()
 
     def write(self, data: bytes) -> None:
-        """Nothing is answered."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing."""
 
 
 @pytest.mark.parametrize(
     "news",
     [
-        (Received(b"B\n", left=True, last=b"D,10,1\n" * 2000),),
-        (Received(left=True, last=b"D,10,1\n" * 2000), Received(b"B\n")),
+        (Received(b"B\n", hosts_left=True, last_data=b"D,10,1\n" * 2000),),
+        (Received(hosts_left=True, last_data=b"D,10,1\n" * 2000), Received(b"B\n")),
     ],
     ids=["at that moment", "later"],
 )
@@ -74,21 +74,21 @@ def test_the_next_host_waits_for_no_more_than_a_second_of_one_that_has_left(
     monkeypatch.setattr("khep_twin.ports.relay._PAUSE_S", -1.0)
     monkeypatch.setattr("khep_twin.ports.relay._SILENCE_S", 0.01)
     monkeypatch.setattr("khep_twin.ports.relay.BITS_PER_BYTE", 0)
-    robot, told = SlowRobot(), list[str]()
+    robot, notices = SlowRobot(), list[str]()
     hosts = Hosts(Received(b"D,10,1\n" * 20), *news)
     end = time.monotonic() + 20
     relay(
         cast(Device, robot),
         hosts,
-        stop=lambda: robot.heard.endswith(b"B\n") or time.monotonic() > end,
-        notify=told.append,
+        stop=lambda: robot.received.endswith(b"B\n") or time.monotonic() > end,
+        notify=notices.append,
     )
-    commands = robot.heard.removesuffix(b"B\n")
-    whole = commands.removesuffix(b"?\n")
-    assert whole == (b"D,10,1\n" * 300)[: len(whole)]
-    assert whole != commands or commands.endswith(b"\n")
+    commands = robot.received.removesuffix(b"B\n")
+    complete = commands.removesuffix(b"?\n")
+    assert complete == (b"D,10,1\n" * 300)[: len(complete)]
+    assert complete != commands or commands.endswith(b"\n")
     assert 1000 < len(commands) <= 240 + 1024
-    (line,) = told
+    (line,) = notices
     assert re.fullmatch(r"hosts: \d+ bytes of a host that has left were dropped: the next one waits", line)
 
 
@@ -99,7 +99,7 @@ def test_a_relay_reports_to_its_cable_when_all_is_answered(monkeypatch: pytest.M
     end = time.monotonic() + 20
 
     def stop() -> bool:
-        return (len(robot.heard) == 120 and hosts.answered[-1]) or time.monotonic() > end
+        return (len(robot.received) == 120 and hosts.answered[-1]) or time.monotonic() > end
 
     relay(cast(Device, robot), hosts, stop=stop, notify=lambda text: None)
     # It was so before, and was not while the robot had something to answer.

@@ -18,5 +18,5 @@ def test_without_room_for_temporary_files_a_log_cannot_be_repeated(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "full"))
     with pytest.raises(LogError) as error:
         Setup.of(path).open()
-    reason = "no calibration can be kept in a temporary folder: No such file or directory"
+    reason = "no calibration can be saved in a temporary folder: No such file or directory"
     assert str(error.value) == f"{path}: cannot be repeated: {reason}"

@@ -24,7 +24,7 @@ EXCHANGES = [
 
 @pytest.fixture(scope="module", params=KINDS)
 def url(request: pytest.FixtureRequest) -> Iterator[str]:
-    """What a host opens, of one kind of port after the other, at 38400 baud."""
+    """Path or URL of each kind of port in turn, at 38400 baud."""
     with served("default", "--noise", "off", "--mode", "3", *KINDS[request.param]) as (_, url):
         yield url
 

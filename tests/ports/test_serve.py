@@ -1,4 +1,4 @@
-"""A served twin, as a host program finds it: another process behind a pseudo-terminal."""
+"""A served twin as seen by a host program: another process behind a pseudo-terminal."""
 
 import os
 import select
@@ -113,7 +113,7 @@ def test_the_example_runs_unchanged_on_a_pty(path: str) -> None:
 
 
 def reply_of_the_next_host(path: str) -> bytes:
-    """What a plain host in C style gets first, a moment after the one before has gone."""
+    """Return the first reply to a host that opens the port as C programs do, 0.2 s after the last one."""
     time.sleep(0.2)
     return exchange(path, b"B\n", VERSIONS, TIMEOUT_S)
 
@@ -181,12 +181,13 @@ def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp
             ask(port, b"B\n")
         code, errors = stop(process, how)
     assert code == 0
-    begun, *_, ended, where = errors.splitlines()
+    first_line, *_, last_line, log_line = errors.splitlines()
     assert (
-        begun == "khep-twin: serving a twin in default; hosts open what the next lines name; Ctrl-C ends it"
+        first_line
+        == "khep-twin: serving a twin in default; hosts open the paths in the next lines; Ctrl-C ends it"
     )
-    assert "s served" in ended
-    assert where == f"log      {log}      look at it: {command('view', log)}"
+    assert "s served" in last_line
+    assert log_line == f"log      {log}      look at it: {command('view', log)}"
     assert not os.path.lexists(link)
     transcript = [line.text for line in read_log(log).robots["khepera0"].serial]
     assert transcript == ["B", "b,5.02,5.01"]
@@ -238,12 +239,12 @@ def test_a_killed_server_loses_less_than_a_second_and_is_announced_next_time(tmp
     ],
 )
 def test_what_cannot_be_served_is_one_line_and_no_trace(arguments: list[str], line: str) -> None:
-    done = khep_twin("serve", *arguments)
-    assert done.returncode in (1, 2)
-    assert done.stdout == ""
-    assert done.stderr.startswith("khep-twin: ")
-    assert line in done.stderr
-    assert done.stderr.count("\n") == 1
+    completed = khep_twin("serve", *arguments)
+    assert completed.returncode in (1, 2)
+    assert completed.stdout == ""
+    assert completed.stderr.startswith("khep-twin: ")
+    assert line in completed.stderr
+    assert completed.stderr.count("\n") == 1
 
 
 def test_after_a_kill_the_next_start_takes_the_link_again(tmp_path: Path) -> None:
@@ -261,9 +262,9 @@ def test_after_a_kill_the_next_start_takes_the_link_again(tmp_path: Path) -> Non
 def test_a_link_in_use_is_not_taken(tmp_path: Path) -> None:
     link = tmp_path / "khepera"
     with served("default", "--link", str(link)):
-        done = khep_twin("serve", "--link", link)
-        assert done.returncode == 1
-        assert "another khep-twin serves under this name" in done.stderr
+        completed = khep_twin("serve", "--link", link)
+        assert completed.returncode == 1
+        assert "another khep-twin serves under this name" in completed.stderr
         assert link.is_symlink()
 
 
@@ -277,12 +278,12 @@ def test_a_link_in_the_current_directory_lies_where_it_says(
         name = "two.toml"
         Path(name).write_text(arena() + robot(300, 250) + robot(100, 100))
     with served(name, "--link", "./khepera") as (_, path):
-        found = tmp_path / ("khepera0" if several else "khepera")
-        assert path == str(found)
-        assert found.is_symlink()
-        with serial.Serial(f"./{found.name}", timeout=TIMEOUT_S) as port:
+        link_path = tmp_path / ("khepera0" if several else "khepera")
+        assert path == str(link_path)
+        assert link_path.is_symlink()
+        with serial.Serial(f"./{link_path.name}", timeout=TIMEOUT_S) as port:
             assert ask(port, b"B\n") == VERSIONS
-    assert not found.is_symlink()
+    assert not link_path.is_symlink()
 
 
 def test_who_opens_a_bare_name_sees_where_that_link_lies(
@@ -302,7 +303,7 @@ def test_a_bare_link_lies_in_a_private_directory(tmp_path: Path, monkeypatch: py
         assert b"Self test" in exchange(path, b"restart\n", bytes(150))
         _, errors = stop(process)
     assert "mode 7: the self-test has run at power-up; hosts that send restart get its report" in errors
-    assert "next lines name, in a private directory (--link ./khepera is in this one)" in errors
+    assert "next lines, in a private directory (--link ./khepera is in this one)" in errors
 
 
 def test_a_descriptor_reports_when_hosts_may_come() -> None:
@@ -317,8 +318,8 @@ def test_stty_and_a_shell_get_a_reply(path: str) -> None:
     subprocess.run(["stty", "-F", path, "9600", "cstopb", "raw", "-echo"], check=True)
     time.sleep(0.2)
     script = f"exec 3<>{path}; printf 'B\\n' >&3; read -r -t 20 line <&3; echo \"$line\""
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "b,5.02,5.01"
+    completed = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
+    assert completed.stdout.strip() == "b,5.02,5.01"
 
 
 @pytest.mark.parametrize("tool", ["socat", "picocom"])
@@ -329,27 +330,27 @@ def test_terminal_programs_get_a_reply(path: str, tool: str) -> None:
         "socat": ["socat", "-t", "2", "-", f"{path},b9600,cstopb=1,raw,echo=0"],
         "picocom": ["picocom", "-q", "-b", "9600", "-p", "2", "-x", "3000", path],
     }
-    done = subprocess.run(
+    completed = subprocess.run(
         commands[tool], input="B\n", capture_output=True, text=True, timeout=120, check=False
     )
-    assert "b,5.02,5.01" in done.stdout
+    assert "b,5.02,5.01" in completed.stdout
 
 
 def test_miniterm_gets_a_reply(path: str) -> None:
     command = [sys.executable, "-m", "serial.tools.miniterm", "--raw", path, "9600"]
     # It wants its own terminal to read keys from.
-    own, keys = os.openpty()
+    master, keys = os.openpty()
     with subprocess.Popen(command, stdin=keys, stdout=keys, stderr=keys, close_fds=True) as process:
         os.close(keys)
-        shown, end = b"", time.monotonic() + 60
-        while b"b,5.02,5.01" not in shown:
-            assert time.monotonic() < end, shown
+        output, end = b"", time.monotonic() + 60
+        while b"b,5.02,5.01" not in output:
+            assert time.monotonic() < end, output
             # What is typed before it has begun is lost.
-            os.write(own, b"B\n")
-            while select.select([own], [], [], 1)[0]:
-                shown += os.read(own, 4096)
+            os.write(master, b"B\n")
+            while select.select([master], [], [], 1)[0]:
+                output += os.read(master, 4096)
         process.kill()
-    os.close(own)
+    os.close(master)
 
 
 def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_reported() -> None:
@@ -369,11 +370,11 @@ def test_the_notice_of_another_speed_names_the_mode_and_one_stop_bit_is_no_reaso
             with serial.Serial(path, speed, stopbits=1, timeout=TIMEOUT_S) as port:
                 assert ask(port, b"B\n") == VERSIONS
         _, errors = stop(process)
-    told = [line for line in errors.splitlines() if "baud" in line]
-    assert len(told) == 2
-    assert "the host has its line at 38400 baud, the robot's has 9600" in told[0]
-    assert "serve --mode 3" in told[0]
-    assert "serve --model khepera2 --mode 8" in told[1]
+    warnings = [line for line in errors.splitlines() if "baud" in line]
+    assert len(warnings) == 2
+    assert "the host has its line at 38400 baud, the robot's has 9600" in warnings[0]
+    assert "serve --mode 3" in warnings[0]
+    assert "serve --model khepera2 --mode 8" in warnings[1]
 
 
 def test_after_the_tool_serial_the_next_host_finds_the_robots_speed() -> None:

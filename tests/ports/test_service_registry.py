@@ -6,7 +6,7 @@ import pytest
 
 from khep_twin.errors import PortError
 from khep_twin.ports import service_registry
-from khep_twin.ports.service_registry import registered, served
+from khep_twin.ports.service_registry import registered_ports, served_ports
 
 
 @pytest.fixture(autouse=True)
@@ -17,17 +17,17 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_what_is_registered_is_served_until_the_end(folder: Path) -> None:
-    with registered(["/dev/pts/1"], "default  playpen"):
-        assert served() == [("/dev/pts/1", "default playpen")]
+    with registered_ports(["/dev/pts/1"], "default  playpen"):
+        assert served_ports() == [("/dev/pts/1", "default playpen")]
     assert not [*folder.iterdir()]
 
 
 def test_a_full_disk_is_said_in_one_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The note could be opened and not be written, which ended the twin of a page."""
+    """The note could be opened but not written, which ended the twin of a page."""
     monkeypatch.setattr(service_registry, "_is_held", lambda _: True)
     (folder / "1.served").symlink_to("/dev/full")
     with pytest.raises(PortError, match=r"1\.served: cannot be written: No space left on device"):
-        with registered(["/dev/pts/1"], "default"):
+        with registered_ports(["/dev/pts/1"], "default"):
             raise AssertionError
     assert not [*folder.iterdir()]
 
@@ -44,4 +44,4 @@ def test_a_server_that_ends_while_it_is_listed_is_not_listed(
         return True
 
     monkeypatch.setattr(service_registry, "_is_held", ended_at_once)
-    assert served() == []
+    assert served_ports() == []

@@ -1,4 +1,4 @@
-"""Hosts on a terminal, as the kernel knows them."""
+"""Hosts on a terminal, by the kernel's reports."""
 
 import fcntl
 import os
@@ -34,20 +34,20 @@ def test_of_two_descriptors_of_one_process_one_may_close(port: PtyPort) -> None:
     first, second = opened(port), opened(port)
     port.receive(100)
     os.close(second)
-    assert not port.receive(100).left
+    assert not port.receive(100).hosts_left
     assert port.occupied
     os.close(first)
-    assert port.receive(100).left
+    assert port.receive(100).hosts_left
     assert not port.occupied
 
 
 def test_descriptors_opened_and_closed_between_two_looks_leave_the_first_host_here(port: PtyPort) -> None:
     host = opened(port)
     subprocess.run(["stty", "-F", port.path, "9600"], check=True)
-    assert not port.receive(100).left
+    assert not port.receive(100).hosts_left
     for _ in range(3):
         os.close(opened(port))
-    assert not port.receive(100).left
+    assert not port.receive(100).hosts_left
     assert port.occupied
     os.write(host, b"B\n")
     assert port.receive(100).data == b"B\n"
@@ -58,10 +58,10 @@ def test_a_descriptor_that_is_inherited_keeps_the_host_here(port: PtyPort) -> No
     host = opened(port)
     with subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[host]) as child:
         os.close(host)
-        assert not port.receive(100).left
+        assert not port.receive(100).hosts_left
         assert port.occupied
         child.communicate()
-    assert port.receive(100).left
+    assert port.receive(100).hosts_left
 
 
 def test_a_host_that_came_and_went_unseen_has_left(port: PtyPort) -> None:
@@ -69,8 +69,8 @@ def test_a_host_that_came_and_went_unseen_has_left(port: PtyPort) -> None:
     os.write(host, b"D,1,1\nD,0,")
     os.close(host)
     received = port.receive(4)
-    assert (received.left, received.last, received.data) == (True, b"D,1,1\nD,0,", b"")
-    assert not port.receive(100).left
+    assert (received.hosts_left, received.last_data, received.data) == (True, b"D,1,1\nD,0,", b"")
+    assert not port.receive(100).hosts_left
 
 
 def test_a_lock_of_a_host_that_is_here_stays_and_goes_with_it(port: PtyPort) -> None:
@@ -82,7 +82,7 @@ def test_a_lock_of_a_host_that_is_here_stays_and_goes_with_it(port: PtyPort) -> 
     state = fcntl.ioctl(host, 0x80045440, bytes(4))
     assert any(state)
     os.close(host)
-    assert port.receive(100).left
+    assert port.receive(100).hosts_left
     host = opened(port)
     assert not any(fcntl.ioctl(host, 0x80045440, bytes(4)))
     os.close(host)
@@ -97,7 +97,7 @@ def test_replies_that_were_not_read_are_flushed_when_the_next_host_is_here_alrea
         host = opened(port)
         os.write(host, b"B\n")
         received = port.receive(100)
-        assert (received.left, received.last, received.data) == (True, b"", b"B\n")
+        assert (received.hosts_left, received.last_data, received.data) == (True, b"", b"B\n")
         assert len(received.notices) == 1
         os.set_blocking(host, False)
         with pytest.raises(BlockingIOError):
@@ -133,7 +133,7 @@ def test_lines_of_the_next_host_are_distinguished_from_those_of_the_one_before(
         host = opened(port)
         os.write(host, after)
         received = port.receive(1)
-        assert (received.left, received.last, received.data) == (True, before or b"", after)
+        assert (received.hosts_left, received.last_data, received.data) == (True, before or b"", after)
         os.close(host)
 
 
@@ -149,14 +149,14 @@ def test_settings_that_a_host_makes_as_another_leaves_are_its_own(
 
     def come_after_the_last_poll(watched: TerminalHosts, wrote: bool) -> Change:
         change = poll(watched, wrote)
-        if not wrote and not change.left:
+        if not wrote and not change.hosts_left:
             later.append(opened(port))
             set_speed(later[0], termios.B57600)
         return change
 
     with monkeypatch.context() as patch:
         patch.setattr(TerminalHosts, "poll", come_after_the_last_poll)
-        assert port.receive(100).left
+        assert port.receive(100).hosts_left
     assert termios.tcgetattr(later[0])[5] == termios.B57600
     monkeypatch.setattr(pty_module, "_RESTORE_S", 0.0)
     port.receive(100)
@@ -173,7 +173,7 @@ def test_settings_are_put_back_while_other_terminals_are_busy(
         set_speed(host, termios.B57600)
         port.receive(100)
         os.close(host)
-        assert port.receive(100).left
+        assert port.receive(100).hosts_left
         os.close(opened(other))
         port.receive(100)
         host = opened(port)
@@ -202,7 +202,7 @@ def test_bytes_that_were_read_before_a_host_left_are_not_the_next_one_s(
 
         monkeypatch.setattr(TerminalHosts, "poll", poll_and_be_followed)
         received = port.receive(100)
-        assert (received.left, received.last, received.data) == (True, b"N\n", b"B\nO\n")
+        assert (received.hosts_left, received.last_data, received.data) == (True, b"N\n", b"B\nO\n")
         os.close(hosts[1])
 
 
@@ -223,33 +223,33 @@ def test_a_host_that_is_still_closing_has_left_when_the_next_one_comes(
         host = opened(port)
         port.receive(100)
         with monkeypatch.context() as patch:
-            # The kernel tells of a closing before the terminal is hung up.
-            patch.setattr(TerminalHosts, "_held", is_held)
+            # The kernel reports a closing before the terminal is hung up.
+            patch.setattr(TerminalHosts, "_is_held", is_held)
             os.close(host)
-            assert not port.receive(100).left
+            assert not port.receive(100).hosts_left
         host = opened(port)
         os.write(host, b"B\n")
         received = port.receive(100)
-        assert (received.left, received.data) == (True, b"B\n")
+        assert (received.hosts_left, received.data) == (True, b"B\n")
         os.close(host)
 
 
 @pytest.mark.parametrize("rounds", share([300, 2000], 2))
 def test_random_openings_and_closings_are_followed(rounds: int, port: PtyPort) -> None:
     rng = random.Random(1)
-    held: list[int] = []
+    descriptors: list[int] = []
     for _ in range(rounds):
-        before = len(held)
+        before = len(descriptors)
         for _ in range(rng.randrange(1, 4)):
-            if held and rng.random() < 0.5:
-                os.close(held.pop(rng.randrange(len(held))))
-            elif len(held) < 5:
-                held.append(opened(port, rng.choice([os.O_RDWR, os.O_RDONLY, os.O_WRONLY])))
-        left = port.receive(100).left
-        assert port.occupied == bool(held)
-        if before and not held:
+            if descriptors and rng.random() < 0.5:
+                os.close(descriptors.pop(rng.randrange(len(descriptors))))
+            elif len(descriptors) < 5:
+                descriptors.append(opened(port, rng.choice([os.O_RDWR, os.O_RDONLY, os.O_WRONLY])))
+        left = port.receive(100).hosts_left
+        assert port.occupied == bool(descriptors)
+        if before and not descriptors:
             assert left
-    for descriptor in held:
+    for descriptor in descriptors:
         os.close(descriptor)
 
 
@@ -264,5 +264,5 @@ def test_a_host_that_floods_the_line_as_another_leaves_holds_nothing_up() -> Non
                 pass
             received = port.receive(100)
             flood.kill()
-        assert received.left
-        assert 0 < len(received.data + received.last) <= 100 + 65536
+        assert received.hosts_left
+        assert 0 < len(received.data + received.last_data) <= 100 + 65536

@@ -1,4 +1,4 @@
-"""Twins out of options: what a model brings with it, and what is refused."""
+"""Twins from options: defaults of each model, and invalid options."""
 
 import pytest
 from scenes import arena, robot
@@ -8,7 +8,7 @@ from khep_twin.errors import PortError
 from khep_twin.host import Khepera
 from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.twin import Twin, TwinOptions, equipped, open_twin
+from khep_twin.ports.twin import Twin, TwinOptions, equip_playpen, open_twin
 
 OWN_SENSORS = arena() + robot(300, 250, model="khepera2", calibration="khepera1-manual")
 
@@ -22,31 +22,31 @@ def test_a_model_brings_its_sensors_and_its_firmware() -> None:
 
 
 def test_a_version_of_the_firmware_that_is_given_stays() -> None:
-    scene, _ = equipped("default", TwinOptions(model="khepera2", rom="5.02"))
+    scene, _ = equip_playpen("default", TwinOptions(model="khepera2", rom="5.02"))
     assert (scene.robots[0].calibration, scene.robots[0].rom) == ("khepera2", "5.02")
 
 
 def test_a_robot_that_is_of_the_model_keeps_its_own_sensors() -> None:
-    scene, _ = equipped(parse(OWN_SENSORS, "own"), TwinOptions(model="khepera2"))
+    scene, _ = equip_playpen(parse(OWN_SENSORS, "own"), TwinOptions(model="khepera2"))
     assert scene.robots[0].calibration == "khepera1-manual"
-    scene, _ = equipped(parse(OWN_SENSORS, "own"), TwinOptions(model="khepera1"))
+    scene, _ = equip_playpen(parse(OWN_SENSORS, "own"), TwinOptions(model="khepera1"))
     assert (scene.robots[0].calibration, scene.robots[0].rom) == ("khepera1", "5.02")
 
 
 def test_only_the_robot_on_the_line_changes() -> None:
-    scene, on_the_line = equipped(
+    scene, indices = equip_playpen(
         parse(OWN_SENSORS.replace("khepera2", "khepera1") + robot(100, 100), "two"),
         TwinOptions(robot=1, model="khepera2"),
     )
-    assert list(on_the_line) == [1]
-    assert [each.model for each in scene.robots] == ["khepera1", "khepera2"]
+    assert list(indices) == [1]
+    assert [entry.model for entry in scene.robots] == ["khepera1", "khepera2"]
 
 
 def test_a_larger_body_that_has_no_room_is_refused_with_what_is_in_its_way() -> None:
     near = Playpen.load("default")
     robots = (near.robots[0].model_copy(update={"x_mm": 30.0}),)
     with pytest.raises(PortError, match=r"with model = 'khepera2': robot 1 .* overlaps the left"):
-        equipped(near.model_copy(update={"robots": robots}), TwinOptions(model="khepera2"))
+        equip_playpen(near.model_copy(update={"robots": robots}), TwinOptions(model="khepera2"))
 
 
 def test_an_unknown_model_is_reported_with_the_choices() -> None:
@@ -56,12 +56,12 @@ def test_an_unknown_model_is_reported_with_the_choices() -> None:
 
 def test_a_host_that_tries_many_speeds_is_warned_a_hundred_times_at_most() -> None:
     with open_twin("default", TwinOptions()) as twin:
-        warnings = [twin.robot.compare_line(LineSettings(baud, 2)) for baud in range(1000, 2000)]
+        warnings = [twin.robot.set_host_line(LineSettings(baud, 2)) for baud in range(1000, 2000)]
     assert sum(map(bool, warnings)) == 100
 
 
 class LateSource:
-    """Time source that notes what a port requests of it, and lets time pass."""
+    """Time source that stores the requested times, and advances the world."""
 
     def __init__(self, twin: Twin) -> None:
         self.twin = twin

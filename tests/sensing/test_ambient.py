@@ -10,7 +10,7 @@ from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.sensing import calibration
 from khep_twin.sensing import light as lamp_light
-from khep_twin.sensing.ambient import ambient_optics, light_of
+from khep_twin.sensing.ambient import ambient_optics, build_light
 from khep_twin.sensing.occlusion import SightLines
 from khep_twin.units import BULB_RADIUS, SENSOR_HEIGHT, SENSOR_POSITIONS
 from khep_twin.world import World
@@ -36,14 +36,14 @@ def counts(text: str) -> np.ndarray:
 
 
 def test_light_falls_with_the_square_of_the_distance() -> None:
-    near, far = (lamp_light.received(RECEIVERS, LEFT_10, distance, 1.0) for distance in (0.2, 0.4))
+    near, far = (lamp_light.light_per_watt(RECEIVERS, LEFT_10, distance, 1.0) for distance in (0.2, 0.4))
     assert near == pytest.approx(KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
     assert near == pytest.approx(4 * far)
 
 
 def test_off_the_axis_a_lobe_and_a_diffuse_part_are_left() -> None:
     ahead, tangential, behind = (
-        lamp_light.received(RECEIVERS, LEFT_10, 0.2, cosine) for cosine in (1.0, 0.5, -1.0)
+        lamp_light.light_per_watt(RECEIVERS, LEFT_10, 0.2, cosine) for cosine in (1.0, 0.5, -1.0)
     )
     part, exponent = KHEPERA1.diffuse, KHEPERA1.lobe_exponent[LEFT_10]
     assert tangential / ahead == pytest.approx((1 - part) * 0.5**exponent + part * 0.75)
@@ -56,8 +56,8 @@ def test_the_toolboxs_law_loses_nothing_up_to_an_angle_and_all_beyond_another(
 ) -> None:
     cosine = math.cos(math.radians(angle_deg))
     world = World(playpen.parse(scene(), "scene"))
-    light = light_of(SightLines(world.model, world.robots[0].indices, []), LIGHTING)
-    found = lamp_light.received_by_toolbox(RECEIVERS, light.law, LEFT_10, 0.2, cosine)
+    light = build_light(SightLines(world.model, world.robots[0].indices, []), LIGHTING)
+    found = lamp_light.toolbox_light_per_watt(RECEIVERS, light.law, LEFT_10, 0.2, cosine)
     assert found == pytest.approx(left * KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
 
 
@@ -73,7 +73,7 @@ def test_a_scene_gives_what_the_law_says() -> None:
     distance = float(np.linalg.norm(way))
     heading = math.radians(KHEPERA1.heading_deg[LEFT_10])
     cosine = float(way @ [math.cos(heading), math.sin(heading), 0]) / distance
-    light = 7 * lamp_light.received(RECEIVERS, LEFT_10, distance, cosine)
+    light = 7 * lamp_light.light_per_watt(RECEIVERS, LEFT_10, distance, cosine)
     assert counts(scene(LAMP))[LEFT_10] == pytest.approx(DARK - light, abs=1)
 
 
@@ -167,7 +167,7 @@ def test_sensors_see_flicker_in_the_order_of_the_scan() -> None:
     light = KHEPERA1.dark_counts - found
     parts = light / light.mean(axis=0) - 1
     times = 0.02 * np.arange(100)[:, None] + 0.0025 * np.arange(8)
-    phase = under(400, 52, 300).simulation.plain.light.law.phase
+    phase = under(400, 52, 300).simulation.plain.light.law.flicker_phase
     np.testing.assert_allclose(parts, DEPTH * np.cos(2 * np.pi * (104 * times + phase)), atol=0.08)
 
 

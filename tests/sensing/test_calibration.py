@@ -43,7 +43,7 @@ def test_wheels_of_different_size_have_the_mean_radius_and_their_ratio() -> None
 
 def test_robots_of_the_same_make_spread_around_their_calibration_as_told() -> None:
     made = calibration.read("khepera1")[0]
-    drawn = [calibration.varied(made, np.random.default_rng(seed)) for seed in range(600)]
+    drawn = [calibration.vary(made, np.random.default_rng(seed)) for seed in range(600)]
 
     def spread(values: list[float], nominal: float = 1.0) -> tuple[float, float]:
         parts = np.array(values) / nominal

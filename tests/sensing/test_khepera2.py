@@ -50,7 +50,7 @@ def test_the_gain_is_in_the_middle_of_the_robots_that_were_measured() -> None:
 
 def test_robots_of_the_same_make_span_the_robots_that_were_measured() -> None:
     drawn = [
-        calibration.varied(calibration.read("khepera2")[0], np.random.default_rng(seed)).proximity
+        calibration.vary(calibration.read("khepera2")[0], np.random.default_rng(seed)).proximity
         for seed in range(100)
     ]
     gains = np.array([each.gain_counts_mm2 for each in drawn]) / MADE.gain_counts_mm2

@@ -34,7 +34,7 @@ CORNERS = [(0.2, 0.2), (0.8, 0.2), (0.8, 0.8)]
 
 def test_all_lamps_are_on_unless_the_playpen_says_otherwise() -> None:
     found = lamps(THREE)
-    assert (found.powers, found.lit, found.steady) == ([2, 2, 2], None, True)
+    assert (found.powers, found.lit_index, found.are_constant) == ([2, 2, 2], None, True)
 
 
 def test_a_dimmed_lamp_shines_with_a_part_of_its_power() -> None:
@@ -43,7 +43,7 @@ def test_a_dimmed_lamp_shines_with_a_part_of_its_power() -> None:
 
 def test_a_lamp_blinks_by_its_period_and_duty() -> None:
     found = lamps(lamp(200, 200, "blink_period_s = 0.1\nblink_duty = 0.3\n"))
-    assert not found.steady
+    assert not found.are_constant
     shown = []
     for step in range(1, 81):
         found.update(step * STEP_NS, [(*MIDDLE, 0.0275)])
@@ -66,13 +66,13 @@ def test_a_lamp_that_fades_goes_on_and_off_along_a_line() -> None:
 
 def test_all_lamps_that_flicker_have_one_phase_which_the_seed_draws() -> None:
     still = Light(LightLaw(False, 0.0, 0.0, True, 10_000_000, 0.0), [Bulb()] * 2, [])
-    assert lamps(lamp(200, 200) * 2).flickering(still) is still
+    assert lamps(lamp(200, 200) * 2).add_flicker(still) is still
     both = lamp(200, 200, "flicker = 0.3\n") + lamp(300, 300)
     found = [lamps(both, seed) for seed in (1, 1, 2)]
-    phases = [each.flickering(still).law.phase for each in found]
+    phases = [each.add_flicker(still).law.flicker_phase for each in found]
     assert phases[0] == phases[1] != phases[2]
-    assert [bulb.flicker for bulb in found[0].flickering(still).bulbs] == [0.3, 0]
-    assert (found[0].powers, found[0].steady) == ([2, 2], True)
+    assert [bulb.flicker for bulb in found[0].add_flicker(still).bulbs] == [0.3, 0]
+    assert (found[0].powers, found[0].are_constant) == ([2, 2], True)
 
 
 def test_the_mains_go_on_when_the_lamps_of_a_world_are_changed() -> None:
@@ -80,16 +80,16 @@ def test_the_mains_go_on_when_the_lamps_of_a_world_are_changed() -> None:
     flickering = [each.model_copy(update={"flicker": 0.5}) for each in scene.lamps]
     world = World(scene, seed=3)
     world.set_lamps(flickering)
-    phase = world.simulation.plain.light.law.phase
+    phase = world.simulation.plain.light.law.flicker_phase
     world.set_lamps(flickering[:1])
-    assert world.simulation.plain.light.law.phase == phase > 0
+    assert world.simulation.plain.light.law.flicker_phase == phase > 0
 
 
 def walk(found: Lamps, *positions: tuple[float, float]) -> list[int | None]:
     lit = []
     for number, position in enumerate(positions, 1):
         found.update(number * STEP_NS, [(*position, 0.0275)])
-        lit.append(found.lit)
+        lit.append(found.lit_index)
     return lit
 
 
@@ -144,7 +144,7 @@ def test_the_same_seed_draws_the_same_lamps() -> None:
 
 def test_one_lamp_alone_stays_on_and_none_is_no_trouble() -> None:
     assert walk(lamps('[lighting]\nmode = "random"\n' + lamp(200, 200)), MIDDLE, CORNERS[0]) == [0, 0]
-    assert lamps('[lighting]\nmode = "random"\n').steady
+    assert lamps('[lighting]\nmode = "random"\n').are_constant
 
 
 def test_a_robot_that_drives_to_a_lamp_sees_the_next_one_come_on() -> None:

@@ -10,10 +10,10 @@ from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import light as lamp_light
-from khep_twin.sensing.ambient import light_of
-from khep_twin.sensing.mujoco_scene import points_of_a_bulb
+from khep_twin.sensing.ambient import build_light
+from khep_twin.sensing.mujoco_scene import bulb_points
 from khep_twin.sensing.occlusion import SightLines
-from khep_twin.sensing.scene import MANY
+from khep_twin.sensing.scene import FINE
 from khep_twin.units import SENSOR_HEIGHT
 from khep_twin.world import World
 
@@ -22,20 +22,20 @@ def share_of_clear(text: str, n: int = 400) -> float:
     """Asserts that rays see all of each lamp where it is said to be clear; the share of such places."""
     world = World(playpen.parse(text, "sight"), noise=False)
     lines = SightLines(world.model, world.robots[0].indices, world.lamps.positions)
-    light, plain = light_of(lines, playpen.Lighting()), world.simulation.plain
+    light, plain = build_light(lines, playpen.Lighting()), world.simulation.plain
     sensors = plain.robots[0].sensors
     place = world.data.cam_xpos[sensors.cameras[0]]
     width, depth = world.playpen.arena.width_mm / 1e3, world.playpen.arena.height_mm / 1e3
     clear = 0
     for x, y in np.random.default_rng(7).uniform((0, 0), (width, depth), (n, 2)).tolist():
         for lamp, at in enumerate(world.lamps.positions):
-            if lamp_light.clear(light, lamp, x, y):
+            if lamp_light.is_clear(light, lamp, x, y):
                 clear += 1
                 place[:] = x, y, SENSOR_HEIGHT
                 way = at[0] - x, at[1] - y, at[2] - SENSOR_HEIGHT
                 distance = float(np.linalg.norm(way))
                 if distance > 0.03:
-                    assert lamp_light.part_of_bulb(plain.scene, sensors, 0, way, distance, MANY) == 1, (
+                    assert lamp_light.sample_bulb(plain.scene, sensors, 0, way, distance, FINE) == 1, (
                         x,
                         y,
                         lamp,
@@ -101,7 +101,7 @@ def test_corners_of_the_gripper_beside_a_sensor_stop_light(
     left, up = np.array((-y / flat, x / flat, 0)), np.array((-x * z / flat, -y * z / flat, flat)) / distance
     others = (model.geom_bodyid != sensors.base) & (model.geom_rgba[:, 3] > 0)
     stopped = 0
-    for across, upward in points_of_a_bulb(MANY):
+    for across, upward in bulb_points(FINE):
         ray = np.array(way) + lamp_light.BULB_RADIUS * (across * left + upward * up)
         hits = [
             mujoco.mju_rayGeom(
@@ -115,7 +115,7 @@ def test_corners_of_the_gripper_beside_a_sensor_stop_light(
             for geom in np.flatnonzero(others)
         ]
         stopped += any(0 <= hit < 1 - lamp_light.BULB_RADIUS / distance for hit in hits)
-    assert lamp_light.part_of_bulb(scene, sensors, channel, way, distance, MANY) == 1 - stopped / 64
+    assert lamp_light.sample_bulb(scene, sensors, channel, way, distance, FINE) == 1 - stopped / 64
     assert stopped in (1, 2, 55)
 
 

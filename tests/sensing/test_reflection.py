@@ -9,8 +9,8 @@ import pytest
 from shares import share
 
 from khep_twin.sensing import lobes
-from khep_twin.sensing.mujoco_scene import upright
-from khep_twin.sensing.reflection import Lobe, reflected, sift
+from khep_twin.sensing.mujoco_scene import upright_shape
+from khep_twin.sensing.reflection import Lobe, reflected_light, remove_faint
 from khep_twin.sensing.seen_surfaces import N_COLUMNS, N_SURFACES, SQUARE, Chip, add_upright
 from khep_twin.units import SENSOR_HEIGHT
 
@@ -53,7 +53,7 @@ def surfaces(things: Sequence[Thing], reach: float = 100.0) -> tuple[list[float]
 
 def light(things: Sequence[Thing], exponent: float = 3.0, reach: float = 100.0) -> float:
     found, count, chip = surfaces(things, reach)
-    return reflected(found, count, chip, lobe_of(exponent)) if count else 0.0
+    return reflected_light(found, count, chip, lobe_of(exponent)) if count else 0.0
 
 
 def cast(thing: Thing, cosines: np.ndarray, sines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -198,9 +198,9 @@ def test_the_upper_bound_is_one_in_random_scenes(scenes: int) -> None:
         exponent = float(rng.uniform(0, 6))
         found, count, chip = surfaces(random_things(rng, int(rng.integers(1, 7))))
         lobe = lobe_of(exponent)
-        true = reflected(found, count, chip, lobe)
-        left, most = sift(found, count, lobe, 0.0)
-        assert (left, reflected(found, left, chip, lobe)) == (count, true)
+        true = reflected_light(found, count, chip, lobe)
+        left, most = remove_faint(found, count, lobe, 0.0)
+        assert (left, reflected_light(found, left, chip, lobe)) == (count, true)
         assert most >= true
         seen += true > 0
     assert seen > scenes * 0.8
@@ -214,9 +214,9 @@ def test_what_is_sifted_out_sends_back_less_than_it_is_sifted_by(scenes: int) ->
         exponent, least = float(rng.uniform(0, 6)), float(10 ** rng.uniform(0, 2.7))
         found, count, chip = surfaces(random_things(rng))
         lobe = lobe_of(exponent)
-        true = reflected(found, count, chip, lobe)
-        left, most = sift(found, count, lobe, least)
-        rest = reflected(found, left, chip, lobe) if left else 0.0
+        true = reflected_light(found, count, chip, lobe)
+        left, most = remove_faint(found, count, lobe, least)
+        rest = reflected_light(found, left, chip, lobe) if left else 0.0
         assert abs(true - rest) <= (count - left) * least
         assert most >= rest
         removed += count - left
@@ -290,7 +290,7 @@ def tipped(kind: int, size: tuple[float, float, float], axis: int, angle_deg: fl
     c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     matrix = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]][axis]]
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ matrix
-    centre, (cosine, sine), half, (bottom, top) = upright(kind, size, (0.1, 0.2, 0.03), turn.ravel().tolist())
+    centre, (cosine, sine), half, (bottom, top) = upright_shape(kind, size, (0.1, 0.2, 0.03), turn.ravel().tolist())
     assert centre == (0.1, 0.2)
     away = math.degrees(math.atan2(sine, cosine)) % 180
     return [away, *(value * 1e3 for value in (*half, bottom, top))]

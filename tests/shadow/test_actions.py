@@ -1,11 +1,19 @@
-"""What crossed the line, repeated on particles."""
+"""Bytes of the line as actions, repeated on particles."""
 
 import numpy as np
 import pytest
 from twins import OPEN, SECOND, particles_at
 
 from khep_twin.board import kernel
-from khep_twin.shadow.actions import WheelCommand, RegisterWrite, CounterReply, Restart, ProximityReply, Silence, apply_action
+from khep_twin.shadow.actions import (
+    CounterReply,
+    ProximityReply,
+    RegisterWrite,
+    Restart,
+    Silence,
+    WheelCommand,
+    apply_action,
+)
 from khep_twin.shadow.wheel_commands import POSITION, SPEED
 
 LEFT_TARGET = kernel.LEFT + kernel.Wheel.POSITION
@@ -21,7 +29,11 @@ def test_time_passes_until_an_action_in_whole_ticks() -> None:
     assert particles.planes.poses[0, 0] > 0.36
     x = particles.planes.poses[0, 0]
     # What is said to be earlier happens now.
-    for action in (Silence(0), ProximityReply(SECOND // 4, np.zeros(8, np.int64)), CounterReply(0, np.zeros(2, np.int64))):
+    for action in (
+        Silence(0),
+        ProximityReply(SECOND // 4, np.zeros(8, np.int64)),
+        CounterReply(0, np.zeros(2, np.int64)),
+    ):
         apply_action(action, particles)
     assert particles.planes.ticks == 100
     assert particles.planes.poses[0, 0] == x

@@ -23,23 +23,23 @@ def shares(particles: Particles, changes: int) -> list[float]:
 
 
 def test_some_twins_undergo_each_change_with_the_probability_of_that_time() -> None:
-    made = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS, WEAK)
-    assert np.bincount(made.changes).tolist() == [100 + QUOTA, QUOTA, QUOTA]
-    _, stands, weak = shares(made, 2)
+    mixture = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS, WEAK)
+    assert np.bincount(mixture.changes).tolist() == [100 + QUOTA, QUOTA, QUOTA]
+    _, stands, weak = shares(mixture, 2)
     assert stands == pytest.approx(STANDS.rate * 0.5)
     assert weak == pytest.approx(WEAK.rate * 0.5)
-    strength = made.planes.strength
-    assert (strength[made.changes == 0] == 1).all()
-    assert (strength[made.changes == 1, 0] <= 0).all()
-    assert (strength[made.changes == 2, 1] < 1).all()
-    assert (made.since_ns == np.where(made.changes, SECOND, 0)).all()
+    strength = mixture.planes.strength
+    assert (strength[mixture.changes == 0] == 1).all()
+    assert (strength[mixture.changes == 1, 0] <= 0).all()
+    assert (strength[mixture.changes == 2, 1] < 1).all()
+    assert (mixture.since_ns == np.where(mixture.changes, SECOND, 0)).all()
 
 
 def test_a_change_that_the_weights_favour_gets_the_twins_and_keeps_when_it_began() -> None:
-    made = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS, WEAK)
-    made.log_weights[made.changes == 1] += 20
-    made.since_ns[made.changes == 1] = 7
-    later = mix(made, STANDS, WEAK)
+    mixture = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS, WEAK)
+    mixture.log_weights[mixture.changes == 1] += 20
+    mixture.since_ns[mixture.changes == 1] = 7
+    later = mix(mixture, STANDS, WEAK)
     assert (later.changes == 1).sum() == 100 + QUOTA
     assert shares(later, 2)[1] > 0.9
     assert (later.planes.strength[later.changes == 1, 0] <= 0).all()
@@ -47,9 +47,9 @@ def test_a_change_that_the_weights_favour_gets_the_twins_and_keeps_when_it_began
 
 
 def test_twins_without_a_change_any_more_are_sound_again() -> None:
-    made = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS)
-    made.log_weights[made.changes == 0] -= 1000
-    later = mix(made, STANDS)
+    mixture = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS)
+    mixture.log_weights[mixture.changes == 0] -= 1000
+    later = mix(mixture, STANDS)
     sound = later.changes == 0
     assert sound.sum() == QUOTA
     assert (later.planes.strength[sound] == 1).all()
@@ -59,17 +59,17 @@ def test_twins_without_a_change_any_more_are_sound_again() -> None:
 def test_an_end_takes_the_fault_from_twins_that_have_it() -> None:
     particles = particles_at(*[AT_THE_CRATE] * 50)
     particles.planes.strength[:, 0] = 0
-    made = mix(particles, FaultChange(StandingWheel(0), False))
-    assert (made.planes.strength[:, 0] == made.changes).all()
-    assert made.changes.any()
+    mixture = mix(particles, FaultChange(StandingWheel(0), False))
+    assert (mixture.planes.strength[:, 0] == mixture.changes).all()
+    assert mixture.changes.any()
 
 
 def test_what_may_have_happened_unseen_has_the_probability_of_that_time_once() -> None:
-    gone = FaultChange(Missing("block1", thing_rows(setup_of("workshop"))["block1"]), True, unseen_s=60.0)
-    made = mix(particles_at(*[AT_THE_CRATE] * 50), gone)
-    assert shares(made, 1)[1] == pytest.approx(gone.rate * 60.5, rel=0.02)
-    later = mix(made, gone)
-    assert shares(later, 1)[1] == pytest.approx(gone.rate * 61, rel=0.05)
+    missing = FaultChange(Missing("block1", thing_rows(setup_of("workshop"))["block1"]), True, unseen_s=60.0)
+    mixture = mix(particles_at(*[AT_THE_CRATE] * 50), missing)
+    assert shares(mixture, 1)[1] == pytest.approx(missing.rate * 60.5, rel=0.02)
+    later = mix(mixture, missing)
+    assert shares(later, 1)[1] == pytest.approx(missing.rate * 61, rel=0.05)
 
 
 @pytest.mark.parametrize("begins", [True, False])
@@ -78,19 +78,19 @@ def test_twins_that_keep_a_fault_differ_a_little_from_those_they_were_drawn_of(b
     weak.begin(particles, np.random.default_rng(0))
     particles.changes[:] = begins
     before = particles.planes.strength[:, 1].copy()
-    made = mix(particles, FaultChange(weak, begins), count=1000)
-    has = made.planes.strength[made.changes == int(begins), 1]
+    mixture = mix(particles, FaultChange(weak, begins), count=1000)
+    has = mixture.planes.strength[mixture.changes == int(begins), 1]
     assert len(np.unique(has)) > 1000
     assert has.mean() == pytest.approx(before.mean(), abs=0.01)
     assert has.std() == pytest.approx(before.std(), rel=0.1)
     assert MIN_STRENGTH <= has.min() < has.max() <= MAX_STRENGTH
     # Those that have it no more, or are not to have it, are whole.
-    assert (made.planes.strength[made.changes != int(begins), 1] == 1).all()
+    assert (mixture.planes.strength[mixture.changes != int(begins), 1] == 1).all()
 
 
 def test_without_changes_twins_are_drawn_by_their_weights() -> None:
     particles = particles_at(AT_THE_CRATE, (100.0, 371.0, 0.0))
     particles.log_weights[:] = np.log([0.25, 0.75])
-    made = mix(particles, count=40)
-    assert len(made) == 40
-    assert (made.planes.poses[:, 0] > 0.09).sum() == 30
+    mixture = mix(particles, count=40)
+    assert len(mixture) == 40
+    assert (mixture.planes.poses[:, 0] > 0.09).sum() == 30

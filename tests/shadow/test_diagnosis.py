@@ -1,4 +1,4 @@
-"""Faults of a robot, by what it replies beside what its twins expect."""
+"""Faults of a robot, by its replies and the expectations of its particles."""
 
 import math
 
@@ -11,7 +11,7 @@ from khep_twin.episodes.planar import plane as flat
 from khep_twin.log.exchanges import Exchange
 from khep_twin.log.shadow_channels import Alarm, PoseState
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import WheelCommand, CounterReply, ProximityReply
+from khep_twin.shadow.actions import CounterReply, ProximityReply, WheelCommand
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.start import PUBLISHED, draw_particles
@@ -26,13 +26,15 @@ LATENESS_NS = 5_000_000
 
 
 class Driven:
-    """A robot in a plane that turns away from what it sees, its diagnosis, and the alarms so far."""
+    """A robot in a plane that turns away from obstacles, its diagnosis, and the alarms so far."""
 
-    def __init__(self, seed: int, counters: bool = False, particles: int = 300, others: bool = False) -> None:
+    def __init__(
+        self, seed: int, counters: bool = False, particles: int = 300, has_others: bool = False
+    ) -> None:
         setup = setup_of("workshop", lit=False)
-        self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3), lit=False)
+        self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3), has_lamps=False)
         start = draw_particles(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
-        start.planes.has_other_robots = others
+        start.planes.has_other_robots = has_others
         tracker = ParticleFilter(setup, start, stream(seed, "filter"), particles)
         self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
         self._rng, self._counters = stream(seed, "robot"), counters
@@ -60,7 +62,7 @@ class Driven:
             diagnosis.follow(WheelCommand(time_ns, SPEED, *speeds))
             self.raised |= {(alarm.fault, alarm.raised_ns): alarm for alarm in diagnosis.alarms}
             self.ended += diagnosis.ended
-            self.suspected += [each.probability for each in diagnosis.suspected]
+            self.suspected += [suspicion.probability for suspicion in diagnosis.suspected]
 
     @property
     def names(self) -> list[str]:
@@ -129,11 +131,19 @@ def test_a_robot_that_was_put_elsewhere_is_told_for_a_second_and_lost_until_it_i
 
 
 def test_a_thing_that_is_not_in_the_playpen_is_no_fault_where_other_robots_drive() -> None:
-    driven = Driven(2, others=True)
+    driven = Driven(2, has_others=True)
     driven.drive(4)
     x, y, heading = driven.robot.poses[0].tolist()
     place = x + 0.05 * math.cos(heading), y + 0.05 * math.sin(heading)
-    circle = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH, flat.WIDTH, flat.TOP, flat.TOUCHABLE, flat.REFLECTANCE]
+    circle = [
+        flat.CENTRE_X,
+        flat.CENTRE_Y,
+        flat.LENGTH,
+        flat.WIDTH,
+        flat.TOP,
+        flat.TOUCHABLE,
+        flat.REFLECTANCE,
+    ]
     driven.robot.things[:, -1, circle] = *place, 0.02, -1, 0.05, 1, 1
     driven.robot.remeasure()
     driven.drive(3)

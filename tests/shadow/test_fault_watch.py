@@ -15,7 +15,7 @@ from khep_twin.shadow.wheel_faults import SlippingWheel, WeakMotor
 
 WEAK: Hypothesis = WeakMotor(0)
 SLIP: Hypothesis = SlippingWheel(0)
-GONE: Hypothesis = Missing("block4", (0,))
+MISSING: Hypothesis = Missing("block4", (0,))
 
 
 class Tracker:
@@ -46,37 +46,37 @@ def test_one_reply_tells_nothing_however_long_it_takes() -> None:
 
 
 def test_faults_that_look_alike_decide_together_and_have_all_names_if_nothing_tells_them_apart() -> None:
-    watch, found = FaultWatch(), {WEAK: 0.57, SLIP: 0.4, GONE: 0.01}
-    assert see(watch, 2.0, found) is None  # not for long enough
-    certain = see(watch, 2.5, found)
+    watch, probabilities = FaultWatch(), {WEAK: 0.57, SLIP: 0.4, MISSING: 0.01}
+    assert see(watch, 2.0, probabilities) is None  # not for long enough
+    certain = see(watch, 2.5, probabilities)
     assert certain is not None
     assert certain.probability == pytest.approx(0.97)
-    assert [each.faults for each in watch.suspected] == [("weak motor left", "slipping wheel left")]
+    assert [suspicion.faults for suspicion in watch.suspected] == [("weak motor left", "slipping wheel left")]
     assert not watch.is_distinguished(certain, 2 * SECOND)
     assert watch.is_distinguished(certain, 3 * SECOND)
     watch.raise_alarm(certain, 4 * SECOND)
     (alarm,) = watch.alarms
     assert (alarm.fault, alarm.channel) == ("weak motor left or slipping wheel left", "wheels")
     assert alarm.sureness == pytest.approx(0.97)
-    see(watch, 5.0, found)
+    see(watch, 5.0, probabilities)
     assert watch.suspected == ()  # it has its alarm
     told_apart = see(watch, 6.0, {WEAK: 0.95, SLIP: 0.03})
     assert told_apart is not None
     assert watch.rename(told_apart)
-    assert [each.fault for each in watch.alarms] == ["weak motor left"]
+    assert [alarm.fault for alarm in watch.alarms] == ["weak motor left"]
     assert not watch.rename(told_apart)
 
 
 def test_one_that_is_told_apart_has_its_name_and_its_own_probability() -> None:
-    watch, found = FaultWatch(), {WEAK: 0.95, SLIP: 0.03}
-    see(watch, 2.0, found)
-    certain = see(watch, 3.0, found)
+    watch, probabilities = FaultWatch(), {WEAK: 0.95, SLIP: 0.03}
+    see(watch, 2.0, probabilities)
+    certain = see(watch, 3.0, probabilities)
     assert certain is not None
     assert watch.is_distinguished(certain, 3 * SECOND)
     watch.raise_alarm(certain, 3 * SECOND)
-    assert [(each.fault, round(each.sureness, 2)) for each in watch.alarms] == [("weak motor left", 0.95)]
+    assert [(alarm.fault, round(alarm.sureness, 2)) for alarm in watch.alarms] == [("weak motor left", 0.95)]
     assert not watch.is_refuted(cast(Any, Tracker({SLIP: 0.5})))
-    assert watch.is_refuted(cast(Any, Tracker({GONE: 0.9})))
+    assert watch.is_refuted(cast(Any, Tracker({MISSING: 0.9})))
     (ended,) = watch.drop_leading(5 * SECOND)
     assert (ended.fault, ended.ended_ns) == ("weak motor left", 5 * SECOND)
 
@@ -101,8 +101,8 @@ def test_a_fault_that_has_ended_is_known_to_a_search_that_begins_before() -> Non
 
 
 def test_a_settled_fault_ends_when_its_end_is_certain() -> None:
-    watch = settled(GONE)
-    assert watch.end_settled(4 * SECOND, cast(Any, Tracker({GONE: 0.9}, begins=False))) == (0, ())
-    number, (ended,) = watch.end_settled(5 * SECOND, cast(Any, Tracker({GONE: 0.99}, begins=False)))
+    watch = settled(MISSING)
+    assert watch.end_settled(4 * SECOND, cast(Any, Tracker({MISSING: 0.9}, begins=False))) == (0, ())
+    number, (ended,) = watch.end_settled(5 * SECOND, cast(Any, Tracker({MISSING: 0.99}, begins=False)))
     assert (number, ended.fault, ended.ended_ns) == (1, "missing block4", 5 * SECOND)
     assert watch.alarms == []

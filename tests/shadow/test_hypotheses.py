@@ -1,4 +1,4 @@
-"""Hypotheses: a fault begins in the twins that are given it, and ends without a trace."""
+"""Hypotheses: a fault starts in its particles, and ends without a trace."""
 
 import math
 
@@ -20,12 +20,12 @@ def of_things() -> list[Hypothesis]:
 
 
 def state(particles: Particles) -> list[object]:
-    """What a fault may change."""
+    """Return the state that a fault may change."""
     planes = particles.planes
-    seen = [flat.CENTRE_X, flat.CENTRE_Y, flat.COSINE, flat.SINE, flat.LENGTH, flat.WIDTH, flat.TOUCHABLE]
+    columns = [flat.CENTRE_X, flat.CENTRE_Y, flat.COSINE, flat.SINE, flat.LENGTH, flat.WIDTH, flat.TOUCHABLE]
     robots = [planes.robots[name].tolist() for name in ("joints", "left_grip", "right_grip", "left_wheel")]
     light = light_of(planes).tolist()
-    return [planes.things[:, :, seen].tolist(), planes.strength.tolist(), robots, light]
+    return [planes.things[:, :, columns].tolist(), planes.strength.tolist(), robots, light]
 
 
 def faults() -> list[Hypothesis]:
@@ -86,31 +86,31 @@ def test_a_thing_that_is_missing_is_not_seen_and_an_unexpected_one_is() -> None:
     missing, moved, unexpected = of_things()
     rng = np.random.default_rng(0)
     missing.begin(particles, rng)
-    gone = light_of(particles.planes)
-    assert before[3:5].min() > 500 > 10 > gone[:, 3:5].max()
+    light_without = light_of(particles.planes)
+    assert before[3:5].min() > 500 > 10 > light_without[:, 3:5].max()
     missing.end(particles)
     moved.begin(particles, rng)
-    lit = light_of(particles.planes)
-    assert len(np.unique(lit[:, 3])) > 4
+    light = light_of(particles.planes)
+    assert len(np.unique(light[:, 3])) > 4
     moved.end(particles)
     unexpected.begin(particles, rng)
-    lit = light_of(particles.planes)
-    assert ((lit > before + 30).any(axis=1)).sum() > 4
+    light = light_of(particles.planes)
+    assert ((light > before + 30).any(axis=1)).sum() > 4
 
 
 @pytest.mark.parametrize("name", ["workshop", "obstacles"])
 def test_things_have_the_names_of_the_scene_and_rows_of_the_plane(name: str) -> None:
     setup = setup_of(name)
-    found, playpen = thing_rows(setup), setup.playpen
+    thing_table, playpen = thing_rows(setup), setup.playpen
     items = {f"{kind}{i}": item for kind, all_ in playpen.objects.items() for i, item in enumerate(all_)}
-    assert {thing for thing in found if not thing.startswith("wall")} == set(items)
+    assert {thing for thing in thing_table if not thing.startswith("wall")} == set(items)
     planes = particles_at(setup.start(0), name=name).planes
-    for thing, rows in found.items():
+    for thing, rows in thing_table.items():
         if thing not in items:
             continue
         centre = planes.things[0, list(rows), flat.CENTRE_X : flat.CENTRE_Y + 1].mean(axis=0)
         assert centre * 1e3 == pytest.approx([items[thing].x_mm, items[thing].y_mm], abs=1e-6)
-    assert len({row for rows in found.values() for row in rows}) == sum(map(len, found.values()))
+    assert len({row for rows in thing_table.values() for row in rows}) == sum(map(len, thing_table.values()))
 
 
 def test_a_thing_that_was_moved_stays_moved_as_its_place_is_refined() -> None:

@@ -20,7 +20,7 @@ OFF, ELSEWHERE = {"power_w": 0.0}, {"x_mm": 250.0, "y_mm": 60.0}
 
 @functools.cache
 def robot_among(*changes: tuple[str, float]) -> Planes:
-    """A robot of a playpen whose second lamp, in the open, is another than its twins are told."""
+    """A robot of a playpen whose second lamp, in the open, differs from that of its particles."""
     playpen = setup_of("two-lamps").playpen
     screened, bulb = playpen.lamps
     lamps = screened, bulb.model_copy(update=dict(changes))
@@ -83,7 +83,7 @@ def test_a_robot_in_the_shadow_whose_twins_are_partly_in_the_light_tells_nothing
     """An error of the pose lasts; it is one observation, however many replies it takes."""
     watched = Turning(off=0.012, apart=(8e-3, 8e-3, 0.03))
     watched.see(30, SOUND)
-    assert all(each.probability < 0.5 for each in watched.watch.suspected)
+    assert all(suspicion.probability < 0.5 for suspicion in watched.watch.suspected)
     assert watched.watch.alarms == []
 
 
@@ -109,19 +109,19 @@ def test_a_second_fault_may_follow_once_the_first_is_settled() -> None:
     watched.see(5, SOUND)
     assert watched.see(15, ELSEWHERE) == ["in-the-open moved"]
     assert watched.see(10, OFF) == ["in-the-open off"]
-    assert [each.fault for each in watched.ended] == ["in-the-open moved"]
+    assert [alarm.fault for alarm in watched.ended] == ["in-the-open moved"]
 
 
 def test_a_fault_is_suspected_before_it_has_an_alarm() -> None:
     watched = Watched()
     watched.see(10, SOUND)
     assert watched.watch.suspected == ()
-    found: list[Suspicion] = []
+    suspicions: list[Suspicion] = []
     while not watched.see(0.1, OFF):
-        found += watched.watch.suspected
-    assert found[0].channel == "light"
-    assert {each.faults for each in found} >= {("in-the-open off",)}
-    assert all(each.probability > 0.2 for each in found)
+        suspicions += watched.watch.suspected
+    assert suspicions[0].channel == "light"
+    assert {suspicion.faults for suspicion in suspicions} >= {("in-the-open off",)}
+    assert all(suspicion.probability > 0.2 for suspicion in suspicions)
     assert watched.watch.suspected == ()
 
 

@@ -1,4 +1,4 @@
-"""The likelihood of replies to O, and what is learned from them of the sensors."""
+"""The likelihood of replies to O, and the learning of sensor parameters from them."""
 
 import math
 
@@ -29,11 +29,11 @@ def model_of() -> LightModel:
 def test_light_that_explains_a_reply_is_more_likely_than_none() -> None:
     model = model_of()
     light = light_at((150, 170, -135), model)
-    both = np.stack([light, np.zeros_like(light)], axis=3)
+    lights = np.stack([light, np.zeros_like(light)], axis=3)
     readings = np.rint(model.expected(light[0, 0])).astype(np.int64)
-    ((bright, dark),) = model.log_likelihoods(readings, both, np.ones(8)).tolist()
+    ((bright, dark),) = model.log_likelihoods(readings, lights, np.ones(8)).tolist()
     assert bright > dark + 10
-    ((bright, dark),) = model.log_likelihoods(np.full(8, 485), both, np.ones(8)).tolist()
+    ((bright, dark),) = model.log_likelihoods(np.full(8, 485), lights, np.ones(8)).tolist()
     assert dark > bright + 5
 
 
@@ -41,7 +41,10 @@ def test_a_place_that_is_vague_tells_less() -> None:
     model = model_of()
     light = light_at((150, 170, -135), model)[..., None]
     off = np.full(8, 485)
-    exact, vague = (model.log_likelihoods(off, light, np.ones(8), each * light[0] ** 2).item() for each in (0.0, 1.0))
+    exact, vague = (
+        model.log_likelihoods(off, light, np.ones(8), variance * light[0] ** 2).item()
+        for variance in (0.0, 1.0)
+    )
     assert vague > exact + 5
 
 
@@ -52,9 +55,9 @@ def test_a_turned_and_a_weak_sensor_are_learned() -> None:
         pose = (200.0, 200.0, float(angle))
         planes = planes_at(pose, name="two-lamps")
         planes.advance(1)
-        seen = planes.lamplight(0.0, np.where(np.arange(8) == 2, turn, 0.0)).sum(axis=2)[0]
-        seen[4] *= 0.9
-        readings = np.rint(model.expected(seen)).astype(np.int64)
+        turned_light = planes.lamplight(0.0, np.where(np.arange(8) == 2, turn, 0.0)).sum(axis=2)[0]
+        turned_light[4] *= 0.9
+        readings = np.rint(model.expected(turned_light)).astype(np.int64)
         model.learn(readings, light_at(pose, model), 1.0, 1.0)
     turns = np.degrees(model.traits[:, 1])
     assert turns[2] == pytest.approx(5, abs=1)

@@ -19,39 +19,43 @@ class Clock:
 
 
 def test_bytes_come_in_order_with_their_times_and_silence_is_told() -> None:
-    here, there = socket.socketpair()
-    with here, there:
-        sender = LineSender(here.fileno(), Clock())
+    host_end, receiver = socket.socketpair()
+    with host_end, receiver:
+        sender = LineSender(host_end.fileno(), Clock())
         sender.on_bytes(True, b"N\n")
         sender.on_bytes(False, b"n,1")
         sender.flush()
         sender.close()
-        here.close()
-        found = list(LineReceiver(there.fileno(), never))
-    assert [(each.to_robot, each.data) for each in found] == [(True, b"N\n"), (False, b"n,1"), (True, b"")]
-    times_ns = [each.time_ns for each in found]
+        host_end.close()
+        chunks = list(LineReceiver(receiver.fileno(), never))
+    assert [(chunk.to_robot, chunk.data) for chunk in chunks] == [
+        (True, b"N\n"),
+        (False, b"n,1"),
+        (True, b""),
+    ]
+    times_ns = [chunk.time_ns for chunk in chunks]
     assert times_ns == sorted(set(times_ns))
 
 
 def test_a_listener_that_sleeps_delays_nothing_and_loses_nothing() -> None:
-    here, there = socket.socketpair()
+    host_end, receiver = socket.socketpair()
     sent = [os.urandom(1000) for _ in range(2000)]
-    with here, there:
-        sender = LineSender(here.fileno(), Clock())
+    with host_end, receiver:
+        sender = LineSender(host_end.fileno(), Clock())
         for data in sent:  # Nobody reads: what the pipe does not take would block.
             sender.on_bytes(False, data)
-        line, found = iter(LineReceiver(there.fileno(), never)), list[bytes]()
-        while len(found) < len(sent):
+        line, chunks = iter(LineReceiver(receiver.fileno(), never)), list[bytes]()
+        while len(chunks) < len(sent):
             sender.flush()
-            found += filter(None, [next(line).data])
-    assert found == sent
+            chunks += filter(None, [next(line).data])
+    assert chunks == sent
 
 
 def test_a_listener_that_has_gone_is_noticed_and_costs_nothing() -> None:
-    here, there = socket.socketpair()
-    with here:
-        sender = LineSender(here.fileno(), Clock())
-        there.close()
+    host_end, receiver = socket.socketpair()
+    with host_end:
+        sender = LineSender(host_end.fileno(), Clock())
+        receiver.close()
         for _ in range(10):
             sender.on_bytes(True, b"N\n")
         assert sender.is_broken
@@ -59,6 +63,6 @@ def test_a_listener_that_has_gone_is_noticed_and_costs_nothing() -> None:
 
 
 def test_a_listener_ends_where_it_is_asked_to() -> None:
-    here, there = socket.socketpair()
-    with here, there:
-        assert list(LineReceiver(there.fileno(), lambda: True)) == []
+    sender, receiver = socket.socketpair()
+    with sender, receiver:
+        assert list(LineReceiver(receiver.fileno(), lambda: True)) == []

@@ -16,7 +16,7 @@ UNASKED = Exchange(b"", 0, b"n,1,2", 0)
 BANNER = b"ROM of minirobot KHEPERA, version 4.02"
 
 
-def heard(watch: LineWatch, exchange: Exchange, time_s: float) -> tuple[Alarm, ...]:
+def feed(watch: LineWatch, exchange: Exchange, time_s: float) -> tuple[Alarm, ...]:
     time_ns = round(time_s * SECOND)
     return watch.update(replace(exchange, sent_ns=time_ns, reply_ns=time_ns))
 
@@ -25,12 +25,12 @@ def heard(watch: LineWatch, exchange: Exchange, time_s: float) -> tuple[Alarm, .
 def test_a_line_that_loses_bytes_again_and_again_is_named_until_it_is_sound(bad: Exchange) -> None:
     watch = LineWatch()
     for tenth in range(20):
-        assert heard(watch, bad if tenth % 4 == 0 else SOUND, tenth / 10) == ()
+        assert feed(watch, bad if tenth % 4 == 0 else SOUND, tenth / 10) == ()
     (alarm,) = watch.alarms
     assert (alarm.fault, alarm.channel, alarm.since_ns) == (LOSING, "line", 0)
     assert alarm.raised_ns < 2 * SECOND
-    ended = [each for tenth in range(20, 120) for each in heard(watch, SOUND, tenth / 10)]
-    assert [each.fault for each in ended] == [LOSING]
+    ended = [alarm for tenth in range(20, 120) for alarm in feed(watch, SOUND, tenth / 10)]
+    assert [alarm.fault for alarm in ended] == [LOSING]
     assert 2 * SECOND < (ended[0].ended_ns or 0) < 12 * SECOND
     assert (ended[0].ended_ns or 0) - SECOND < watch.lossy_ns < (ended[0].ended_ns or 0)
     assert watch.alarms == []
@@ -40,17 +40,17 @@ def test_a_line_that_loses_bytes_again_and_again_is_named_until_it_is_sound(bad:
 def test_the_alarm_ends_the_sooner_the_more_was_lost(tenths: int, lasts_s: float) -> None:
     watch = LineWatch()
     for tenth in range(101):
-        heard(watch, DAMAGED if tenth % tenths == 0 else SOUND, tenth / 10)
-    ended = [each.ended_ns or 0 for tenth in range(101, 200) for each in heard(watch, SOUND, tenth / 10)]
+        feed(watch, DAMAGED if tenth % tenths == 0 else SOUND, tenth / 10)
+    ended = [alarm.ended_ns or 0 for tenth in range(101, 200) for alarm in feed(watch, SOUND, tenth / 10)]
     assert ended == [pytest.approx((10 + lasts_s) * SECOND, abs=0.15 * SECOND)]
-    assert heard(watch, DAMAGED, 20) == ()
+    assert feed(watch, DAMAGED, 20) == ()
     assert watch.alarms == []  # one that is lost now and then
 
 
 def test_a_reply_that_is_lost_now_and_then_is_no_fault() -> None:
     watch = LineWatch()
     for time_s in range(0, 300):
-        heard(watch, SILENT if time_s % 30 == 0 else SOUND, time_s)
+        feed(watch, SILENT if time_s % 30 == 0 else SOUND, time_s)
         assert watch.alarms == []
 
 
@@ -68,26 +68,26 @@ def test_a_reply_that_is_lost_now_and_then_is_no_fault() -> None:
 def test_what_is_no_loss_is_none(exchange: Exchange) -> None:
     watch = LineWatch()
     for tenth in range(50):
-        heard(watch, exchange, tenth / 10)
+        feed(watch, exchange, tenth / 10)
         assert watch.alarms == []
 
 
 def test_a_restart_that_no_host_asked_for_is_shown_for_a_while() -> None:
     watch = LineWatch()
-    told = Dialogue(0).feed(SECOND, False, BANNER + b"\r\nCopyright (C) K-Team\r\n")
-    assert len(told) == 2
-    for exchange in told:
+    exchanges = Dialogue(0).feed(SECOND, False, BANNER + b"\r\nCopyright (C) K-Team\r\n")
+    assert len(exchanges) == 2
+    for exchange in exchanges:
         watch.update(exchange)
     (alarm,) = watch.alarms
     assert (alarm.fault, alarm.since_ns, alarm.raised_ns) == (RESTART, SECOND, SECOND)
-    assert heard(watch, SOUND, 1.1) == ()
+    assert feed(watch, SOUND, 1.1) == ()
     assert watch.alarms
-    (ended,) = heard(watch, SOUND, 10)
+    (ended,) = feed(watch, SOUND, 10)
     assert (ended.fault, ended.ended_ns) == (RESTART, 10 * SECOND)
     assert watch.alarms == []
 
 
 def test_a_restart_that_a_host_asked_for_is_none() -> None:
     watch = LineWatch()
-    heard(watch, Exchange(b"restart", 0, BANNER, 0), 1)
+    feed(watch, Exchange(b"restart", 0, BANNER, 0), 1)
     assert watch.alarms == []

@@ -1,4 +1,4 @@
-"""Where a robot is, by particles that drive as it does."""
+"""The pose of a robot, by particles that drive as it does."""
 
 import math
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import WheelCommand, CounterReply, ProximityReply, Silence
+from khep_twin.shadow.actions import CounterReply, ProximityReply, Silence, WheelCommand
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import QUOTA
 from khep_twin.shadow.particle_filter import ParticleFilter
@@ -36,7 +36,7 @@ def filtering(
 
 
 def driven(robot: Planes, tracker: ParticleFilter, seconds: float) -> Iterator[PoseEstimate]:
-    """Let a robot turn away from what it sees, and the filter follow; yield its estimates."""
+    """Let a robot avoid obstacles, and the filter follow; yield its estimates."""
     for _ in range(round(seconds * 100 / TICKS)):
         robot.advance(TICKS)
         time_ns = robot.ticks * SECOND // 100
@@ -59,8 +59,8 @@ def test_a_robot_whose_start_is_known_is_followed() -> None:
     tracker = filtering(setup_of("workshop"), metric(START))
     errors, deviations = np.array(
         [
-            (off_mm(each, robot), 1e3 * math.sqrt(np.trace(each.covariance[:2, :2])))
-            for each in driven(robot, tracker, 30)
+            (off_mm(estimate, robot), 1e3 * math.sqrt(np.trace(estimate.covariance[:2, :2])))
+            for estimate in driven(robot, tracker, 30)
         ]
     ).T
     late = len(errors) // 3
@@ -76,8 +76,8 @@ def test_particles_that_push_are_turned_by_what_they_push() -> None:
     start = (671.0, 150.0, 70.0)
     robot = planes_at(start)
     tracker = filtering(setup_of("workshop"), metric(start), EXACT)
-    for each in (robot, tracker.particles.planes):
-        each.command(SPEED, 3, 3)
+    for planes in (robot, tracker.particles.planes):
+        planes.command(SPEED, 3, 3)
     nothing = np.zeros(8, np.bool_)
     for _ in range(40):
         robot.advance(TICKS)
@@ -94,12 +94,14 @@ def test_particles_that_stand_against_a_wall_stay() -> None:
     robot = planes_at(start)
     tracker = filtering(setup_of("workshop"), metric(start), EXACT)
     for speed in (3, 0):
-        for each in (robot, tracker.particles.planes):
-            each.command(SPEED, speed, speed)
+        for planes in (robot, tracker.particles.planes):
+            planes.command(SPEED, speed, speed)
         before = tracker.estimate(0)
         for _ in range(60):
             robot.advance(TICKS)
-            tracker.follow(ProximityReply(robot.ticks * SECOND // 100, readings(robot)), np.zeros(8, np.bool_))
+            tracker.follow(
+                ProximityReply(robot.ticks * SECOND // 100, readings(robot)), np.zeros(8, np.bool_)
+            )
     assert tracker.estimate(0).covariance[1, 1] < 1.5 * before.covariance[1, 1]
 
 
@@ -108,7 +110,7 @@ def test_particles_spread_in_the_open_where_no_reply_tells_them_apart(field: Pla
     robot = Planes(setup, 1)
     robot.reset_poses(np.array([[1.5, 2.5, 0.0]]))
     tracker = filtering(setup, (1.5, 2.5, 0.0), EXACT)
-    spreads = [math.sqrt(np.trace(each.covariance[:2, :2])) for each in driven(robot, tracker, 20)]
+    spreads = [math.sqrt(np.trace(estimate.covariance[:2, :2])) for estimate in driven(robot, tracker, 20)]
     assert not readings(robot).any()
     quarter = len(spreads) // 4
     assert 0 < spreads[quarter] < 0.9 * spreads[2 * quarter] < 0.8 * spreads[-1]
@@ -117,14 +119,14 @@ def test_particles_spread_in_the_open_where_no_reply_tells_them_apart(field: Pla
 
 
 def test_a_reading_counts_the_more_the_farther_the_robot_went_since_the_last() -> None:
-    told: list[float] = []
+    deviations: list[float] = []
     for speed in (0, 3, 10):
         tracker = filtering(setup_of("workshop"), metric(AT_THE_CRATE), EXACT)
         tracker.follow(WheelCommand(0, SPEED, -speed, speed), ALL)
         for turn in (30, 36):
             tracker.follow(ProximityReply(turn * SECOND // 100, np.full(8, 500)), ALL)
-        told.append(float(tracker.surprisal.sum()))
-    assert 0 < 3 * told[0] < told[1] < 0.6 * told[2]
+        deviations.append(float(tracker.surprisal.sum()))
+    assert 0 < 3 * deviations[0] < deviations[1] < 0.6 * deviations[2]
 
 
 def test_replies_are_more_probable_for_a_filter_that_is_right() -> None:
@@ -158,8 +160,8 @@ def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> Non
     x, y, heading = tracker.estimate(7).pose
     assert (x, y) == pytest.approx((0.35, 0.2))
     assert math.remainder(heading - (math.pi + 0.1), math.tau) == pytest.approx(0)
-    found = np.diag(tracker.estimate(7).covariance) - np.square(MIN_DEVIATIONS)
-    assert found == pytest.approx([0.05**2, 0, 0.2**2])
+    variances = np.diag(tracker.estimate(7).covariance) - np.square(MIN_DEVIATIONS)
+    assert variances == pytest.approx([0.05**2, 0, 0.2**2])
     tracker.particles.log_weights = np.log([0.9, 0.1])
     assert tracker.estimate(7).pose[0] == pytest.approx(0.31)
     assert tracker.estimate(7).time_ns == 7
@@ -186,21 +188,23 @@ def test_changes_of_speed_make_a_pose_less_certain() -> None:
     assert 2 * spreads[0] < spreads[1] < math.radians(15)
 
 
-@pytest.mark.parametrize(("places", "least"), [(1, 300), (4, 800)])
-def test_the_more_places_are_possible_the_more_particles_are_kept(places: int, least: int) -> None:
+@pytest.mark.parametrize(("places", "minimum"), [(1, 300), (4, 800)])
+def test_the_more_places_are_possible_the_more_particles_are_kept(places: int, minimum: int) -> None:
     setup, x = setup_of("default"), np.linspace(0.15, 0.45, places)
-    particles = draw_particles(setup, [(each, 0.25, 0.0) for each in x.tolist()], EXACT, 2400, stream(0, "start"))
+    particles = draw_particles(
+        setup, [(x_position, 0.25, 0.0) for x_position in x.tolist()], EXACT, 2400, stream(0, "start")
+    )
     tracker = ParticleFilter(setup, particles, stream(0, "filter"), 300)
     tracker.follow(WheelCommand(0, SPEED, 1, 1), ALL)
     tracker.follow(ProximityReply(SECOND, np.zeros(8, np.int64)), ALL)
-    assert least <= len(tracker.particles) <= 2 * least
+    assert minimum <= len(tracker.particles) <= 2 * minimum
 
 
 def test_particles_that_are_taken_over_become_as_many_as_are_wanted_and_differ() -> None:
     tracker = filtering(setup_of("workshop"), metric(START))
-    few = draw_particles(setup_of("workshop"), [metric(AT_THE_CRATE)], EXACT, 10, stream(0, "few"))
-    few.log_weights -= 100
-    tracker.replace_particles(few)
+    particles = draw_particles(setup_of("workshop"), [metric(AT_THE_CRATE)], EXACT, 10, stream(0, "few"))
+    particles.log_weights -= 100
+    tracker.replace_particles(particles)
     assert len(tracker.particles) == 300
     assert tracker.weights.sum() == pytest.approx(1)
     assert math.dist(tracker.estimate(0).pose, metric(AT_THE_CRATE)) < 0.01

@@ -1,4 +1,4 @@
-"""Particles: drawn by their weights, moved by what counters tell beyond commands."""
+"""Particles: drawn by their weights, moved by counters beyond the commands."""
 
 import math
 
@@ -20,7 +20,7 @@ def four() -> Particles:
 
 
 def places(particles: Particles) -> list[int]:
-    """Which of `four` each is a copy of."""
+    """Return the index in `four` of the original of each particle."""
     return np.rint((particles.planes.poses[:, 0] - 0.35) * 100).astype(int).tolist()
 
 
@@ -80,34 +80,36 @@ def test_counters_move_them_by_what_the_commands_do_not_explain() -> None:
     turned = planes.registers[0, POSITIONS]
     x = float(planes.poses[0, 0])
     assert x > 0.36
-    told = np.array([5000, -300]) + turned
-    assert particles.follow_counters(told) == pytest.approx(np.zeros((2, 2)))
+    counters = np.array([5000, -300]) + turned
+    assert particles.follow_counters(counters) == pytest.approx(np.zeros((2, 2)))
     assert planes.poses[0, 0] == pytest.approx(x)
     # The robot has gone farther than its twins.
-    assert particles.follow_counters(told + 40).tolist() == [[40, 40]] * 2
+    assert particles.follow_counters(counters + 40).tolist() == [[40, 40]] * 2
     way = 40 / units.PULSES_PER_TURN * math.tau * float(planes.robots["left_wheel"][0])
     assert planes.poses[:, 0] == pytest.approx([x + way] * 2)
     # This is told once.
-    assert particles.follow_counters(told + 40).tolist() == [[0, 0]] * 2
+    assert particles.follow_counters(counters + 40).tolist() == [[0, 0]] * 2
 
 
 def test_what_was_learned_gives_way_to_what_was_known() -> None:
-    particles = draw_particles(setup_of("workshop"), [(0.35, 0.25, 0.0)], PUBLISHED, 2000, np.random.default_rng(0))
+    particles = draw_particles(
+        setup_of("workshop"), [(0.35, 0.25, 0.0)], PUBLISHED, 2000, np.random.default_rng(0)
+    )
     particles.wheels[:], particles.covariances[:] = (1.02, 0.99, 1.01), 0
     particles.traits[:] = 0.1, 0.05, 40
     particles.traits[:, 3, 0] = 0.9
     particles.forget(FORGETTING_S, np.random.default_rng(0))
-    kept = math.exp(-1)
-    assert particles.wheels.mean(axis=0) == pytest.approx(1 + kept * np.array([0.02, -0.01, 0.01]), abs=1e-3)
+    decay = math.exp(-1)
+    assert particles.wheels.mean(axis=0) == pytest.approx(1 + decay * np.array([0.02, -0.01, 0.01]), abs=1e-3)
     assert particles.wheels.std(axis=0) == pytest.approx(
-        math.sqrt(1 - kept * kept) * particles.prior.wheels, rel=0.05
+        math.sqrt(1 - decay * decay) * particles.prior.wheels, rel=0.05
     )
-    assert particles.traits[0, 2, 1:] == pytest.approx([0.05 * kept, 40 * kept])
+    assert particles.traits[0, 2, 1:] == pytest.approx([0.05 * decay, 40 * decay])
     # All gains of a particle change by the same factor.
-    common = particles.traits[:, 2, 0] - 0.1 * kept
-    assert common.std() == pytest.approx(math.sqrt(1 - kept * kept) * PUBLISHED.gain, rel=0.05)
-    assert particles.traits[:, 3, 0] - 0.9 * kept == pytest.approx(common)
-    assert particles.covariances[0] == pytest.approx((1 - kept * kept) * particles.prior.traits)
+    common = particles.traits[:, 2, 0] - 0.1 * decay
+    assert common.std() == pytest.approx(math.sqrt(1 - decay * decay) * PUBLISHED.gain, rel=0.05)
+    assert particles.traits[:, 3, 0] - 0.9 * decay == pytest.approx(common)
+    assert particles.covariances[0] == pytest.approx((1 - decay * decay) * particles.prior.traits)
     # The twins drive with these wheels.
     wheels = particles.planes.robots["left_wheel"]
     assert np.ptp(wheels / wheels.mean()) > 0.02

@@ -1,4 +1,4 @@
-"""Map of what a robot reads at places of a playpen."""
+"""Map of a robot's readings at places of a playpen."""
 
 import math
 

@@ -48,9 +48,9 @@ def test_a_standing_twin_sees_as_an_episode_in_the_plane(start: Pose) -> None:
     dark, floor = float(planes.ambient["dark"]), float(planes.ambient["floor"])
     assert ambient == pytest.approx(np.maximum(dark - lamps, floor), abs=1.01)  # whole counts
     # Below a floor a sensor reads nothing.
-    seen = readings(planes)
-    clear = seen > 30
-    assert np.array(proximity)[clear] == pytest.approx(seen[clear], abs=1.01)
+    counts = readings(planes)
+    clear = counts > 30
+    assert np.array(proximity)[clear] == pytest.approx(counts[clear], abs=1.01)
     assert max(np.array(proximity)[~clear], default=0) <= 30
 
 
@@ -58,16 +58,16 @@ def test_twins_beside_each_other_are_as_each_alone() -> None:
     together, alone = planes_at(*STARTS), [planes_at(start) for start in STARTS]
     factors = np.array([1.0, 1.01, 0.99])
     together.set_wheels(factors, factors, factors)
-    for each, factor in zip(alone, factors, strict=True):
-        each.set_wheels(*np.full((3, 1), factor))
-    for each in (together, *alone):
-        each.command(SPEED, 8, 6)
-        each.advance(400)
-    for row, each in enumerate(alone):
-        assert together.poses[row].tolist() == each.poses[0].tolist()
-        assert together.registers[row].tolist() == each.registers[0].tolist()
-        assert light_of(together)[row].tolist() == light_of(each)[0].tolist()
-        assert together.lamplight(1.0)[row].tolist() == each.lamplight(1.0)[0].tolist()
+    for single, factor in zip(alone, factors, strict=True):
+        single.set_wheels(*np.full((3, 1), factor))
+    for single in (together, *alone):
+        single.command(SPEED, 8, 6)
+        single.advance(400)
+    for row, single in enumerate(alone):
+        assert together.poses[row].tolist() == single.poses[0].tolist()
+        assert together.registers[row].tolist() == single.registers[0].tolist()
+        assert light_of(together)[row].tolist() == light_of(single)[0].tolist()
+        assert together.lamplight(1.0)[row].tolist() == single.lamplight(1.0)[0].tolist()
 
 
 def test_wheels_of_a_twin_are_its_own() -> None:
@@ -170,12 +170,12 @@ def test_a_lamp_lights_the_sensors_that_it_is_before_and_nothing_behind_a_thing(
 def test_lamps_elsewhere_shine_as_those_that_stand_there_and_have_shadows() -> None:
     planes = planes_at((110, 130, -135), (300, 250, 90), name="two-lamps")
     planes.advance(1)
-    told, turns = np.array(planes.lamps.positions), np.full(8, 0.3)
-    here = planes.lamplight_from(told, planes.powers, 0.0, turns)
-    np.testing.assert_allclose(here, planes.lamplight(0.0, turns), rtol=1e-9)
-    assert np.abs(here - planes.lamplight(0.0)).max() > 5
-    before, behind = np.array([[0.3, 0.3, 0.015], [0.3, 0.4, 0.015]])
-    light = planes.lamplight_from(np.array([before, behind]), np.full(2, 5.0), 0.0, 0.0)[1].max(axis=0)
+    positions, turns = np.array(planes.lamps.positions), np.full(8, 0.3)
+    light_at_positions = planes.lamplight_from(positions, planes.powers, 0.0, turns)
+    np.testing.assert_allclose(light_at_positions, planes.lamplight(0.0, turns), rtol=1e-9)
+    assert np.abs(light_at_positions - planes.lamplight(0.0)).max() > 5
+    before, shadowed = np.array([[0.3, 0.3, 0.015], [0.3, 0.4, 0.015]])
+    light = planes.lamplight_from(np.array([before, shadowed]), np.full(2, 5.0), 0.0, 0.0)[1].max(axis=0)
     assert light[0] > 100 > 5 > light[1]
 
 

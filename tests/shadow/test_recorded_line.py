@@ -20,9 +20,9 @@ def test_a_relays_log_gives_its_lines_in_order_with_their_times(tmp_path: Path) 
     for to_robot, data in pieces:
         recorder.on_bytes(to_robot, data)
     recorder.close()
-    found = read_recording(path)
-    assert (found.name, found.baud) == ("khepera0", 19200)
-    assert [(each.time_ns, each.to_robot, each.data) for each in found.chunks] == [
+    recording = read_recording(path)
+    assert (recording.name, recording.baud) == ("khepera0", 19200)
+    assert [(chunk.time_ns, chunk.to_robot, chunk.data) for chunk in recording.chunks] == [
         (1000, True, b"N\n"),
         (3000, False, b"n,1,2,3\n"),
         (4000, True, b"D,1,1\n"),
@@ -38,9 +38,11 @@ def test_a_twins_log_gives_the_line_of_the_robot_that_is_asked_for(tmp_path: Pat
             robot.send(command)
         twin.advance_to(SECOND)
     for index, letter in enumerate("no"):
-        found = read_recording(path, index)
-        assert found.name == f"khepera{index}"
-        assert [each.data[:1].decode().lower() for each in found.chunks if each.time_ns][-2:] == [letter] * 2
+        recording = read_recording(path, index)
+        assert recording.name == f"khepera{index}"
+        assert [chunk.data[:1].decode().lower() for chunk in recording.chunks if chunk.time_ns][-2:] == [
+            letter
+        ] * 2
     with pytest.raises(LogError, match="robot 2; expected one of 0 to 1, as the log has them"):
         read_recording(path, 2)
 

@@ -1,4 +1,4 @@
-"""Search for what has happened to a robot, by its last replies."""
+"""Search for changes of a robot, by its last replies."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.randomness import stream
 from khep_twin.shadow import search
-from khep_twin.shadow.actions import WheelCommand, ProximityReply
+from khep_twin.shadow.actions import ProximityReply, WheelCommand
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.displacements import Displaced, Lifted
 from khep_twin.shadow.particle_filter import ParticleFilter
@@ -22,7 +22,7 @@ from khep_twin.shadow.wheel_faults import StandingWheel
 
 ELSEWHERE = 560.0, 120.0, 100.0
 TURNING = 3, -3
-CHANGES = [FaultChange(each, True) for each in (Lifted(), StandingWheel(0), Unexpected())]
+CHANGES = [FaultChange(hypothesis, True) for hypothesis in (Lifted(), StandingWheel(0), Unexpected())]
 
 
 class Turning:
@@ -30,7 +30,7 @@ class Turning:
 
     def __init__(self) -> None:
         setup, rng = setup_of("workshop", lit=False), stream(0, "filter")
-        self.robot, self._rng = planes_at(AT_THE_CRATE, lit=False), stream(0, "robot")
+        self.robot, self._rng = planes_at(AT_THE_CRATE, has_lamps=False), stream(0, "robot")
         start = draw_particles(setup, [metric(AT_THE_CRATE)], PUBLISHED, 500, rng)
         self.filter, self.search = ParticleFilter(setup, start, rng, 500), Search(setup, rng)
         self.drive(TURNING)
@@ -51,12 +51,12 @@ class Turning:
             self.search.save_snapshot(time_ns, self.filter)
         return time_ns
 
-    def found(self, since_ns: int, changes: Sequence[FaultChange] = CHANGES) -> ParticleFilter:
-        """Search for what has happened since a time [ns]."""
-        found = self.search.search_since(self.filter, Onset(since_ns, (since_ns,), since_ns), changes, ALL)
-        assert found is not None
-        assert np.exp(found.particles.log_weights).sum() == pytest.approx(1)
-        return found
+    def run_search(self, since_ns: int, changes: Sequence[FaultChange] = CHANGES) -> ParticleFilter:
+        """Search for changes since a time [ns]."""
+        tracker = self.search.search_since(self.filter, Onset(since_ns, (since_ns,), since_ns), changes, ALL)
+        assert tracker is not None
+        assert np.exp(tracker.particles.log_weights).sum() == pytest.approx(1)
+        return tracker
 
     def _act(self, action: WheelCommand | ProximityReply) -> None:
         self.search.add_action(action)
@@ -67,14 +67,14 @@ def test_a_robot_that_was_put_elsewhere_is_found_there_and_one_that_was_not_is_n
     turning = Turning()
     since_ns = turning.turn(3)
     turning.turn(1)
-    assert turning.found(since_ns).probabilities[0] > 0.98
+    assert turning.run_search(since_ns).probabilities[0] > 0.98
     since_ns = turning.turn(0.2)
     turning.robot.move(np.array([metric(ELSEWHERE)]))
     turning.turn(1.5)
-    found = turning.found(since_ns)
-    assert found.probabilities[1] > 0.98
+    tracker = turning.run_search(since_ns)
+    assert tracker.probabilities[1] > 0.98
     # The places that it may be at are far apart, and it is close to one of them.
-    x, y, _ = (found.particles.planes.poses[found.particles.changes == 1]).T
+    x, y, _ = (tracker.particles.planes.poses[tracker.particles.changes == 1]).T
     assert x.std() > 0.05
     assert np.hypot(x - 0.56, y - 0.12).min() < 0.03
 
@@ -86,11 +86,11 @@ def test_a_robot_that_is_a_little_off_is_found_there_and_not_elsewhere_in_any_or
     x, y, heading = turning.robot.poses[0].tolist()
     turning.robot.move(np.array([[x + 0.012, y - 0.008, heading - 0.3]]))
     turning.turn(1.5)
-    found = turning.found(since_ns, [*CHANGES, FaultChange(Displaced(), True)])
-    assert found.probabilities[4] > 0.98
+    tracker = turning.run_search(since_ns, [*CHANGES, FaultChange(Displaced(), True)])
+    assert tracker.probabilities[4] > 0.98
     changes = [FaultChange(Displaced(), True), *reversed(CHANGES)]
-    assert turning.found(since_ns, changes).probabilities[1] > 0.98
-    assert np.hypot(*(found.estimate(0).pose - turning.robot.poses[0])[:2]) < 0.01
+    assert turning.run_search(since_ns, changes).probabilities[1] > 0.98
+    assert np.hypot(*(tracker.estimate(0).pose - turning.robot.poses[0])[:2]) < 0.01
 
 
 @pytest.mark.long
@@ -99,7 +99,7 @@ def test_a_robot_that_was_put_elsewhere_seconds_ago_is_found_there() -> None:
     since_ns = turning.turn(2)
     turning.robot.move(np.array([metric(ELSEWHERE)]))
     turning.turn(4)
-    assert turning.found(since_ns).probabilities[1] > 0.98
+    assert turning.run_search(since_ns).probabilities[1] > 0.98
 
 
 @pytest.mark.long
@@ -111,25 +111,33 @@ def test_a_robot_is_found_by_all_that_it_has_seen_where_the_first_sight_fits_man
     for speeds in ((6, 6), TURNING, (6, 6)):
         turning.drive(speeds)
         turning.turn(1)
-    found = turning.found(since_ns)
-    assert found.probabilities[1] > 0.98
-    lifted = found.particles.changes == 1
-    off = np.hypot(*(found.particles.planes.poses[lifted] - turning.robot.poses[0])[:, :2].T)
-    assert found.weights[lifted][off < 0.03].sum() > 0.5
+    tracker = turning.run_search(since_ns)
+    assert tracker.probabilities[1] > 0.98
+    lifted = tracker.particles.changes == 1
+    off = np.hypot(*(tracker.particles.planes.poses[lifted] - turning.robot.poses[0])[:, :2].T)
+    assert tracker.weights[lifted][off < 0.03].sum() > 0.5
 
 
 def test_a_thing_that_was_added_is_found_where_it_is() -> None:
     turning = Turning()
     since_ns = turning.turn(2)
     x, y, _ = turning.robot.poses[0].tolist()
-    circle = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH, flat.WIDTH, flat.TOP, flat.TOUCHABLE, flat.REFLECTANCE]
+    circle = [
+        flat.CENTRE_X,
+        flat.CENTRE_Y,
+        flat.LENGTH,
+        flat.WIDTH,
+        flat.TOP,
+        flat.TOUCHABLE,
+        flat.REFLECTANCE,
+    ]
     turning.robot.things[:, -1, circle] = x - 0.02, y + 0.05, 0.012, -1, 0.05, 1, 1
     turning.robot.remeasure()
     turning.turn(2)
-    found = turning.found(since_ns, [*CHANGES, FaultChange(Displaced(), True)])
-    assert found.probabilities[3] > 0.98
-    places = found.particles.planes.things[found.particles.changes == 3, -1]
-    weights = found.weights[found.particles.changes == 3]
+    tracker = turning.run_search(since_ns, [*CHANGES, FaultChange(Displaced(), True)])
+    assert tracker.probabilities[3] > 0.98
+    places = tracker.particles.planes.things[tracker.particles.changes == 3, -1]
+    weights = tracker.weights[tracker.particles.changes == 3]
     place = np.average(places[:, [flat.CENTRE_X, flat.CENTRE_Y]], axis=0, weights=weights)
     # With eight random streams it was 5 to 18 mm off.
     assert place == pytest.approx([x - 0.02, y + 0.05], abs=0.02)
@@ -140,16 +148,16 @@ def test_a_wheel_that_has_come_to_a_stand_is_told_from_a_robot_that_was_put_else
     since_ns = turning.turn(2)
     turning.robot.strength[:, 0] = 0
     turning.turn(1.2)
-    assert turning.found(since_ns).probabilities[2] > 0.9
+    assert turning.run_search(since_ns).probabilities[2] > 0.9
 
 
 def test_nothing_is_told_of_what_was_too_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(search, "KEPT_NS", 2 * SECOND)
+    monkeypatch.setattr(search, "MAX_AGE_NS", 2 * SECOND)
     turning = Turning()
     nothing = turning.search.search_since(turning.filter, Onset(0, (0,), 0), CHANGES, ALL)
     assert nothing is None
     turning.turn(4)
-    assert turning.found(0).probabilities[0] > 0.9
+    assert turning.run_search(0).probabilities[0] > 0.9
 
 
 @pytest.mark.long
@@ -158,7 +166,7 @@ def test_what_is_known_while_something_else_is_likely_is_not_kept() -> None:
     since_ns = turning.turn(2)
     turning.robot.move(np.array([metric(ELSEWHERE)]))
     turning.turn(0.5)
-    turning.filter = turning.found(since_ns)
+    turning.filter = turning.run_search(since_ns)
     turning.turn(1)
     # The next search begins before that, too.
-    assert turning.found(since_ns).probabilities[1] > 0.98
+    assert turning.run_search(since_ns).probabilities[1] > 0.98

@@ -12,15 +12,15 @@ from khep_twin.shadow.actions import ProximityReply
 from khep_twin.shadow.sensor_watch import SensorWatch
 
 LIMIT = 1023
-WHOLE, EXPECTED = np.ones(8), np.zeros(8)
+FULL_RANGE, EXPECTED = np.ones(8), np.zeros(8)
 Integers = NDArray[np.int64]
 
 
 class Watched:
     """A watch that sees replies every 60 ms: sound ones have noise, like those of a robot that drives."""
 
-    def __init__(self, levels: Sequence[float], lit: bool = False) -> None:
-        self.watch = SensorWatch(20.0, LIMIT, lit)
+    def __init__(self, levels: Sequence[float], has_lamps: bool = False) -> None:
+        self.watch = SensorWatch(20.0, LIMIT, has_lamps)
         self._levels, self._rng = np.array(levels), np.random.default_rng(0)
         self.time_ns = 0
         self.ended: list[Alarm] = []
@@ -30,7 +30,7 @@ class Watched:
         seconds: float,
         change: Callable[[Integers], None] = lambda readings: None,
         *,
-        range_left: NDArray[np.float64] = WHOLE,
+        range_left: NDArray[np.float64] = FULL_RANGE,
         surprise: NDArray[np.float64] = EXPECTED,
     ) -> list[Alarm]:
         """See replies for a time, changed by a function; return the alarms that last."""
@@ -106,7 +106,7 @@ def test_a_sensor_at_its_limit_is_stuck_only_where_something_else_is_expected() 
 
 @pytest.mark.parametrize("value", [0, 150])
 def test_a_sensor_that_a_lamp_blinds_is_neither_dead_nor_stuck(value: int) -> None:
-    blinded = WHOLE.copy()
+    blinded = FULL_RANGE.copy()
     blinded[1] = 0.1
     watched = Watched(BUSY)
     watched.see(5)
@@ -119,12 +119,12 @@ def test_sensors_that_read_0_at_once_are_blinded_where_there_are_lamps() -> None
     def change(readings: Integers) -> None:
         readings[[2, 3]] = 0
 
-    for lit, faults in ((True, []), (False, ["dead sensor 2", "dead sensor 3"])):
-        watched = Watched(BUSY, lit)
+    for has_lamps, faults in ((True, []), (False, ["dead sensor 2", "dead sensor 3"])):
+        watched = Watched(BUSY, has_lamps)
         watched.see(5)
         assert [alarm.fault for alarm in watched.see(5, change)] == faults
     # One alone is dead there, too.
-    watched = Watched(BUSY, lit=True)
+    watched = Watched(BUSY, has_lamps=True)
     watched.see(5)
     assert [alarm.fault for alarm in watched.see(5, holding(2, 0))] == ["dead sensor 2"]
 
@@ -134,15 +134,15 @@ def test_sensors_that_repeat_bright_readings_at_once_are_at_their_limit_where_th
         readings[2:4] = 471, 721
 
     assert [alarm.fault for alarm in Watched(BUSY).see(4, hold)] == ["stuck sensor 2", "stuck sensor 3"]
-    lit = Watched(BUSY, lit=True)
-    assert lit.see(4, hold) == []
-    assert [alarm.fault for alarm in lit.see(4, holding(2, 471))] == ["stuck sensor 2"]
+    watched = Watched(BUSY, has_lamps=True)
+    assert watched.see(4, hold) == []
+    assert [alarm.fault for alarm in watched.see(4, holding(2, 471))] == ["stuck sensor 2"]
 
 
 @pytest.mark.parametrize(("left", "names"), [(0.8, []), (1.0, ["dead sensor 3"])])
 def test_where_a_lamp_may_shine_more_than_expected_a_sensor_that_reads_0_is_not_dead(
     left: float, names: list[str]
 ) -> None:
-    watched = Watched([0] * 8, lit=True)
-    found = watched.see(4, holding(3, 0), range_left=np.where(np.arange(8) == 3, left, 1.0))
-    assert [alarm.fault for alarm in found] == names
+    watched = Watched([0] * 8, has_lamps=True)
+    alarms = watched.see(4, holding(3, 0), range_left=np.where(np.arange(8) == 3, left, 1.0))
+    assert [alarm.fault for alarm in alarms] == names

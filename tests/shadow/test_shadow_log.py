@@ -1,4 +1,4 @@
-"""The log of a shadow: what is written of its updates, and reads back."""
+"""The log of a shadow: its updates, written and read back."""
 
 import hashlib
 import json
@@ -35,23 +35,23 @@ from khep_twin.shadow.shadow_log import ShadowLog
 
 
 def test_what_is_written_reads_back(tmp_path: Path) -> None:
-    found = read_shadow(written(tmp_path / "shadow.mcap"))
-    given = list(updates())
-    assert found.times_ns.tolist() == [update.time_ns for update in given]
-    assert np.allclose(found.pose, [update.estimate.pose for update in given], atol=1e-12)
-    assert np.array_equal(found.covariance, [update.estimate.covariance for update in given])
-    assert np.allclose(found.reckoned, [update.reckoned for update in given], atol=1e-12)
-    assert np.array_equal(found.expected, [update.expected for update in given])
-    assert np.array_equal(found.measured, [update.measured for update in given], equal_nan=True)
+    log = read_shadow(written(tmp_path / "shadow.mcap"))
+    expected = list(updates())
+    assert log.times_ns.tolist() == [update.time_ns for update in expected]
+    assert np.allclose(log.pose, [update.estimate.pose for update in expected], atol=1e-12)
+    assert np.array_equal(log.covariance, [update.estimate.covariance for update in expected])
+    assert np.allclose(log.reckoned, [update.reckoned for update in expected], atol=1e-12)
+    assert np.array_equal(log.expected, [update.expected for update in expected])
+    assert np.array_equal(log.measured, [update.measured for update in expected], equal_nan=True)
     assert np.array_equal(
-        found.residuals[:, PROXIMITY], [update.residuals.proximity for update in given], equal_nan=True
+        log.residuals[:, PROXIMITY], [update.residuals.proximity for update in expected], equal_nan=True
     )
-    assert np.isnan(found.residuals[:, LIGHT]).all()
-    assert found.residuals[0, WHEELS].tolist() == [1.0, -2.0]
-    assert np.isnan(found.residuals[:, TIMING]).tolist() == [False, True] * 30 + [False]
-    assert found.particles_ns.tolist() == [0, 1000 * MS, 2000 * MS, 3000 * MS]
-    first, last = given[0].particles[[0, -1]]
-    assert np.array_equal(found.particles[0, [0, -1]], [first, last])
+    assert np.isnan(log.residuals[:, LIGHT]).all()
+    assert log.residuals[0, WHEELS].tolist() == [1.0, -2.0]
+    assert np.isnan(log.residuals[:, TIMING]).tolist() == [False, True] * 30 + [False]
+    assert log.particles_ns.tolist() == [0, 1000 * MS, 2000 * MS, 3000 * MS]
+    first, last = expected[0].particles[[0, -1]]
+    assert np.array_equal(log.particles[0, [0, -1]], [first, last])
 
 
 def test_an_alarm_has_a_line_at_its_beginning_and_one_at_its_end(tmp_path: Path) -> None:
@@ -72,21 +72,24 @@ def test_a_state_has_a_line_where_it_begins_and_suspected_faults_where_they_chan
     for update in updates():
         # Less than 5 % from what was written last, and then more; names that change places are the same.
         rising = 0.6 + 0.03 * ((update.time_ns - 800 * MS) // (50 * MS))
-        found = tuple(replace(each, probability=rising) for each in update.suspected)
-        if update.time_ns >= 950 * MS and found:
-            found += (replace(slip, faults=slip.faults[:: -1 if update.time_ns > 950 * MS else 1]),)
-        log.write(replace(update, suspected=found))
+        suspicions = tuple(replace(suspicion, probability=rising) for suspicion in update.suspected)
+        if update.time_ns >= 950 * MS and suspicions:
+            suspicions += (replace(slip, faults=slip.faults[:: -1 if update.time_ns > 950 * MS else 1]),)
+        log.write(replace(update, suspected=suspicions))
     log.close()
     series = read_series(path).lines
     assert [(line.time_ns // MS, line.level, line.text) for line in series["/shadow/state"]] == [
         (0, Level.INFO, "followed"),
         (2000, Level.INFO, "unsure"),
     ]
-    both = "stuck sensor 2, dead sensor 2: proximity, since 0.800 s"
+    suspicion_text = "stuck sensor 2, dead sensor 2: proximity, since 0.800 s"
     assert [(line.time_ns // MS, line.text) for line in series["/shadow/suspected"]] == [
-        (800, f"{both}, 60.0 %"),
-        (900, f"{both}, 66.0 %"),
-        (950, f"{both}, 69.0 %; slipping wheel left, weak motor left: wheels, since 0.900 s, 30.0 %"),
+        (800, f"{suspicion_text}, 60.0 %"),
+        (900, f"{suspicion_text}, 66.0 %"),
+        (
+            950,
+            f"{suspicion_text}, 69.0 %; slipping wheel left, weak motor left: wheels, since 0.900 s, 30.0 %",
+        ),
         (1000, "none"),
     ]
     read = read_shadow(path)
@@ -100,14 +103,14 @@ def test_a_log_without_states_and_suspected_faults_is_read(tmp_path: Path) -> No
     def before(topic: str) -> str:
         return f"/older{topic}" if topic in ("/shadow/state", "/shadow/suspected") else topic
 
-    found = read_shadow(rewritten(written(tmp_path / "new.mcap"), tmp_path / "old.mcap", rename=before))
-    assert found.states == found.suspected == []
-    assert len(found.alarms) == 1
-    assert str(found.state_times) == "of no time"
+    log = read_shadow(rewritten(written(tmp_path / "new.mcap"), tmp_path / "old.mcap", rename=before))
+    assert log.states == log.suspected == []
+    assert len(log.alarms) == 1
+    assert str(log.state_times) == "of no time"
 
 
 @pytest.mark.parametrize(
-    ("topic", "text", "told"),
+    ("topic", "text", "error"),
     [
         ("state", "Lost", "state Lost; expected one of followed, unsure, lost"),
         ("suspected", "", "suspected ; expected FAULT: CHANNEL, since SECONDS s, PERCENT %"),
@@ -117,14 +120,14 @@ def test_a_log_without_states_and_suspected_faults_is_read(tmp_path: Path) -> No
     ],
 )
 def test_a_line_that_tells_no_state_or_no_suspected_faults_is_one_line(
-    topic: str, text: str, told: str, tmp_path: Path
+    topic: str, text: str, error: str, tmp_path: Path
 ) -> None:
-    def other(own: str, time_ns: int, message: bytes) -> bytes:
-        is_it = own == f"/shadow/{topic}"
+    def other(logged_topic: str, time_ns: int, message: bytes) -> bytes:
+        is_it = logged_topic == f"/shadow/{topic}"
         return line_message(TextLine(time_ns, Level.INFO, topic, text)) if is_it else message
 
     log = rewritten(written(tmp_path / "shadow.mcap"), tmp_path / "x.mcap", other)
-    with pytest.raises(LogError, match=rf"/shadow/{topic} at 0\.\d000 s: {re.escape(told)}"):
+    with pytest.raises(LogError, match=rf"/shadow/{topic} at 0\.\d000 s: {re.escape(error)}"):
         read_shadow(log)
 
 

@@ -1,4 +1,4 @@
-"""Wheels that turn less than they are told to, by the counters."""
+"""Wheels that turn less than commanded, by the counters."""
 
 from collections.abc import Sequence
 
@@ -17,13 +17,13 @@ def watched(
     seconds: float,
     parts: Sequence[float],
     pulses: Sequence[float] = (50, 50),
-    since: float = 0,
+    start_s: float = 0,
 ) -> list[Alarm]:
-    """Count wheels that turn by parts of the pulses of each tenth of a second; return what ended."""
+    """Count wheels that turn by parts of the pulses of each tenth of a second; return the ended alarms."""
     ended: list[Alarm] = []
     expected = np.array(pulses, np.float64)
     for step in range(round(seconds * 10)):
-        time_ns = round(since * SECOND) + (step + 1) * STEP_NS
+        time_ns = round(start_s * SECOND) + (step + 1) * STEP_NS
         ended += watch.update(time_ns, expected * np.array(parts), expected)
     return ended
 
@@ -37,7 +37,7 @@ def test_a_wheel_that_turns_less_is_named_with_its_side_and_ends(
     watch, parts = WheelWatch(), [1.0, 1.0]
     assert watched(watch, 3, parts, pulses) == watch.alarms == []
     parts[side] = part
-    assert {each.fault for each in watched(watch, 3, parts, pulses, 3)} <= {f"weak motor {name}"}
+    assert {alarm.fault for alarm in watched(watch, 3, parts, pulses, 3)} <= {f"weak motor {name}"}
     (alarm,) = watch.alarms
     assert (alarm.fault, alarm.channel) == (f"{fault} {name}", "wheels")
     assert 2 * SECOND < alarm.since_ns < alarm.raised_ns < 6 * SECOND
@@ -61,20 +61,20 @@ def test_wheels_that_are_told_to_stand_tell_nothing() -> None:
     watched(watch, 5, (0, 0), (0.2, -0.2))
     assert watch.alarms == []
     # Nor do they end what was raised.
-    watched(watch, 3, (0, 1), since=5)
+    watched(watch, 3, (0, 1), start_s=5)
     raised = watch.alarms
     assert len(raised) == 1
-    watched(watch, 5, (1, 1), (0.2, 0.2), since=8)
+    watched(watch, 5, (1, 1), (0.2, 0.2), start_s=8)
     assert watch.alarms == raised
 
 
 def test_a_wheel_that_comes_to_a_stand_is_weak_until_it_stands() -> None:
     watch = WheelWatch()
     watched(watch, 3, (1, 1))
-    ended = [each for part in (0.4, 0.0) for each in watched(watch, 2, (1, part), since=3 if part else 5)]
+    ended = [alarm for part in (0.4, 0.0) for alarm in watched(watch, 2, (1, part), start_s=3 if part else 5)]
     (alarm,) = watch.alarms
     assert alarm.fault == "dead motor or blocked wheel right"
-    assert [(each.fault, each.ended_ns) for each in ended] == [("weak motor right", alarm.raised_ns)]
+    assert [(alarm.fault, alarm.ended_ns) for alarm in ended] == [("weak motor right", alarm.raised_ns)]
 
 
 def test_both_wheels_may_have_a_fault() -> None:

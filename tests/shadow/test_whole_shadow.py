@@ -1,4 +1,4 @@
-"""A shadow: the bytes of a line, and what follows from them."""
+"""A shadow: the bytes of a line, and its updates."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -42,41 +42,41 @@ def followed(log: Path) -> Followed:
 def updates(lines: Iterable[LineChunk], settings: ShadowSettings, followed: Followed) -> Iterator[Update]:
     """Feed a new shadow."""
     shadow = Shadow(told_playpen("workshop", followed.truth), settings)
-    for heard in lines:
-        yield from shadow.feed(*heard)
+    for chunk in lines:
+        yield from shadow.feed(*chunk)
 
 
 def early(log: Path) -> list[LineChunk]:
-    return [heard for heard in read_recording(log).chunks if heard.time_ns < 2 * SECOND]
+    return [chunk for chunk in read_recording(log).chunks if chunk.time_ns < 2 * SECOND]
 
 
-def bits(found: Iterable[Update]) -> list[object]:
-    """All numbers of updates."""
+def bits(updates: Iterable[Update]) -> list[object]:
+    """Return all numbers of updates."""
     return [
         (
-            each.time_ns,
-            each.estimate.pose,
-            each.estimate.covariance.tobytes(),
-            each.particles.tobytes(),
-            each.expected.tobytes(),
-            each.reckoned,
-            each.alarms,
+            update.time_ns,
+            update.estimate.pose,
+            update.estimate.covariance.tobytes(),
+            update.particles.tobytes(),
+            update.expected.tobytes(),
+            update.reckoned,
+            update.alarms,
         )
-        for each in found
+        for update in updates
     ]
 
 
 def conversation(shadow: Shadow, *exchanges: tuple[int, bytes, bytes]) -> list[Update]:
     """Feed commands at their times [ms], and their replies 2 ms for each byte later."""
-    found: list[Update] = []
+    updates: list[Update] = []
     for time_ms, command, reply in exchanges:
-        found += shadow.feed(time_ms * MS, True, command)
+        updates += shadow.feed(time_ms * MS, True, command)
         if reply:
-            found += shadow.feed((time_ms + len(command + reply)) * MS, False, reply)
-    return found
+            updates += shadow.feed((time_ms + len(command + reply)) * MS, False, reply)
+    return updates
 
 
-def beside(**settings: object) -> Shadow:
+def make_shadow(**settings: object) -> Shadow:
     """The shadow of a robot in the workshop, 50 particles of a known start."""
     pytest.importorskip("numba", reason="numba is not installed")
     return Shadow(Playpen.load("workshop"), ShadowSettings(**{"particles": 50, **settings}))  # type: ignore
@@ -107,7 +107,7 @@ def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path,
     one, two = (list(updates(lines, SETTINGS, followed)) for _ in range(2))
     assert bits(one) == bits(two)
     assert len(one) > 10
-    assert [list(each.estimate.pose) for each in one] == followed.poses[: len(one)].tolist()
+    assert [list(update.estimate.pose) for update in one] == followed.poses[: len(one)].tolist()
     other = list(updates(lines, ShadowSettings(seed=1, particles=300), followed))
     assert other[-1].estimate.pose != one[-1].estimate.pose
 
@@ -115,16 +115,16 @@ def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path,
 def test_bytes_may_come_in_any_pieces(log: Path, followed: Followed) -> None:
     lines = early(log)[:60]
     pieces = [
-        LineChunk(heard.time_ns, heard.to_robot, heard.data[i : i + 3])
-        for heard in lines
-        for i in range(0, len(heard.data), 3)
+        LineChunk(chunk.time_ns, chunk.to_robot, chunk.data[i : i + 3])
+        for chunk in lines
+        for i in range(0, len(chunk.data), 3)
     ]
     assert bits(updates(pieces, SETTINGS, followed)) == bits(updates(lines, SETTINGS, followed))
 
 
 def test_each_reply_with_values_has_its_own_deviations() -> None:
-    shadow = beside(spread=EXACT)
-    seen, counted, lit = conversation(
+    shadow = make_shadow(spread=EXACT)
+    proximity_updates, counter_updates, light_updates = conversation(
         shadow,
         (0, b"N\n", b"n,9,0,0,0,0,0,0,0\r\n"),
         (100, b"H\n", b"h,0,0\r\n"),
@@ -132,22 +132,22 @@ def test_each_reply_with_values_has_its_own_deviations() -> None:
         (300, b"E\n", b"e,0,0\r\n"),
         (400, b"O\n", b"o,485,485,485,485,485,485,485,100\r\n"),
     )
-    assert seen.residuals.proximity == pytest.approx([9, *[0] * 7])
-    assert seen.measured.tolist() == [9, *[0] * 7]
-    assert seen.expected.tolist() == [0] * 8
-    assert np.isnan(seen.residuals.light).all()
-    assert np.isnan(seen.residuals.wheels).all()
-    assert counted.residuals.wheels.tolist() == [0, 0]
-    assert np.isnan(counted.residuals.proximity).all()
-    assert lit.residuals.light[7] < -200
-    assert lit.measured.tolist() == seen.measured.tolist()
+    assert proximity_updates.residuals.proximity == pytest.approx([9, *[0] * 7])
+    assert proximity_updates.measured.tolist() == [9, *[0] * 7]
+    assert proximity_updates.expected.tolist() == [0] * 8
+    assert np.isnan(proximity_updates.residuals.light).all()
+    assert np.isnan(proximity_updates.residuals.wheels).all()
+    assert counter_updates.residuals.wheels.tolist() == [0, 0]
+    assert np.isnan(counter_updates.residuals.proximity).all()
+    assert light_updates.residuals.light[7] < -200
+    assert light_updates.measured.tolist() == proximity_updates.measured.tolist()
     (later,) = conversation(shadow, (500, b"H\n", b"h,20,-20\r\n"))
     assert later.residuals.wheels == pytest.approx([20, -20])
     assert later.alarms == later.ended == ()
 
 
 def test_a_reply_that_comes_late_is_told() -> None:
-    shadow, byte_ms = beside(), 11 / 9.6
+    shadow, byte_ms = make_shadow(), 11 / 9.6
     for time_ms, late_ms in ((0, 0), (100, 12)):
         heard_ms = time_ms + byte_ms * (len(QUIET) + 2) + late_ms
         shadow.feed(time_ms * MS, True, b"N\n")
@@ -156,7 +156,7 @@ def test_a_reply_that_comes_late_is_told() -> None:
 
 
 def test_commands_alone_move_dead_reckoning_and_the_twins_with_it() -> None:
-    (update,) = conversation(beside(spread=EXACT), (0, b"D,5,5\n", b"d\r\n"), (2000, b"N\n", QUIET))
+    (update,) = conversation(make_shadow(spread=EXACT), (0, b"D,5,5\n", b"d\r\n"), (2000, b"N\n", QUIET))
     x, y, heading = update.reckoned
     start = Playpen.load("workshop").robots[0]
     off = x - start.x_mm / 1e3, y - start.y_mm / 1e3
@@ -166,17 +166,17 @@ def test_commands_alone_move_dead_reckoning_and_the_twins_with_it() -> None:
 
 
 def test_a_command_that_nobody_acknowledges_is_in_doubt() -> None:
-    told, untold = (
-        conversation(beside(spread=EXACT), (0, b"D,5,5\n", reply), (2500, b"N\n", QUIET))[-1]
+    with_counters, untold = (
+        conversation(make_shadow(spread=EXACT), (0, b"D,5,5\n", reply), (2500, b"N\n", QUIET))[-1]
         for reply in (b"d\r\n", b"")
     )
-    away = [np.ptp(each.particles[:, 1]) for each in (told, untold)]
+    away = [np.ptp(particles.particles[:, 1]) for particles in (with_counters, untold)]
     assert away[1] > 3 * away[0]
     assert away[1] > 0.02
 
 
 def test_silence_advances_the_pose_without_a_reply() -> None:
-    shadow = beside(spread=EXACT)
+    shadow = make_shadow(spread=EXACT)
     conversation(shadow, (0, b"D,5,5\n", b"d\r\n"))
     (first,), (second,) = shadow.wait(SECOND), shadow.wait(2 * SECOND)
     assert (first.time_ns, second.time_ns) == (SECOND, 2 * SECOND)
@@ -199,7 +199,7 @@ def test_a_robot_may_start_at_any_of_its_spots_and_is_lost_until_they_are_told_a
 
 
 def test_an_unknown_start_is_looked_for_everywhere_and_replies_narrow_it() -> None:
-    shadow = beside(known=False)
+    shadow = make_shadow(known=False)
     (first,) = conversation(shadow, (0, b"N\n", QUIET))
     assert len(first.particles) > 500
     assert np.ptp(first.particles[:, :2], axis=0).min() > 0.3
@@ -220,18 +220,18 @@ def test_playpens_that_a_plane_does_not_have_are_refused() -> None:
 
 
 def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() -> None:
-    follower = Follower(beside())
+    follower = Follower(make_shadow())
     assert follower.last is None
     changes: list[AlarmChange] = []
     banner = b"ROM of minirobot KHEPERA, version 5.02\r\n"
-    for heard in (
+    for chunk in (
         LineChunk(1000 * MS, True, b"N\n"),
         LineChunk(1030 * MS, False, QUIET),
         LineChunk(2000 * MS, False, banner),
         LineChunk(5000 * MS, True, b"N\n"),
         LineChunk(5030 * MS, False, QUIET),
     ):
-        for update in follower.feed(heard):
+        for update in follower.feed(chunk):
             changes += follower.changes(update)
     assert [(change.alarm.fault, change.alarm.ended_ns is None) for change in changes] == [
         ("restart", True),
@@ -249,9 +249,9 @@ def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Follow
     before = shadow.learned
     assert before.wheels == pytest.approx(np.ones(3), abs=0.01)
     assert before.gains == pytest.approx(np.ones(8), abs=0.1)
-    for heard in read_recording(log).chunks:
-        if heard.time_ns < 7 * SECOND:
-            shadow.feed(*heard)
+    for chunk in read_recording(log).chunks:
+        if chunk.time_ns < 7 * SECOND:
+            shadow.feed(*chunk)
     after = shadow.learned
     # What has looked at something is known better.
     assert (after.gain_deviations < 0.7 * before.gain_deviations).any()

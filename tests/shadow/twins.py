@@ -1,4 +1,4 @@
-"""Planar twins at their own poses, and what a robot in the place of one would reply."""
+"""Planar twins at given poses, and the replies of a robot in the place of one."""
 
 import functools
 import math
@@ -31,11 +31,11 @@ EXACT = Spread(0, 0, 0, 0, 0, 0)
 
 
 @functools.cache
-def setup_of(name: str, lit: bool = True) -> EpisodeSetup:
+def setup_of(name: str, has_lamps: bool = True) -> EpisodeSetup:
     """A shipped playpen, prepared for the plane, with its lamps or without them, which is faster."""
     pytest.importorskip("numba", reason="numba is not installed")
     playpen = Playpen.load(name)
-    return EpisodeSetup(playpen if lit else playpen.model_copy(update={"lamps": ()}), planar=True)
+    return EpisodeSetup(playpen if has_lamps else playpen.model_copy(update={"lamps": ()}), planar=True)
 
 
 def metric(pose: Pose) -> Pose:
@@ -44,18 +44,20 @@ def metric(pose: Pose) -> Pose:
     return x_mm / 1e3, y_mm / 1e3, math.radians(heading_deg)
 
 
-def planes_at(*poses: Pose, name: str = "workshop", lit: bool = True) -> Planes:
+def planes_at(*poses: Pose, name: str = "workshop", has_lamps: bool = True) -> Planes:
     """A twin at each pose."""
-    planes = Planes(setup_of(name, lit), len(poses))
+    planes = Planes(setup_of(name, has_lamps), len(poses))
     planes.reset_poses(np.array([metric(pose) for pose in poses]))
     return planes
 
 
 def particles_at(*poses: Pose, name: str = "workshop") -> Particles:
     """A particle at each pose, with the calibration's wheels and gains, of equal weights."""
-    made = draw_particles(setup_of(name), [metric(poses[0])], EXACT, len(poses), np.random.default_rng(0))
-    made.planes.reset_poses(np.array([metric(pose) for pose in poses]))
-    return made
+    particles = draw_particles(
+        setup_of(name), [metric(poses[0])], EXACT, len(poses), np.random.default_rng(0)
+    )
+    particles.planes.reset_poses(np.array([metric(pose) for pose in poses]))
+    return particles
 
 
 def light_of(planes: Planes) -> NDArray[np.float64]:
@@ -64,7 +66,7 @@ def light_of(planes: Planes) -> NDArray[np.float64]:
 
 
 def readings(planes: Planes, gain: float = 1.0) -> Integers:
-    """What the first twin would reply to N without noise, if its sensors had this gain."""
+    """Return the first twin's reply to N without noise, for sensors with this gain."""
     proximity, ambient = planes.proximity, planes.ambient
     counts = gain * light_of(planes)[0] - proximity["threshold"]
     # A lamp leaves a sensor a part of its range.

@@ -95,11 +95,11 @@ def test_several_compilations_together_are_announced_once_and_none_if_all_is_in_
     for outer in (first, second):
         announcer.add(outer, [module])
     with event.install_listener("numba:compile", announcer):
-        with announcer.together([first, second]):
+        with announcer.group([first, second]):
             compilations.compile(first, 20)
             compilations.compile(second, 20)
         assert capsys.readouterr().err == f"{BEGIN}khep_twin: compiling with numba took 40 s\n"
-        with announcer.together([first, second]):
+        with announcer.group([first, second]):
             pass
     assert capsys.readouterr().err == ""
 

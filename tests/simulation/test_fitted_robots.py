@@ -41,7 +41,7 @@ def two() -> Playpen:
 
 
 def another(seed: int = 0) -> Calibration:
-    return calibration.varied(calibration.read("khepera1")[0], np.random.default_rng(seed))
+    return calibration.vary(calibration.read("khepera1")[0], np.random.default_rng(seed))
 
 
 def replace(patch: pytest.MonkeyPatch, name: str, value: object) -> None:

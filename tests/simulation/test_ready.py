@@ -53,7 +53,7 @@ def test_a_compilation_beside_the_run_is_announced_once_and_so_is_its_failure(
 
     monkeypatch.setattr(ready, "subprocess", SimpleNamespace(Popen=start, DEVNULL=subprocess.DEVNULL))
     assert ready.when_ready("world") is None
-    assert capfd.readouterr().err == f"{ready.BESIDE}\n"
+    assert capfd.readouterr().err == f"{ready.BACKGROUND_NOTICE}\n"
     assert started == [[sys.executable, "-m", "khep_twin", "compile", "world"]]
     ready._PROCESSES["world"].wait()
     for _ in range(3):
@@ -68,10 +68,10 @@ def test_a_compilation_beside_the_run_is_announced_once_and_so_is_its_failure(
 
 def test_one_process_at_a_time_compiles_a_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ready, "function_of", lambda part: function(tmp_path))
-    with ready.alone("world"), (tmp_path / "compile-world.lock").open("ab") as another:
+    with ready.compile_lock("world"), (tmp_path / "compile-world.lock").open("ab") as another:
         with pytest.raises(BlockingIOError):
             lock(another)
-        with ready.alone("plane"):  # another part
+        with ready.compile_lock("plane"):  # another part
             pass
     with (tmp_path / "compile-world.lock").open("ab") as another:
         lock(another)

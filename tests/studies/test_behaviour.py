@@ -103,14 +103,14 @@ def test_a_wall_stops_a_robot_and_a_lamp_does_not() -> None:
 
 
 def test_a_curve_along_the_axes_sees_what_they_meet() -> None:
-    ahead = along_axes(WALL, lambda lengths: 1000 - lengths * 1e4)
-    (proximity,), (ambient,) = ahead(np.array([0.02]), np.array([0.0]))
+    wall_axes = along_axes(WALL, lambda lengths: 1000 - lengths * 1e4)
+    (proximity,), (ambient,) = wall_axes(np.array([0.02]), np.array([0.0]))
     away = 0.02 + BODY_RADIUS - 0.025
     assert proximity[2] == pytest.approx(1000 - 1e4 * away / math.cos(SENSOR_HEADINGS[2]))
     assert proximity[[0, 5, 6, 7]].max() < 1
     assert ambient.min() == ambient.max() > 0
-    beside = along_axes(CYLINDER, lambda lengths: 1000 - lengths * 1e4)
-    (proximity,), _ = beside(np.array([0.02]), np.array([math.radians(45)]))
+    cylinder_axes = along_axes(CYLINDER, lambda lengths: 1000 - lengths * 1e4)
+    (proximity,), _ = cylinder_axes(np.array([0.02]), np.array([math.radians(45)]))
     # The sensor is 0.5 mm off the line from the robot's centre to the cylinder's.
     assert proximity[1] == pytest.approx(1000 - 1e4 * (0.0475 - math.hypot(0.019, 0.017)), abs=4)
     assert np.flatnonzero(proximity).tolist() == [1]
@@ -138,10 +138,10 @@ def test_networks_depend_on_their_seed_and_remember() -> None:
 
 def test_twin_and_table_are_compared_beside_a_floor_the_same_each_time() -> None:
     samples, stop = {WALL: synthetic(30)}, {"stopping distance [mm]": stopping}
-    ahead = heading_for(WALL, 40, np.array([-20.0, 0.0]))
+    heading_ahead = heading_for(WALL, 40, np.array([-20.0, 0.0]))
     chosen = [
-        Trial(WALL, threshold_stop(400), ahead, 1.2, stop),
-        Trial(WALL, threshold_stop(300), ahead, 1.2, {**stop, "turn [deg]": turning}),
+        Trial(WALL, threshold_stop(400), heading_ahead, 1.2, stop),
+        Trial(WALL, threshold_stop(300), heading_ahead, 1.2, {**stop, "turn [deg]": turning}),
     ]
     rows = judge(samples, Kinematics(), chosen, seed=3)
     assert [(row.measure, row.controller, row.count) for row in rows] == [
@@ -174,8 +174,8 @@ def test_the_twins_world_has_the_object_where_the_table_has_it() -> None:
     for thing in (WALL, CYLINDER):
         twin = TwinWorld(thing)
         twin.begin(heading_for(thing, 8, np.array([0.0, 90.0])))
-        (ahead, aside), ambient = twin.read()
-        assert ahead[2] > 900
+        (front, aside), ambient = twin.read()
+        assert front[2] > 900
         assert aside[5] > 700  # on its right
         assert ambient.min() > 450
     twin = TwinWorld(LAMP)

@@ -20,24 +20,24 @@ ROOT = Path(__file__).parents[2]
 
 
 def comparisons() -> Iterator[Comparison]:
-    for each in fidelity.SECTIONS.values():
-        yield from each
+    for comparisons_of_section in fidelity.SECTIONS.values():
+        yield from comparisons_of_section
 
 
 def outcomes() -> dict[str, Outcome]:
     """Made-up outcomes: with and without a floor, peers and a note."""
-    found = [Outcome(3.14159), Outcome(0.012, 0.5, {"Webots": 12.34, "Enki": 1.0}, "a note")]
-    return {each.name: found[number % 2] for number, each in enumerate(comparisons())}
+    outcomes = [Outcome(3.14159), Outcome(0.012, 0.5, {"Webots": 12.34, "Enki": 1.0}, "a note")]
+    return {comparison.name: outcomes[number % 2] for number, comparison in enumerate(comparisons())}
 
 
 def test_the_page_has_the_comparisons_that_there_are_in_their_order() -> None:
-    names = {section: [each.name for each in own] for section, own in fidelity.SECTIONS.items()}
+    names = {section: [comparison.name for comparison in section_comparisons] for section, section_comparisons in fidelity.SECTIONS.items()}
     assert fidelity.names(fidelity.PAGE.read_text()) == names
     assert fidelity.names(fidelity.text(outcomes())) == names
 
 
 def test_no_two_comparisons_have_one_name_and_none_breaks_the_table() -> None:
-    names = [each.name for each in comparisons()]
+    names = [comparison.name for comparison in comparisons()]
     assert len(set(names)) == len(names)
     for each in comparisons():
         assert not {"|", "\n"} & set(each.name + each.source + each.basis + each.unit)
@@ -124,7 +124,7 @@ def test_the_twin_moves_as_its_pulses_say() -> None:
 @pytest.mark.skipif(not TABLES, reason="KHEP_TWIN_REFERENCE_DATA names no folder with the measured tables")
 @pytest.mark.parametrize("measure", QUICK, ids=lambda measure: measure.__name__)
 def test_the_page_has_the_figures_that_the_tables_give(measure) -> None:  # type: ignore[no-untyped-def]
-    (compared,) = (each for each in comparisons() if each.measure is measure)
+    (compared,) = (comparison for comparison in comparisons() if comparison.measure is measure)
     (line,) = (
         row for row in fidelity.PAGE.read_text().splitlines() if row.startswith(f"| {compared.name} |")
     )

@@ -13,7 +13,7 @@ def test_hidden_robots_measured_with_a_ruler_lie_within_the_told_intervals() -> 
     """Robots of the study, whose sensors share the ruler's errors."""
     (*robots,) = study(calibration.read("khepera1")[0], 20, period=0.1)
     assert min(map(len, robots)) > 45
-    found = np.array([error for values in robots for _, error in errors(values)])
-    assert np.mean(np.abs(found) <= CONFIDENCE) >= 0.85
+    all_errors = np.array([error for values in robots for _, error in errors(values)])
+    assert np.mean(np.abs(all_errors) <= CONFIDENCE) >= 0.85
     # Intervals that are far too wide would contain them, too.
-    assert np.sqrt(np.mean(found**2)) > 0.5
+    assert np.sqrt(np.mean(all_errors**2)) > 0.5

@@ -34,5 +34,5 @@ def test_a_square_tells_the_wheels_and_the_base(wheels: float, base: float) -> N
 def test_squares_find_the_wheels_of_a_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(umbmark, "RUNS", 2)
     with home_test.twin(home_test.open_arena(tmp_path), 1) as robot:
-        found = umbmark.umbmark(robot)
-    assert (found.wheels, found.base) == pytest.approx(umbmark.drawn(1), abs=1e-3)
+        result = umbmark.umbmark(robot)
+    assert (result.wheels, result.base) == pytest.approx(umbmark.drawn(1), abs=1e-3)

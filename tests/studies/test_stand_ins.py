@@ -31,7 +31,7 @@ def test_a_seed_for_tuning_has_no_host_that_is_kept_apart() -> None:
 
 def test_a_busy_relay_passes_on_together_what_has_come() -> None:
     times, sent_ns = LineTimes("busy", 1), np.arange(0, 60_000_000_000, 1_000_000)
-    passed_ns = np.array([times.from_robot(each) for each in sent_ns.tolist()])
+    passed_ns = np.array([times.from_robot(time_ns) for time_ns in sent_ns.tolist()])
     late_ns = passed_ns - sent_ns
     assert np.all(np.diff(passed_ns) >= 0)
     assert 0.5e6 < np.median(late_ns) < 5e6  # Most of those behind a long delay share it.
@@ -40,8 +40,8 @@ def test_a_busy_relay_passes_on_together_what_has_come() -> None:
 
 def test_an_adapter_delivers_at_the_ends_of_its_intervals() -> None:
     times = LineTimes("packets", 1)
-    passed_ns = [times.from_robot(each) for each in range(0, 100_000_000, 1_000_000)]
-    assert len({each % PACKET_NS for each in passed_ns}) == 1
+    passed_ns = [times.from_robot(time_ns) for time_ns in range(0, 100_000_000, 1_000_000)]
+    assert len({time_ns % PACKET_NS for time_ns in passed_ns}) == 1
     assert len(set(passed_ns)) == 7
 
 
@@ -59,7 +59,7 @@ def test_a_line_stalls_once_in_each_ten_seconds() -> None:
                 late[way].add(passed_ns)
                 assert passed_ns <= time_ns + STALL_NS
     assert late["host"] < late["from"]  # A relay that stands still delivers nothing either.
-    assert sorted(each // STALL_EVERY_NS for each in late["to"] | late["from"]) == list(range(10))
+    assert sorted(time_ns // STALL_EVERY_NS for time_ns in late["to"] | late["from"]) == list(range(10))
 
 
 def test_a_recording_is_the_same_each_time(tmp_path: Path) -> None:
@@ -83,11 +83,11 @@ def test_a_recording_is_the_same_each_time(tmp_path: Path) -> None:
 def test_a_recording_has_what_a_relay_of_a_robot_has(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     truth = record(path, PLAYPEN, seed=2, seconds=2, host="avoider", asks_counters=True)
-    found = read_series(path)
-    assert json.loads(found.label.attachments["configuration.json"]) == {"relay": "stand-in", "baud": 9600}
-    assert "playpen.toml" not in found.label.attachments
-    assert set(found.series) == {"/khepera0/proximity"}
-    lines = found.lines["/khepera0/serial"]
+    series = read_series(path)
+    assert json.loads(series.label.attachments["configuration.json"]) == {"relay": "stand-in", "baud": 9600}
+    assert "playpen.toml" not in series.label.attachments
+    assert set(series.series) == {"/khepera0/proximity"}
+    lines = series.lines["/khepera0/serial"]
     commands, replies = lines[::2], lines[1::2]
     assert [line.text[0] for line in commands[:6]] == ["N", "H", "D", "N", "H", "D"]
     for command, reply in zip(commands, replies, strict=False):
@@ -146,8 +146,8 @@ def test_the_end_of_a_fault_is_noticeable_where_a_robot_that_keeps_it_replies_ot
     tmp_path: Path,
 ) -> None:
     path, faults = tmp_path / "run.mcap", ["dead:left@0.2-1", "drop:0.1@1.2-1.4", "brown-out@1.5"]
-    found = record(path, PLAYPEN, seed=3, seconds=2, host="wanderer", asks_counters=True, faults=faults)
-    motor_ns, line_ns, reset_ns = found.over_ns.tolist()
+    truth = record(path, PLAYPEN, seed=3, seconds=2, host="wanderer", asks_counters=True, faults=faults)
+    motor_ns, line_ns, reset_ns = truth.over_ns.tolist()
     assert 1_000_000_000 < motor_ns < 1_500_000_000
     assert (line_ns, reset_ns) == (1_400_000_000, -1)
 
@@ -163,14 +163,14 @@ def test_the_end_of_a_fault_is_noticeable_where_a_robot_that_keeps_it_replies_ot
 )
 def test_a_changed_world_is_that_of_the_changed_playpen(change: Moved | Gone | Added) -> None:
     """The robot drives for two seconds, and all its counts are those of a scene compiled like that."""
-    told = PLAYPEN.model_copy(update={"lamps": ()})
-    world = looking(with_added(told, [change]))
-    hide_added(world, told)
+    dark_playpen = PLAYPEN.model_copy(update={"lamps": ()})
+    world = looking(with_added(dark_playpen, [change]))
+    hide_added(world, dark_playpen)
     assert apply(world, change, 3, stream(0, "changes")) == change
     compiled = looking(world.playpen.model_copy(update={"cylinders": world.playpen.cylinders}))
-    for each in (world, compiled):
-        each.scan()
-        each.robots[0].send(b"D,8,7\n")
-        each.advance_to(2_000_000_000)
+    for simulated in (world, compiled):
+        simulated.scan()
+        simulated.robots[0].send(b"D,8,7\n")
+        simulated.advance_to(2_000_000_000)
     assert world.robots[0].registers.tolist() == compiled.robots[0].registers.tolist()
     assert world.poses == compiled.poses

@@ -111,27 +111,27 @@ def raised(fault: str, raised_s: float, ended_s: float = -1, reading: float = 0)
 def test_a_fault_is_named_if_a_right_name_comes_in_time(
     alarms: list[Raised], named: bool, delay_s: float | None, wrong: tuple[str, ...], end_s: float | None
 ) -> None:
-    found = judge(("dead sensor 2",), truth(), 30 * SECOND, alarms)
-    assert (found.named, found.wrong) == (named, wrong)
-    assert found.delay_s == pytest.approx(np.nan if delay_s is None else delay_s, nan_ok=True)
-    assert found.end_s == pytest.approx(np.nan if end_s is None else end_s, nan_ok=True)
+    judgement = judge(("dead sensor 2",), truth(), 30 * SECOND, alarms)
+    assert (judgement.named, judgement.wrong) == (named, wrong)
+    assert judgement.delay_s == pytest.approx(np.nan if delay_s is None else delay_s, nan_ok=True)
+    assert judgement.end_s == pytest.approx(np.nan if end_s is None else end_s, nan_ok=True)
 
 
 @pytest.mark.parametrize(("reading", "named"), [(0, True), (300, False)])
 def test_a_stuck_sensor_may_be_called_dead_while_it_reads_0(reading: float, named: bool) -> None:
     names = "stuck sensor 2", "dead sensor 2"
-    found = judge(names, truth(), 30 * SECOND, [raised("dead sensor 2", 13, 31, reading)])
-    assert found.named == named
+    judgement = judge(names, truth(), 30 * SECOND, [raised("dead sensor 2", 13, 31, reading)])
+    assert judgement.named == named
 
 
 def test_an_alarm_of_a_fault_that_looks_alike_is_a_pair_in_time_and_false_later() -> None:
     alarms = [raised("slipping wheel left", 14, 31), raised("weak motor left", 40)]
     suspected = [Suspected(("weak motor left", "slipping wheel left"), 13 * SECOND, 0.96, (0.0,) * 8)]
-    found = judge(("weak motor left",), truth(), 30 * SECOND, alarms, suspected)
-    assert (found.named, found.paired) == (False, True)
+    judgement = judge(("weak motor left",), truth(), 30 * SECOND, alarms, suspected)
+    assert (judgement.named, judgement.paired) == (False, True)
     assert not judge(("weak motor left",), truth(), 30 * SECOND, [], suspected).paired
     # One that is raised ten seconds after the fault's end is false.
-    assert [each.right for each in found.claims] == [False, False, True]
+    assert [claim.right for claim in judgement.claims] == [False, False, True]
 
 
 def test_faults_of_the_same_wheel_look_alike() -> None:
@@ -151,25 +151,25 @@ def test_faults_of_the_same_wheel_look_alike() -> None:
     ],
 )
 def test_an_alarm_of_several_names_is_right_if_one_of_them_is(fault: str, is_right: bool) -> None:
-    found = judge(("dead motor or blocked wheel left",), truth(), 30 * SECOND, [raised(fault, 14)])
-    assert [each.right for each in found.claims] == [is_right]
+    judgement = judge(("dead motor or blocked wheel left",), truth(), 30 * SECOND, [raised(fault, 14)])
+    assert [claim.right for claim in judgement.claims] == [is_right]
 
 
 def test_a_bound_is_the_probability_of_a_name_and_its_distance_from_the_best_other_one() -> None:
-    found = [
+    explanations = [
         Explanation("sound", 0, -20),
         Explanation("weak motor left", -2, -7),
         Explanation("slipping wheel left", -3, -8),
     ]
-    assert gap(found, "weak motor left") == 1
-    assert gap(found, "sound") == -13
-    assert gap(found, "missing block0") == -np.inf
+    assert gap(explanations, "weak motor left") == 1
+    assert gap(explanations, "sound") == -13
+    assert gap(explanations, "missing block0") == -np.inf
     odds = np.exp([-20, -9, -11])
-    chances = posterior(found)
+    chances = posterior(explanations)
     assert list(chances) == ["sound", "weak motor left", "slipping wheel left"]
     assert list(chances.values()) == pytest.approx(odds / odds.sum())
     # Far below what a number can hold, only differences count.
-    far = [each._replace(evidence=each.evidence - 1e4) for each in found]
+    far = [explanation._replace(evidence=explanation.evidence - 1e4) for explanation in explanations]
     assert posterior(far) == pytest.approx(chances)
 
 
@@ -178,9 +178,9 @@ def test_a_reply_is_as_new_as_the_robot_has_moved() -> None:
     poses = np.zeros((len(times), 3))
     poses[:, 0] = 0.05 * np.clip(times / SECOND - 1, 0, 1)  # It drives from 1 to 2 s.
     none = np.zeros(0, np.int64)
-    found = Truth(times, poses, poses[0], poses[0], np.zeros(0, np.str_), none, none, none, none)
-    replies = [ProximityReply(round(each * SECOND), np.zeros(8, np.int64)) for each in (0.5, 1, 1.02, 1.9, 2.5, 2.9)]
-    first, standing, slow, far, _, stopped = parts_new(found, replies).values()
+    recorded_truth = Truth(times, poses, poses[0], poses[0], np.zeros(0, np.str_), none, none, none, none)
+    replies = [ProximityReply(round(time_s * SECOND), np.zeros(8, np.int64)) for time_s in (0.5, 1, 1.02, 1.9, 2.5, 2.9)]
+    first, standing, slow, far, _, stopped = parts_new(recorded_truth, replies).values()
     assert [first, standing, stopped] == pytest.approx([MIN_NOVELTY] * 3)
     assert MIN_NOVELTY < slow < 0.2 < 0.8 < far < 1
 
@@ -188,10 +188,10 @@ def test_a_reply_is_as_new_as_the_robot_has_moved() -> None:
 def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:
     alarm = raised("dead sensor 2", 13)._replace(sureness=0.97)
     names = ("dead sensor 2",)
-    suspected = [Suspected(names, round(at_s * SECOND), said, ()) for at_s, said in ((11, 0.5), (13, 0.66))]
-    said = claims([alarm], suspected, lambda fault, time_ns, _: time_ns > 12 * SECOND)
-    assert said == [Claim(0.97, True, True), Claim(0.5, False, False), Claim(0.66, False, True)]
-    low, _, high = binned([*said, *[Claim(0.98, True, False)] * 3])
+    suspected = [Suspected(names, round(at_s * SECOND), probability, ()) for at_s, probability in ((11, 0.5), (13, 0.66))]
+    all_claims = claims([alarm], suspected, lambda fault, time_ns, _: time_ns > 12 * SECOND)
+    assert all_claims == [Claim(0.97, True, True), Claim(0.5, False, False), Claim(0.66, False, True)]
+    low, _, high = binned([*all_claims, *[Claim(0.98, True, False)] * 3])
     assert (low.alarms, low.suspicions, low.true) == (0, 1, 0)
     assert (high.low, high.alarms, high.true) == (0.95, 4, 0.25)
     assert high.interval[0] < 0.25 < high.interval[1]
@@ -202,8 +202,8 @@ def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:
 def test_healthy_recordings_meet_all_playpens_with_all_hosts_and_starts() -> None:
     for hosts in (TUNED, TUNED[:2], TUNED[:1]):
         runs = 2 * len(ALL) * len(hosts)
-        found = healthy_recordings(ALL, hosts, 0, runs, 10, "exact")
-        assert len({(each.playpen, each.host, each.own_start) for each in found}) == runs
+        recordings = healthy_recordings(ALL, hosts, 0, runs, 10, "exact")
+        assert len({(recording.playpen, recording.host, recording.own_start) for recording in recordings}) == runs
 
 
 def test_truth_is_inside_a_region_as_often_as_in_a_gaussian() -> None:
@@ -213,8 +213,8 @@ def test_truth_is_inside_a_region_as_often_as_in_a_gaussian() -> None:
     times = np.zeros(len(off), np.int64)
     states = np.full(len(off), str(PoseState.FOLLOWED))
     actual = np.tile((0, 0, 2 * np.pi), (len(off), 1))
-    found = Followed(truth(), times, off, actual, off, covariances, states, off, [], [], np.zeros(1))
-    assert inside(found).mean(axis=0) == pytest.approx(0.95, abs=0.005)
+    followed = Followed(truth(), times, off, actual, off, covariances, states, off, [], [], np.zeros(1))
+    assert inside(followed).mean(axis=0) == pytest.approx(0.95, abs=0.005)
 
 
 def test_a_healthy_robot_is_followed_without_an_alarm(tmp_path: Path) -> None:

@@ -85,17 +85,17 @@ def test_a_mistake_is_reported_by_file_line_key_and_value(
     (tmp_path / "nan.csv").write_text("1,nan\n")
     (tmp_path / "mine.py").write_text("def steer(proximity, ambient, memory, genes):\n    return 1.0, 1.0\n")
     assert old in STUDY
-    with pytest.raises(StudyError, match=message) as found:
+    with pytest.raises(StudyError, match=message) as error:
         work_of(loaded(tmp_path, STUDY.replace(old, new) if old else STUDY + new))
-    assert "\n" not in str(found.value)
+    assert "\n" not in str(error.value)
 
 
 def test_there_is_a_episode_for_each_point_of_the_grid_genome_and_seed_in_tasks_of_one_kind(
     tmp_path: Path,
 ) -> None:
-    more = '[grid]\nnoise = [true, false]\nstarts = ["playpen", "grid:2x2"]\n'
-    more += '[[network]]\nname = "drawn"\nhidden = [2]\ndrawn = 5\n'
-    work = work_of(loaded(tmp_path, STUDY + more))
+    grid = '[grid]\nnoise = [true, false]\nstarts = ["playpen", "grid:2x2"]\n'
+    grid += '[[network]]\nname = "drawn"\nhidden = [2]\ndrawn = 5\n'
+    work = work_of(loaded(tmp_path, STUDY + grid))
     # Two controllers with 1 and 5 genomes, five starts, three seeds, with and without noise.
     assert work.n_episodes == (1 + 5) * 5 * 3 * 2
     assert [task.index for task in work.tasks] == list(range(len(work.tasks)))
@@ -108,13 +108,13 @@ def test_genomes_come_from_files_beside_the_study_or_are_drawn_by_a_seed(tmp_pat
     rows = np.random.default_rng(1).normal(size=(2, 18))
     np.save(tmp_path / "a.npy", rows)
     np.savetxt(tmp_path / "b.csv", rows, delimiter=",", fmt="%.17g")
-    more = '[[network]]\nname = "a"\ngenomes = "a.npy"\n[[network]]\nname = "b"\ngenomes = "b.csv"\n'
-    more += '[[network]]\nname = "c"\ndrawn = 4\n[[network]]\nname = "d"\ndrawn = 4\ndrawn_seed = 1\n'
-    _, a, b, c, d = (each.genomes for each in work_of(loaded(tmp_path, STUDY + more)).controllers)
+    networks = '[[network]]\nname = "a"\ngenomes = "a.npy"\n[[network]]\nname = "b"\ngenomes = "b.csv"\n'
+    networks += '[[network]]\nname = "c"\ndrawn = 4\n[[network]]\nname = "d"\ndrawn = 4\ndrawn_seed = 1\n'
+    _, a, b, c, d = (controller.genomes for controller in work_of(loaded(tmp_path, STUDY + networks)).controllers)
     assert a.tobytes() == b.tobytes() == rows.tobytes()
     assert c.shape == d.shape == (4, 18)
     assert not np.isclose(c, d).any()
-    again = work_of(loaded(tmp_path, STUDY + more)).controllers
+    again = work_of(loaded(tmp_path, STUDY + networks)).controllers
     assert again[3].genomes.tobytes() == c.tobytes()
 
 

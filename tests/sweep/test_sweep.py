@@ -33,7 +33,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::khep_twin.episodes.episode.Slow
 
 HAS_RAY = importlib.util.find_spec("ray") is not None
 
-MORE = """
+EXTRA = """
 [grid]
 noise = [true, false]
 
@@ -52,7 +52,7 @@ def steer(proximity, ambient, memory, genes):
 """
 
 
-def swept(folder: Path, text: str = STUDY + MORE, **options: Any) -> Path:
+def swept(folder: Path, text: str = STUDY + EXTRA, **options: Any) -> Path:
     (folder / "mine.py").write_text(STEER)
     return run_sweep(loaded(folder, text), **options)
 
@@ -84,17 +84,17 @@ class Counted:
     """Threads that note which tasks they do, and stop before one, as if the power had gone."""
 
     def __init__(self, stop_before: int = -1) -> None:
-        self.done: list[int] = []
+        self.finished: list[int] = []
         self._stop = stop_before
 
     @contextmanager
     def __call__(self, work: Work, tasks: Sequence[Shard]) -> Iterator[Iterator[tuple[Shard, bytes]]]:
         def coming() -> Iterator[tuple[Shard, bytes]]:
-            with run_locally(1)(work, tasks) as done:
-                for task, data in done:
+            with run_locally(1)(work, tasks) as results:
+                for task, data in results:
                     if task.index == self._stop:
                         raise KhepTwinError("stopped")
-                    self.done.append(task.index)
+                    self.finished.append(task.index)
                     yield task, data
 
         yield coming()
@@ -118,7 +118,7 @@ def test_every_episode_is_in_the_table_once_with_what_it_was(tmp_path: Path) -> 
 
 def test_a_sweep_ends_with_its_means_and_where_they_are_from(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(STEER)
-    (tmp_path / "study.toml").write_text(STUDY + MORE)
+    (tmp_path / "study.toml").write_text(STUDY + EXTRA)
     ended = CliRunner().invoke(app, ["sweep", str(tmp_path / "study.toml")])
     assert ended.exit_code == 0, ended.output
     _, n_episodes, *means, results = ended.stdout.splitlines()
@@ -134,9 +134,9 @@ def test_a_sweep_ends_with_its_means_and_where_they_are_from(tmp_path: Path) -> 
 
 
 def test_tasks_of_any_size_and_any_number_of_threads_give_the_same_episodes(tmp_path: Path) -> None:
-    whole = pq.read_table(swept(tmp_path, executor=run_locally(2)))
-    small = STUDY.replace("rollouts_per_task = 4", "rollouts_per_task = 1") + MORE
-    assert pq.read_table(swept(tmp_path, small, executor=run_locally(1), output=tmp_path / "b")).equals(whole)
+    undisturbed = pq.read_table(swept(tmp_path, executor=run_locally(2)))
+    small = STUDY.replace("rollouts_per_task = 4", "rollouts_per_task = 1") + EXTRA
+    assert pq.read_table(swept(tmp_path, small, executor=run_locally(1), output=tmp_path / "b")).equals(undisturbed)
 
 
 def test_a_sweep_that_stopped_goes_on_with_only_what_is_missing_to_the_same_bytes(tmp_path: Path) -> None:
@@ -145,14 +145,14 @@ def test_a_sweep_that_stopped_goes_on_with_only_what_is_missing_to_the_same_byte
         swept(tmp_path, executor=Counted(stop_before=3))
     # One part is damaged, as by a disk, and one is of another study.
     parts = tmp_path / "out" / "parts"
-    assert sorted(each.name for each in parts.iterdir()) == [f"task-00000{i}.parquet" for i in range(3)]
+    assert sorted(path.name for path in parts.iterdir()) == [f"task-00000{i}.parquet" for i in range(3)]
     (parts / "task-000001.parquet").write_bytes(b"PAR1")
     following = Counted()
     assert swept(tmp_path, executor=following, resume=True).read_bytes() == expected
-    assert following.done == [1, 3, 4, 5, 6, 7]
+    assert following.finished == [1, 3, 4, 5, 6, 7]
     again = Counted()
     assert swept(tmp_path, executor=again, resume=True).read_bytes() == expected
-    assert again.done == []
+    assert again.finished == []
 
 
 def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
     (tmp_path / "go").touch()
     following = Counted()
     table = run_sweep(file, resume=True, executor=following)
-    assert following.done == list(range(4, 10))
+    assert following.finished == list(range(4, 10))
     expected = run_sweep(file, output=tmp_path / "whole")
     assert table.read_bytes() == expected.read_bytes()
     assert pq.read_table(table)["episode"].to_pylist() == list(range(40))
@@ -181,7 +181,7 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None
     (tmp_path / "mine" / "notes.txt").write_text("dear diary")
     with pytest.raises(StudyError, match=r"mine: holds notes.txt and no study.json; expected a new folder"):
         swept(tmp_path, output=tmp_path / "mine")
-    assert [each.name for each in (tmp_path / "mine").iterdir()] == ["notes.txt"]
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
     swept(tmp_path)
     with pytest.raises(StudyError, match=r"out: holds results of this study already; expected --resume"):
         swept(tmp_path)
@@ -190,7 +190,7 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(tmp_path: Path) -> None
 
 
 def test_a_sweep_that_came_to_nothing_is_begun_anew_as_it_is_or_mended(tmp_path: Path) -> None:
-    for text in (STUDY, STUDY, STUDY + MORE):
+    for text in (STUDY, STUDY, STUDY + EXTRA):
         with pytest.raises(KhepTwinError, match="stopped"):
             swept(tmp_path, text, executor=Counted(stop_before=0))
     assert pq.read_table(swept(tmp_path)).num_rows == 24
@@ -206,15 +206,15 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done
         while len(list(output.glob("parts/task-*.parquet"))) < 2 and time.monotonic() - start < 300:
             time.sleep(0.01)
         sweep.send_signal(signal.SIGINT)
-        told = sweep.communicate()[1]
-    assert sweep.returncode == 130, told
+        errors = sweep.communicate()[1]
+    assert sweep.returncode == 130, errors
     again = command("sweep", tmp_path / "study.toml", "--resume", "--output", output)
-    assert told.endswith(f"stopped; resume: {again}\n")
+    assert errors.endswith(f"stopped; resume: {again}\n")
     assert len(list(output.glob("parts/task-*.parquet"))) == 2
     (tmp_path / "go").touch()
     following = Counted()
     table = run_sweep(file, output=output, resume=True, executor=following)
-    assert following.done == list(range(2, 10))
+    assert following.finished == list(range(2, 10))
     assert pq.read_table(table)["episode"].to_pylist() == list(range(40))
 
 
@@ -253,7 +253,7 @@ def test_a_sweep_that_was_killed_at_its_very_beginning_can_be_begun_again(tmp_pa
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".study.json.part").write_text("{")
     assert len(pq.read_table(swept(tmp_path, STUDY, resume=True))) == 3
-    assert sorted(each.name for each in (tmp_path / "out").iterdir()) == ["results.parquet", "study.json"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["results.parquet", "study.json"]
 
 
 def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:
@@ -261,8 +261,8 @@ def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:
     def meanwhile(work: Work, tasks: Sequence[Shard]) -> Iterator[Iterator[tuple[Shard, bytes]]]:
         with pytest.raises(StudyError, match=r"out: in use by another sweep"):
             swept(tmp_path, STUDY, resume=True)
-        with run_locally(1)(work, tasks) as done:
-            yield iter(done)
+        with run_locally(1)(work, tasks) as results:
+            yield iter(results)
 
     swept(tmp_path, STUDY, executor=meanwhile)
 
@@ -309,12 +309,12 @@ def test_episodes_are_measured_by_functions_of_ones_own(tmp_path: Path) -> None:
 def test_without_ray_asking_for_it_is_one_line_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = builtins.__import__
+    original_import = builtins.__import__
 
     def refuse(name: str, *rest: Any, **more: Any) -> Any:
         if name == "ray":
             raise ImportError(name)
-        return found(name, *rest, **more)
+        return original_import(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
     before = dict(os.environ)

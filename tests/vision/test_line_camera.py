@@ -121,7 +121,7 @@ def test_a_snapshot_goes_on_amid_a_scan_as_if_nothing_had_been() -> None:
 def test_lamps_that_are_switched_are_seen_so() -> None:
     scene = world(lamp(500, 250, 1))
     assert image(scene)[32] == 255
-    scene.lamps.turn(0, False, scene.time_ns)
+    scene.lamps.switch(0, False, scene.time_ns)
     assert image(scene)[32] < 255
 
 

@@ -29,7 +29,7 @@ def test_programs_are_scored_stopped_and_listed_and_a_failing_line_is_marked(
     page.focus("#score")
     page.keyboard.press("Enter")
     page.wait_for_selector("#score-printed >> text=driven")
-    page.wait_for_selector("#score-told.failed >> text=drives.py: failed")
+    page.wait_for_selector("#score-status.failed >> text=drives.py: failed")
     assert page.inner_text("#score-runs").splitlines()[0].startswith("run 1")
     assert "at least 0.5 of the time" in page.inner_text("#score-runs")
     visit.wait("!document.querySelector('#score').disabled")
@@ -43,7 +43,7 @@ def test_programs_are_scored_stopped_and_listed_and_a_failing_line_is_marked(
     page.click('[data-tab="challenge"]')
     visit.wait("!document.querySelector('#scored-stop').disabled")
     page.keyboard.press("Escape")
-    page.wait_for_selector("#score-told >> text=stopped")
+    page.wait_for_selector("#score-status >> text=stopped")
     visit.wait("!document.querySelector('#score').disabled")
 
     page.select_option("#challenge", "stop")
@@ -67,4 +67,4 @@ def test_programs_are_scored_stopped_and_listed_and_a_failing_line_is_marked(
     page.select_option("#scored", "class/fails.py")
     page.click("#score")
     page.wait_for_selector("#lines .failed >> text=3")
-    assert page.inner_text("#program-told").startswith("class/fails.py:3: NameError")
+    assert page.inner_text("#program-status").startswith("class/fails.py:3: NameError")

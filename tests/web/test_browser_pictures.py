@@ -103,7 +103,7 @@ def test_the_pictures_of_the_guide_are_the_pages_own(visit: Visit, tmp_path: Pat
     page.select_option("#challenge", "stop")
     page.click("#challenge-playpen")
     page.click("#score")
-    page.wait_for_selector("#score-told.passed >> text=reference solution: passed")
+    page.wait_for_selector("#score-status.passed >> text=reference solution: passed")
     page.locator("#challenge-text").evaluate("text => text.scrollIntoView()")
     visit.picture("designer_challenge")
 

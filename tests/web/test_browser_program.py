@@ -26,7 +26,7 @@ def test_a_program_is_written_run_by_a_key_and_its_failing_line_is_marked(
     page.keyboard.press("Control+Enter")
     page.wait_for_selector("#lines .failed")
     assert page.inner_text("#lines .failed") == "3"
-    assert "NameError: name 'nonsense'" in page.inner_text("#program-told")
+    assert "NameError: name 'nonsense'" in page.inner_text("#program-status")
     visit.picture("13-program")
     text = "def controller(robot):\n    robot.set_speed(3, 3)\n    nonsense()"
     assert (tmp_path / "mine.py").read_text() == text

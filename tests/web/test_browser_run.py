@@ -95,10 +95,10 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     assert [
         event.kind
         for _, _, event in recorded.events
-        if event.kind in (HostEventKind.PUT, HostEventKind.SWITCH)
+        if event.kind in (HostEventKind.MOVE_ROBOT, HostEventKind.SWITCH_LAMP)
     ] == [
-        HostEventKind.PUT,
-        HostEventKind.SWITCH,
+        HostEventKind.MOVE_ROBOT,
+        HostEventKind.SWITCH_LAMP,
     ]
     assert repeat(recorded) is None
 
@@ -245,7 +245,9 @@ def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: P
     tablet.end()
     recorded = read_recorded_run(tmp_path / "run.mcap")
     (pose,) = [
-        struct.unpack("<3d", event.data) for _, _, event in recorded.events if event.kind is HostEventKind.PUT
+        struct.unpack("<3d", event.data)
+        for _, _, event in recorded.events
+        if event.kind is HostEventKind.MOVE_ROBOT
     ]
     assert pose[:2] == pytest.approx((300, 200), abs=2)
     assert abs(pose[2]) == pytest.approx(180, abs=2)
@@ -460,16 +462,17 @@ FED = """async () => {
     root.id = "fed";
     const canvas = root.querySelector("canvas");
     const curves = new Curves(root);
-    const sensors = Object.fromEntries([...Array(8).keys()].map((sensor) => [sensor, [255, 0, 255]]));
+    const names = [...Array(8).keys()];
+    const sensors = Object.fromEntries(names.map((sensor) => [sensor, [255, 0, 255]]));
     const wheels = { left: [255, 0, 0], right: [0, 0, 255] };
-    const full = (count) => ({ full: count });
-    curves.limits({ proximity: full(1023), light: full(500), speed: full(20) }, { sensors, wheels });
-    curves.clear(1);
+    const bars = { proximity: { full: 1023 }, light: { full: 500 }, speed: { full: 20 } };
+    curves.setColours({ sensors, wheels });
+    curves.clear([{ names, bars }]);
     let time = 0;
     window.feed = (seconds) => {
         for (const end = time + seconds; time < end; time += 1 / 128) {
             const proximity = Array(8).fill(Math.floor(time));
-            curves.read({ time, robots: [{ proximity, ambient: proximity, speed: [5, 15] }] });
+            curves.add({ time, robots: [{ proximity, ambient: proximity, speed: [5, 15] }] });
         }
     };
     const copy = new OffscreenCanvas(400, 400).getContext("2d", { willReadFrequently: true });
@@ -545,7 +548,7 @@ def test_undo_during_a_run_puts_a_lifted_robot_back_and_switches_a_lamp_again(
     assert visit.count(".drawn") == 1
     recorded = read_recorded_run(tmp_path / "run.mcap")
     kinds = [event.kind for _, _, event in recorded.events]
-    assert (kinds.count(HostEventKind.PUT), kinds.count(HostEventKind.SWITCH)) == (4, 2)
+    assert (kinds.count(HostEventKind.MOVE_ROBOT), kinds.count(HostEventKind.SWITCH_LAMP)) == (4, 2)
     assert repeat(recorded) is None
 
 

@@ -19,14 +19,16 @@ ACTIONS = set(Page(Documents(Path()), None).actions)
 
 def message_kinds(script: str) -> list[str]:
     """Return the kinds of messages in the table of a script."""
-    table = re.search(r"^( *)(?:const )?hears = \{\n(.*?)^\1\};", script, re.DOTALL | re.MULTILINE)
+    table = re.search(r"^( *)messageHandlers = \{\n(.*?)^\1\};", script, re.DOTALL | re.MULTILINE)
     assert table is not None
     indent = re.escape(f"{table[1]}  ")
     return re.findall(rf'^{indent}"?([\w-]+)"?[:(]', table[2], re.MULTILINE)
 
 
 def test_the_page_has_one_function_for_each_kind_of_message() -> None:
-    kinds = [kind for name in ("main.js", "run.js", "challenges.js") for kind in message_kinds(SCRIPTS[name])]
+    kinds = [
+        kind for name in ("run.js", "challenges.js", "drafts.js") for kind in message_kinds(SCRIPTS[name])
+    ]
     types = (get_type_hints(message)["kind"] for message in get_args(Message))
     assert sorted(kinds) == sorted(kind for literal in types for kind in get_args(literal))
 

@@ -1,4 +1,4 @@
-"""Braitenberg vehicle with the weights of the robot's demonstration program, but faster and turning harder."""
+"""Braitenberg vehicle with the weights of the robot's demonstration program, but faster and sharper."""
 
 WEIGHTS = [(4, -5), (4, -15), (6, -18), (-18, 6), (-15, 4), (-5, 4), (5, 3), (3, 5)]  # left, right wheel
 SPEED_PULSES, TOP_PULSES = 18, 20

@@ -5,92 +5,93 @@ export const tab = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
 const QUIET = { "Khepera-Quiet": "yes" }; // a refusal is no error of the page, which its console would show
 
-const KEPT_ALIVE = 60_000; // browsers refuse more than 64 KiB of a request that outlives its page [bytes]
+const KEEPALIVE_LIMIT = 60_000; // browsers refuse more than 64 KiB of a request that outlives its page [bytes]
 
-// Actions about the time of a twin and what is in it: each waits for the one before, as requests may overtake each other.
+// Requests about a running twin: each waits for the previous one, as requests may overtake each other.
 const ORDERED = ["pace", "step", "put", "switch"];
-let before = Promise.resolve();
+let lastOrdered = Promise.resolve();
 
-export function post(action, wanted = {}, more = {}) {
-  const ask = () => request(action, wanted, more);
-  if (!ORDERED.includes(action)) return ask();
-  return (before = before.then(ask, ask));
-}
-
-async function request(action, wanted, more) {
-  const body = JSON.stringify({ ...wanted, tab });
-  const keepalive = more.keepalive === true && new Blob([body]).size < KEPT_ALIVE;
-  const answer = await reach(`${base}do/${action}`, {
-    method: "POST",
-    headers: { "Content-Type": "application/json", ...QUIET },
-    body,
-    ...more,
-    keepalive,
-  });
-  return read(answer);
+// Requests an action with values; returns the reply. `options` are those of fetch.
+export function post(action, values = {}, options = {}) {
+  const send = () => sendRequest(action, values, options);
+  if (!ORDERED.includes(action)) return send();
+  return (lastOrdered = lastOrdered.then(send, send));
 }
 
 export async function upload(file, mm) {
   const query = new URLSearchParams({ name: file.name.replace(/[^\w.-]/g, "-"), mm });
-  const answer = await reach(`${base}import?${query}`, {
+  const response = await fetchFromDesigner(`${base}import?${query}`, {
     method: "POST",
     headers: { "Content-Type": "application/octet-stream", ...QUIET },
     body: file,
   });
-  return read(answer);
+  return readReply(response);
 }
 
-let drop = () => {};
-
-function reach(url, wanted) {
-  return fetch(url, wanted).catch(() => {
-    drop();
-    throw Object.assign(new Error("The designer cannot be reached."), { unreached: true });
-  });
-}
-
-async function read(answer) {
-  if (["image/png", "application/octet-stream"].includes(answer.headers.get("content-type"))) return answer.blob();
-  const text = await answer.text();
-  let found;
-  try {
-    found = JSON.parse(text);
-  } catch {
-    found = { error: text };
-  }
-  if (!answer.ok || found.error !== undefined) throw Object.assign(new Error(found.error), { conflict: found.conflict === true });
-  return found;
-}
-
-// Has the browser keep a file.
-export function keep(blob, name) {
+// Lets the browser save a file.
+export function download(blob, name) {
   const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
-// Receives messages; calls lost(true, ended) when the connection is lost, with `ended` if the designer reported its
-// end, and lost(false) when it is back.
-export function listen(hear, lost) {
+// Receives messages; returns a function that sends one. Calls onConnection(true, hasEnded) when the connection is lost,
+// with `hasEnded` if the designer reported its end, and onConnection(false) when it is open.
+export function listen(onMessage, onConnection) {
   let socket;
-  const again = () => setTimeout(open, 1500);
+  const reconnect = () => setTimeout(open, 1500);
   const open = () => {
     socket = new WebSocket(`ws://${location.host}${base}live`);
-    socket.onmessage = (event) => hear(JSON.parse(event.data));
-    socket.onopen = () => lost(false);
+    socket.onmessage = (event) => onMessage(JSON.parse(event.data));
+    socket.onopen = () => onConnection(false);
     socket.onclose = ({ code }) => {
-      lost(true, code === 1012);
-      again();
+      onConnection(true, code === 1012);
+      reconnect();
     };
   };
-  // A request that fails reports this before the socket does.
-  drop = () => {
-    if (!socket.onclose || socket.readyState !== WebSocket.OPEN) return; // an attempt to connect reports by itself
+  // A request that fails reports the loss before the socket does.
+  closeSocket = () => {
+    if (!socket.onclose || socket.readyState !== WebSocket.OPEN) return; // a failed attempt to connect calls onclose
     socket.onclose = null;
     socket.close();
-    lost(true, false);
-    again();
+    onConnection(true, false);
+    reconnect();
   };
   open();
   return (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+}
+
+let closeSocket = () => {};
+
+async function sendRequest(action, values, options) {
+  const body = JSON.stringify({ ...values, tab });
+  const keepalive = options.keepalive === true && new Blob([body]).size < KEEPALIVE_LIMIT;
+  const response = await fetchFromDesigner(`${base}do/${action}`, {
+    method: "POST",
+    headers: { "Content-Type": "application/json", ...QUIET },
+    body,
+    ...options,
+    keepalive,
+  });
+  return readReply(response);
+}
+
+function fetchFromDesigner(url, options) {
+  return fetch(url, options).catch(() => {
+    closeSocket();
+    throw Object.assign(new Error("The designer cannot be reached."), { isUnreachable: true });
+  });
+}
+
+async function readReply(response) {
+  if (["image/png", "application/octet-stream"].includes(response.headers.get("content-type"))) return response.blob();
+  const text = await response.text();
+  let reply;
+  try {
+    reply = JSON.parse(text);
+  } catch {
+    reply = { error: text };
+  }
+  if (!response.ok || reply.error !== undefined) throw Object.assign(new Error(reply.error), { conflict: reply.conflict === true });
+  return reply;
 }

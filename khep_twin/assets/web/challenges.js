@@ -1,66 +1,69 @@
-// Challenges: one program is scored, or all of a folder, in a process that the server watches.
+// Challenges: one program is scored, or all of a folder, in a process that the server supervises.
 
-import { keep, post } from "./api.js";
+import { download, post } from "./api.js";
+import { $, createRow } from "./page.js";
 
-const $ = (selector) => document.querySelector(selector);
 const PASSED = new Map([[true, "passed"], [false, "failed"], [null, ""]]);
 
-function row(...cells) {
-  const made = document.createElement("tr");
-  made.append(...cells.map((text) => Object.assign(document.createElement("td"), { textContent: text })));
-  return made;
-}
-
 export class Challenges {
-  #found = null;
-  #busy = false;
+  #challenges = null;
+  #isBusy = false;
 
-  // open(name) opens a playpen of the library; program is the one of the tab Program.
-  constructor({ attempt, program, open }) {
-    Object.assign(this, { attempt, program, open });
+  // openFromLibrary(name) opens a playpen of the library; program is the editor of the tab Program.
+  constructor({ attempt, program, openFromLibrary }) {
+    Object.assign(this, { attempt, program, openFromLibrary });
     const press = (selector, act) => $(selector).addEventListener("click", () => attempt(act, "challenge"));
     $("#challenge").addEventListener("change", () => attempt(() => this.#describe(), "challenge"));
-    press("#challenge-playpen", () => this.open(this.#chosen.playpen));
+    press("#challenge-playpen", () => this.openFromLibrary(this.#selected.playpen));
     press("#score", () => this.#score());
-    press("#score-table", () => this.#table());
-    press("#score-csv", async () => keep(await post("score-csv"), `${this.named}.csv`));
+    press("#score-table", () => this.#scoreFolder());
+    press("#score-csv", async () => download(await post("score-csv"), `${this.tableName}.csv`));
     document.addEventListener("keydown", (event) => {
-      if (event.key === "Escape" && this.#busy && this.shown && !$("#dialog").open) attempt(() => post("score-stop"), "challenge");
+      if (event.key === "Escape" && this.#isBusy && this.isShown && !$("#dialog").open) attempt(() => post("score-stop"), "challenge");
     });
-    this.#buttons();
+    this.#updateButtons();
   }
 
-  get shown() {
+  get isShown() {
     return !$("#tab-challenge").hidden;
   }
 
-  get #chosen() {
-    return this.#found[$("#challenge").value];
+  // Handlers of messages by their kind (khep_twin/web/messages.py).
+  messageHandlers = {
+    scoring: (message) => this.#showStart(message),
+    "score-printed": ({ text }) => this.#appendOutput(text),
+    scored: (message) => this.#showScore(message),
+    "score-rows": (message) => this.#showRows(message),
+    "score-ended": ({ text }) => this.#showEnd(text),
+  };
+
+  get #selected() {
+    return this.#challenges[$("#challenge").value];
   }
 
-  // Called when the tab is opened.
-  async show() {
-    const { challenges, now } = await post("challenges");
-    if (!this.#found) {
-      this.#found = challenges;
+  // Loads the challenges and the state of a scoring; called when the tab is opened.
+  async load() {
+    const { challenges, now: scoring } = await post("challenges");
+    if (!this.#challenges) {
+      this.#challenges = challenges;
       $("#challenge").append(...Object.entries(challenges).map(([name, { title }]) => new Option(`${name}: ${title}`, name)));
       await this.#describe();
     }
-    if (now && !this.#busy) this.#begun(now); // this page was loaded meanwhile
+    if (scoring && !this.#isBusy) this.#showStart(scoring); // this page was loaded meanwhile
   }
 
-  // Takes the programs below the folder; renew replaces the choices of a list.
-  programs(names, renew) {
-    renew($("#scored"), [new Option("reference solution", ""), ...names.map((name) => new Option(name, name))]);
+  // Takes the programs below the folder; updateOptions replaces the options of a list that differ.
+  setPrograms(names, updateOptions) {
+    updateOptions($("#scored"), [new Option("reference solution", ""), ...names.map((name) => new Option(name, name))]);
     const folders = new Set(names.filter((name) => name.endsWith(".py")).map((name) => name.replace(/\/?[^/]*$/, "") || "."));
-    renew($("#score-folder"), [...folders].sort().map((name) => new Option(name === "." ? "this folder" : name, name)));
-    this.#buttons();
+    updateOptions($("#score-folder"), [...folders].sort().map((name) => new Option(name === "." ? "this folder" : name, name)));
+    this.#updateButtons();
   }
 
   async #describe() {
-    const { title, description, facts, playpen } = this.#chosen;
+    const { title, description, facts, playpen } = this.#selected;
     $("#challenge-text").textContent = description.replace(/\s+/g, " ");
-    $("#challenge-facts").replaceChildren(...Object.entries(facts).map((fact) => row(...fact)));
+    $("#challenge-facts").replaceChildren(...Object.entries(facts).map((fact) => createRow(...fact)));
     $("#challenge-playpen").disabled = playpen === null;
     const name = $("#challenge").value;
     const blob = await post("challenge-picture", { name });
@@ -72,90 +75,81 @@ export class Challenges {
 
   async #score() {
     const program = $("#scored").value || null;
-    if (program && this.program.unsaved(program)) throw new Error(`${program} has changes that are not saved: save it first.`);
+    if (program && this.program.isUnsaved(program)) throw new Error(`${program} has changes that are not saved: save it first.`);
     await post("score", { challenge: $("#challenge").value, program });
   }
 
-  #table() {
+  #scoreFolder() {
     return post("score-table", { challenge: $("#challenge").value, folder: $("#score-folder").value });
   }
 
-  // What it does about each kind of message (khep_twin/web/messages.py).
-  hears = {
-    scoring: (message) => this.#begun(message),
-    "score-printed": ({ text }) => this.#printed(text),
-    scored: (message) => this.#scored(message),
-    "score-rows": (message) => this.#rows(message),
-    "score-ended": ({ text }) => this.#ended(text),
-  };
-
-  #begun({ challenge, program, folder }) {
-    this.#busy = true;
+  #showStart({ challenge, program, folder }) {
+    this.#isBusy = true;
     if (folder) {
-      this.named = challenge;
+      this.tableName = challenge;
       $("#score-rows tbody").replaceChildren();
       $("#score-part").removeAttribute("value");
-      $("#table-told").textContent = `${challenge}: the programs of ${folder === "." ? "this folder" : folder}`;
+      $("#table-status").textContent = `${challenge}: the programs of ${folder === "." ? "this folder" : folder}`;
     } else {
       $("#score-runs").replaceChildren();
       $("#score-printed").textContent = "";
       $("#score-printed").hidden = true;
-      this.#tell(`${challenge}: ${program} is being scored`);
+      this.#showStatus(`${challenge}: ${program} is being scored`);
     }
-    this.table = Boolean(folder);
-    this.#buttons();
+    this.isTable = Boolean(folder);
+    this.#updateButtons();
   }
 
-  #tell(text, kind = "") {
-    Object.assign($("#score-told"), { textContent: text, className: kind });
+  #showStatus(text, kind = "") {
+    Object.assign($("#score-status"), { textContent: text, className: kind });
   }
 
-  #printed(text) {
+  #appendOutput(text) {
     const box = $("#score-printed");
     box.hidden = false;
     box.textContent = (box.textContent + text).slice(-20000);
     box.scrollTop = box.scrollHeight;
   }
 
-  #scored({ program, score, runs, passes, threshold, reference, reason }) {
+  #showScore({ program, score, runs, passes, threshold, reference, reason }) {
     if (score === null) {
-      this.#tell(reason, "failed");
-      this.program.mark(reason);
+      this.#showStatus(reason, "failed");
+      this.program.markErrorLine(reason);
       return;
     }
     const rows = runs.length > 1 ? runs.map((value, index) => [`run ${index + 1}`, value]) : [];
     rows.push(["score", score]);
     if (reference !== null) rows.push(["reference", reference]);
     if (threshold) rows.push([PASSED.get(passes), threshold]);
-    $("#score-runs").replaceChildren(...rows.map((cells) => row(...cells)));
-    this.#tell(`${program}: ${PASSED.get(passes) || "scored"}`, passes === false ? "failed" : "passed");
+    $("#score-runs").replaceChildren(...rows.map((cells) => createRow(...cells)));
+    this.#showStatus(`${program}: ${PASSED.get(passes) || "scored"}`, passes === false ? "failed" : "passed");
   }
 
-  #rows({ part, rows }) {
+  #showRows({ part, rows }) {
     $("#score-part").value = part;
     $("#score-rows tbody").replaceChildren(
       ...rows.map(({ rank, participant, score, passes, note }) => {
-        const made = row(rank ?? "–", participant, score, PASSED.get(passes), note);
-        made.lastChild.title = note;
-        return made;
+        const row = createRow(rank ?? "–", participant, score, PASSED.get(passes), note);
+        row.lastChild.title = note;
+        return row;
       }),
     );
-    this.#buttons();
+    this.#updateButtons();
   }
 
-  #ended(text) {
-    this.#busy = false;
-    if (this.table) $("#score-part").value = 0;
-    if (text && this.table) $("#table-told").textContent = text;
-    else if (text) this.#tell(text, "failed");
-    this.#buttons();
+  #showEnd(text) {
+    this.#isBusy = false;
+    if (this.isTable) $("#score-part").value = 0;
+    if (text && this.isTable) $("#table-status").textContent = text;
+    else if (text) this.#showStatus(text, "failed");
+    this.#updateButtons();
   }
 
-  #buttons() {
-    $("#score").disabled = this.#busy;
-    $("#score-table").disabled = this.#busy || !$("#score-folder").value;
+  #updateButtons() {
+    $("#score").disabled = this.#isBusy;
+    $("#score-table").disabled = this.#isBusy || !$("#score-folder").value;
     $("#score-csv").disabled = !$("#score-rows tbody").childElementCount;
-    $("#scored-stop").disabled = !this.#busy || this.table;
-    $("#table-stop").disabled = !this.#busy || !this.table;
+    $("#scored-stop").disabled = !this.#isBusy || this.isTable;
+    $("#table-stop").disabled = !this.#isBusy || !this.isTable;
   }
 }

@@ -1,6 +1,7 @@
-// Exact numbers: a field for each key of what is selected, and of the playpen as a whole.
+// Fields for exact values: of each key of the selected parts, and of the playpen's sections.
 
-import { OBJECTS, undoKey } from "./model.js";
+import { OBJECTS, readUndoKey } from "./model.js";
+import { $, create } from "./page.js";
 
 const CHOICES = {
   model: ["khepera1", "khepera2", "khepera4"],
@@ -16,129 +17,119 @@ const KEYS = {
   robot: ["name", "x_mm", "y_mm", "heading_deg", "model", "calibration", "mode", "rom", "turrets", "spots", "battery_used_min"],
   spot: ["name", "x_mm", "y_mm", "heading_deg"],
 };
-const PARTS = [
+const SECTIONS = [
   ["arena", ["width_mm", "height_mm", "wall_height_mm", "wall_thickness_mm", "surface", "stripes", "outline_mm", "table"]],
   ["lighting", ["mode", "switch_distance_mm", "law", "min_angle_deg", "max_angle_deg", "mains_hz", "room_lux"]],
 ];
 const TEXTS = new Set(["name", "surface", "model", "calibration", "rom", "mode"]);
+const FLAGS = new Set(["movable", "closed", "ramp", "table"]);
 const LISTS = new Set(["points_mm", "outline_mm", "rgb", "on_s", "spots", "stripes"]);
-const PLACES = new Set(["points_mm", "outline_mm"]);
+const POSITIONS = new Set(["points_mm", "outline_mm"]);
 const EXAMPLES = { spots: 'names, such as "spot1"', stripes: 'widths and surfaces, such as [20, "black"], [20, "white"]' };
-const WORDS = { mm: "mm", deg: "°", w: "W", g: "g", s: "s", min: "min" };
+const UNITS = { mm: "mm", deg: "°", w: "W", g: "g", s: "s", min: "min" };
 
 export class Fields {
   constructor(model, surfaces, turrets) {
     Object.assign(this, { model, surfaces, turrets });
-    this.object = document.querySelector("#tab-object");
-    this.playpen = document.querySelector("#tab-playpen");
-    this.empty = this.object.innerHTML;
-    for (const panel of [this.object, this.playpen]) panel.addEventListener("keydown", (event) => this.#key(event));
+    this.object = $("#tab-object");
+    this.playpen = $("#tab-playpen");
+    this.emptyHtml = this.object.innerHTML;
+    for (const panel of [this.object, this.playpen]) panel.addEventListener("keydown", (event) => this.#handleKey(event));
     model.addEventListener("change", () => this.show());
-    model.addEventListener("moved", () => this.fresh());
+    model.addEventListener("moved", () => this.updateValues());
   }
 
   show() {
-    // The edited field stays: Tab goes to the field after it.
-    if (this.taking) return this.fresh(true);
+    // The edited field is not replaced: Tab goes to the next field.
+    if (this.isCommitting) return this.updateValues(true);
     const { model } = this;
     const ids = [...model.selected];
-    this.bound = [];
-    if (!ids.length) this.object.innerHTML = this.empty;
+    this.bindings = [];
+    if (!ids.length) this.object.innerHTML = this.emptyHtml;
     else {
       const kinds = [...new Set(ids.map((id) => id.split(":")[0]))];
-      const things = ids.map((id) => model.at(id));
-      const title = document.createElement("h3");
-      title.textContent = ids.length === 1 ? `${kinds[0]} ${+ids[0].split(":")[1] + 1}` : `${ids.length} objects: ${kinds.join(", ")}`;
+      const parts = ids.map((id) => model.part(id));
+      const title = ids.length === 1 ? `${kinds[0]} ${+ids[0].split(":")[1] + 1}` : `${ids.length} objects: ${kinds.join(", ")}`;
       const keys = KEYS[kinds[0]].filter((key) => kinds.every((kind) => KEYS[kind].includes(key)) && (ids.length === 1 || key !== "name"));
-      this.object.replaceChildren(title, this.#grid(keys, things, kinds[0]));
+      this.object.replaceChildren(create("h3", {}, title), this.#createGrid(keys, parts, kinds[0]));
     }
-    const name = this.#grid(["name"], [model.draft], "playpen");
-    const parts = PARTS.map(([part, keys]) => {
-      const set = document.createElement("fieldset");
-      const legend = document.createElement("legend");
-      legend.textContent = part;
-      set.append(legend, this.#grid(keys, [model.draft[part]], part));
-      return set;
-    });
-    this.playpen.replaceChildren(name, ...parts, this.#surfaces());
+    const name = this.#createGrid(["name"], [model.draft], "playpen");
+    const sections = SECTIONS.map(([section, keys]) => create("fieldset", {}, create("legend", {}, section), this.#createGrid(keys, [model.draft[section]], section)));
+    this.playpen.replaceChildren(name, ...sections, this.#createSurfaces());
   }
 
-  // Numbers only, while something is dragged.
-  fresh(all = false) {
-    for (const { input, key, things } of this.bound ?? []) {
-      if (input.fill) {
-        if (all) input.fill();
+  // Updates the numbers that a drag changes, or with `isAll` all values.
+  updateValues(isAll = false) {
+    for (const { input, key, parts } of this.bindings ?? []) {
+      if (input.refresh) {
+        if (isAll) input.refresh();
         continue;
       }
-      const value = common(things, key);
-      if (input.type === "number" ? all || input !== document.activeElement : all && TEXTS.has(key)) input.value = value ?? "";
-      else if (all && LISTS.has(key)) input.value = listed(value);
+      const value = commonValue(parts, key);
+      if (input.type === "number" ? isAll || input !== document.activeElement : isAll && TEXTS.has(key)) input.value = value ?? "";
+      else if (isAll && LISTS.has(key)) input.value = formatList(value);
     }
   }
 
-  // Undo takes back what is typed in a field and not taken yet, or else the last change of the drawing.
-  #key(event) {
-    const back = undoKey(event);
-    if (back === null) return;
+  // Undo discards what is being typed in a field, or without that undoes the last change of the drawing.
+  #handleKey(event) {
+    const isUndo = readUndoKey(event);
+    if (isUndo === null) return;
     event.preventDefault();
     event.stopPropagation();
-    const { id, value: typed } = event.target;
-    if (back) this.fresh(true);
-    if (event.target.value !== typed) return event.target.setCustomValidity("");
-    if (back) this.model.undo();
+    const { id, value: typedText } = event.target;
+    if (isUndo) this.updateValues(true);
+    if (event.target.value !== typedText) return event.target.setCustomValidity("");
+    if (isUndo) this.model.undo();
     else this.model.redo();
     if (id) document.getElementById(id)?.focus({ preventScroll: true });
   }
 
   #commit() {
-    this.taking = true;
+    this.isCommitting = true;
     this.model.commit();
-    this.taking = false;
+    this.isCommitting = false;
   }
 
-  #grid(keys, things, kind) {
-    const grid = document.createElement("div");
-    grid.className = "fields";
+  #createGrid(keys, parts, kind) {
+    const grid = create("div", { className: "fields" });
     for (const key of keys) {
       const id = `field-${kind}-${key}`;
-      const label = document.createElement("label");
-      const unit = WORDS[key.split("_").at(-1)];
-      label.textContent = unit && key.includes("_") ? `${key.slice(0, key.lastIndexOf("_")).replaceAll("_", " ")} [${unit}]` : key;
-      label.htmlFor = id;
-      const input = this.#input(key, things, kind);
+      const unit = UNITS[key.split("_").at(-1)];
+      const text = unit && key.includes("_") ? `${key.slice(0, key.lastIndexOf("_")).replaceAll("_", " ")} [${unit}]` : key;
+      const input = this.#createInput(key, parts, kind);
       input.id = id;
-      grid.append(label, input);
-      this.bound.push({ input, key, things });
+      grid.append(create("label", { htmlFor: id }, text), input);
+      this.bindings.push({ input, key, parts });
     }
     return grid;
   }
 
-  #input(key, things, kind) {
-    if (key === "turrets") return this.#turrets(things);
-    const value = common(things, key);
+  #createInput(key, parts, kind) {
+    if (key === "turrets") return this.#createTurrets(parts);
+    const value = commonValue(parts, key);
     const choices = key === "surface" ? [...Object.keys(this.surfaces), ...Object.keys(this.model.draft.surfaces ?? {})] : CHOICES[`${kind}.${key}`] ?? CHOICES[key];
-    const isBool = key === "movable" || key === "closed";
     const input = document.createElement(choices && kind + key !== "robotmode" ? "select" : "input");
     if (input.tagName === "SELECT") {
       const names = value === undefined || choices.includes(value) ? choices : [...choices, value];
       input.append(...(value === undefined ? [new Option("", "")] : []), ...names.map((name) => new Option(name, name)));
       input.value = value ?? "";
-    } else if (isBool) {
+    } else if (FLAGS.has(key)) {
       input.type = "checkbox";
       input.checked = value === true;
     } else if (LISTS.has(key) || TEXTS.has(key) && !(kind === "robot" && key === "mode")) {
-      input.value = LISTS.has(key) ? listed(value) : value ?? "";
+      input.value = LISTS.has(key) ? formatList(value) : value ?? "";
       if (LISTS.has(key)) input.title = EXAMPLES[key] ?? "numbers, such as [0, 0], [600, 0]";
     } else {
       input.type = "number";
       input.step = "any";
       input.value = value ?? "";
     }
-    input.addEventListener("change", () => this.#take(input, key, things));
+    input.addEventListener("change", () => this.#setValue(input, key, parts));
     return input;
   }
 
-  #take(input, key, things) {
+  #setValue(input, key, parts) {
     let value;
     if (input.type === "checkbox") value = input.checked;
     else if (input.type === "number") value = input.value === "" ? undefined : input.valueAsNumber;
@@ -146,110 +137,103 @@ export class Fields {
       try {
         value = input.value.trim() ? JSON.parse(`[${input.value}]`) : undefined;
       } catch {
-        return wrong(input, "expected values with commas between them");
+        return rejectInput(input, "expected values with commas between them");
       }
-      // Drawn as it is typed, so it has to have corners.
-      if (PLACES.has(key) && !(value ?? []).every((at) => at?.length === 2 && at.every?.((each) => Math.abs(each) <= 1e5 && typeof each === "number")))
-        return wrong(input, "expected positions, such as [0, 0], [600, 0]");
-      if (key === "points_mm" && !(value?.length > 1)) return wrong(input, "expected two positions or more, such as [0, 0], [600, 0]");
+      // The drawing needs valid corners.
+      if (POSITIONS.has(key) && !(value ?? []).every((corner) => corner?.length === 2 && corner.every?.((value) => Math.abs(value) <= 1e5 && typeof value === "number")))
+        return rejectInput(input, "expected positions, such as [0, 0], [600, 0]");
+      if (key === "points_mm" && !(value?.length > 1)) return rejectInput(input, "expected two positions or more, such as [0, 0], [600, 0]");
       input.setCustomValidity("");
     } else value = input.value || undefined;
-    for (const thing of things) {
-      if (value === undefined) delete thing[key];
-      else thing[key] = value;
+    for (const part of parts) {
+      if (value === undefined) delete part[key];
+      else part[key] = value;
       if (key === "model") {
-        thing.calibration = value;
-        thing.rom = value === "khepera2" ? "khepera2" : "5.02";
+        part.calibration = value;
+        part.rom = value === "khepera2" ? "khepera2" : "5.02";
       }
     }
     this.#commit();
   }
 
-  // A box for each turret that is installed, and for those that are only named here.
-  #turrets(things) {
-    const group = Object.assign(document.createElement("div"), { className: "row" });
+  // Creates a box for each installed turret, and for each other turret of the robots.
+  #createTurrets(parts) {
+    const group = create("div", { className: "row" });
     group.setAttribute("role", "group");
-    const named = things.flatMap((thing) => thing.turrets ?? []);
-    const order = [...new Set([...Object.keys(this.turrets), ...named])];
+    const names = parts.flatMap((part) => part.turrets ?? []);
+    const order = [...new Set([...Object.keys(this.turrets), ...names])];
     const boxes = order.map((name) => {
-      const box = Object.assign(document.createElement("input"), { type: "checkbox", value: name });
+      const box = create("input", { type: "checkbox", value: name });
       box.addEventListener("change", () => {
-        for (const thing of things) {
-          const others = (thing.turrets ?? []).filter((each) => each !== name);
-          // A new one comes on those that stack below it.
-          const above = others.findIndex((each) => order.indexOf(each) > order.indexOf(name));
-          if (box.checked) others.splice(above < 0 ? others.length : above, 0, name);
-          thing.turrets = others;
+        for (const part of parts) {
+          const others = (part.turrets ?? []).filter((other) => other !== name);
+          // A new turret is mounted above those that precede it in the order of stacking.
+          const index = others.findIndex((other) => order.indexOf(other) > order.indexOf(name));
+          if (box.checked) others.splice(index < 0 ? others.length : index, 0, name);
+          part.turrets = others;
         }
         this.#commit();
       });
-      const label = Object.assign(document.createElement("label"), { title: this.turrets[name]?.description ?? "not installed" });
-      label.append(box, ` ${name}`);
-      group.append(label);
+      group.append(create("label", { title: this.turrets[name]?.description ?? "not installed" }, box, ` ${name}`));
       return box;
     });
-    group.fill = () => {
+    group.refresh = () => {
       for (const box of boxes) {
-        const count = things.filter((thing) => thing.turrets?.includes(box.value)).length;
-        box.checked = count === things.length;
-        box.indeterminate = count > 0 && count < things.length;
+        const count = parts.filter((part) => part.turrets?.includes(box.value)).length;
+        box.checked = count === parts.length;
+        box.indeterminate = count > 0 && count < parts.length;
       }
     };
-    group.fill();
+    group.refresh();
     return group;
   }
 
-  #surfaces() {
-    const set = document.createElement("fieldset");
-    set.innerHTML = "<legend>surfaces</legend>";
+  #createSurfaces() {
+    const set = create("fieldset", {}, create("legend", {}, "surfaces"));
     const { draft } = this.model;
     for (const [name, surface] of Object.entries(draft.surfaces ?? {})) {
-      const row = document.createElement("div");
-      row.className = "row";
-      const title = document.createElement("strong");
-      title.textContent = name;
-      const reflects = Object.assign(document.createElement("input"), { type: "number", step: "any", value: surface.reflectance, title: "infrared reflectance, white = 1" });
-      reflects.setAttribute("aria-label", `reflectance of ${name}`);
-      reflects.addEventListener("change", () => {
-        surface.reflectance = reflects.valueAsNumber;
+      const reflectance = create("input", { type: "number", step: "any", value: surface.reflectance, title: "infrared reflectance, white = 1" });
+      reflectance.setAttribute("aria-label", `reflectance of ${name}`);
+      reflectance.addEventListener("change", () => {
+        surface.reflectance = reflectance.valueAsNumber;
         this.#commit();
       });
-      const colour = Object.assign(document.createElement("input"), { type: "color", value: `#${surface.rgb.map((part) => part.toString(16).padStart(2, "0")).join("")}` });
+      const colour = create("input", { type: "color", value: `#${surface.rgb.map((channel) => channel.toString(16).padStart(2, "0")).join("")}` });
       colour.setAttribute("aria-label", `colour of ${name}`);
       colour.addEventListener("change", () => {
-        surface.rgb = [1, 3, 5].map((at) => parseInt(colour.value.slice(at, at + 2), 16));
+        surface.rgb = [1, 3, 5].map((start) => parseInt(colour.value.slice(start, start + 2), 16));
         this.#commit();
       });
-      const away = Object.assign(document.createElement("button"), { textContent: "Remove" });
-      away.addEventListener("click", () => {
+      const removeButton = create("button", {}, "Remove");
+      removeButton.addEventListener("click", () => {
         delete draft.surfaces[name];
         this.model.commit();
       });
-      this.bound.push({ input: reflects, key: "reflectance", things: [surface] });
-      row.append(title, reflects, colour, away);
-      set.append(row);
+      this.bindings.push({ input: reflectance, key: "reflectance", parts: [surface] });
+      set.append(create("div", { className: "row" }, create("strong", {}, name), reflectance, colour, removeButton));
     }
-    const add = Object.assign(document.createElement("button"), { textContent: "New surface" });
-    add.addEventListener("click", () => {
+    const addButton = create("button", {}, "New surface");
+    addButton.addEventListener("click", () => {
       draft.surfaces ??= {};
       let number = 1;
       while (draft.surfaces[`surface${number}`]) number++;
       draft.surfaces[`surface${number}`] = { reflectance: 0.6, rgb: [180, 140, 90] };
       this.model.commit();
     });
-    set.append(add);
+    set.append(addButton);
     return set;
   }
 }
 
-const listed = (value) => (value === undefined ? "" : JSON.stringify(value).slice(1, -1));
+const formatList = (value) => (value === undefined ? "" : JSON.stringify(value).slice(1, -1));
 
-function wrong(input, text) {
+function rejectInput(input, text) {
   input.setCustomValidity(text);
   input.reportValidity();
 }
 
-function common(things, key) {
-  const [first, ...others] = things.map((thing) => thing[key]);
+// Returns the value of a key that all parts have in common; undefined if they differ.
+function commonValue(parts, key) {
+  const [first, ...others] = parts.map((part) => part[key]);
   return others.every((other) => JSON.stringify(other) === JSON.stringify(first)) ? first : undefined;
 }

@@ -1,126 +1,125 @@
-// Robots of a running twin moved by hand, and lamps switched.
+// Manual changes to a running twin: robots are moved, lamps switched.
 
 import { post } from "./api.js";
-import { place } from "./drawing.js";
-import { Hands } from "./hands.js";
-import { angle, tidy } from "./model.js";
-
-const $ = (selector) => document.querySelector(selector);
-const number = (selector) => ($(selector).value === "" ? null : $(selector).valueAsNumber);
+import { setPose } from "./drawing.js";
+import { ManualHistory } from "./hands.js";
+import { roundHundredths, wrapAngle } from "./model.js";
+import { $, create, readNumber } from "./page.js";
 
 export class Handling {
-  hands = new Hands();
-  #held = null;
+  history = new ManualHistory();
+  #lifted = null; // the lifted robot
 
   constructor(running) {
     this.running = running;
-    const press = () => this.#put(running.which, number("#put-x"), number("#put-y"), number("#put-h"));
-    $("#put").addEventListener("click", () => running.attempt(press, "hand"));
+    const put = () => this.#put(running.selectedIndex, readNumber("#put-x"), readNumber("#put-y"), readNumber("#put-h"));
+    $("#put").addEventListener("click", () => running.attempt(put, "hand"));
   }
 
-  // Index of the robot that is held.
-  get held() {
-    return this.#held?.index;
+  // Index of the lifted robot.
+  get liftedIndex() {
+    return this.#lifted?.index;
   }
 
-  // Offers a switch for each of so many lamps.
-  lamps(count) {
+  // Creates a switch for each lamp.
+  createSwitches(count) {
     const switches = Array.from({ length: count }, (_, index) => {
-      const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: true });
+      const box = create("input", { type: "checkbox", checked: true });
       box.addEventListener("change", () => this.#switch(index, box.checked));
-      const label = document.createElement("label");
-      label.append(box, ` lamp ${index + 1}`);
-      return label;
+      return create("label", {}, box, ` lamp ${index + 1}`);
     });
     $("#switches").replaceChildren(...switches);
   }
 
-  // Takes the lamps of a picture, as others may have switched them.
-  told(lamps) {
+  // Shows the lamps of a picture, which other pages may have switched.
+  updateSwitches(lamps) {
     lamps.forEach(({ off }, index) => {
       const box = $(`#switches label:nth-child(${index + 1}) input`);
       if (box && box !== document.activeElement) box.checked = !off;
     });
   }
 
-  // Puts a robot to a place; undo puts it back to where it was lifted from, or else to where it is now.
-  #put(robot, x_mm, y_mm, heading_deg, from = this.running.last?.robots[robot]) {
-    const to = ({ x_mm, y_mm, heading_deg }) => ["put", { robot, x_mm, y_mm, heading_deg }];
-    return this.hands.do(to({ x_mm, y_mm, heading_deg }), from && to(from));
+  // Lifts a robot; a click on a lamp switches it. Returns whether the pointer hit one of them.
+  pointerDown(event, position, target) {
+    const { isRealRobot, lastPicture } = this.running;
+    if (isRealRobot || !lastPicture || event.button !== 0) return false;
+    const lamp = target?.dataset.id?.match(/^lamp:(\d+)$/);
+    if (lamp) {
+      this.#switch(+lamp[1], lastPicture.lamps[+lamp[1]]?.off === true);
+      return true;
+    }
+    const node = target?.closest?.(".live");
+    if (!node) return false;
+    const index = +node.dataset.live;
+    const { x_mm, y_mm, heading_deg } = lastPicture.robots[index];
+    this.#lifted = { index, pointerStart: position, start: lastPicture.robots[index], x_mm, y_mm, heading_deg, node };
+    node.classList.add("held");
+    this.running.selectRobot(index);
+    return true;
+  }
+
+  pointerMove(position) {
+    const robot = this.#lifted;
+    if (!robot || robot.isPut) return;
+    robot.x_mm = robot.start.x_mm + position[0] - robot.pointerStart[0];
+    robot.y_mm = robot.start.y_mm + position[1] - robot.pointerStart[1];
+    setPose(robot.node, robot);
+    this.#requestRoom(robot);
+  }
+
+  // Puts the lifted robot down; it is shown there until the twin has answered.
+  pointerUp() {
+    const robot = this.#lifted;
+    if (!robot || robot.isPut) return;
+    robot.isPut = true;
+    robot.node.classList.remove("held");
+    const { index, start } = robot;
+    const [x_mm, y_mm, heading_deg] = [roundHundredths(robot.x_mm), roundHundredths(robot.y_mm), wrapAngle(robot.heading_deg)];
+    this.running.attempt(async () => {
+      try {
+        if (Math.hypot(x_mm - start.x_mm, y_mm - start.y_mm) > 1 || heading_deg !== this.running.lastPicture.robots[index].heading_deg)
+          await this.#put(index, x_mm, y_mm, heading_deg, start);
+      } finally {
+        robot.node.classList.remove("bad");
+        this.running.drawing.drawReasons([]);
+        this.#lifted = null;
+      }
+    }, "hand");
+  }
+
+  // Rotates the lifted robot; returns false if there is none.
+  rotate(degrees) {
+    if (!this.#lifted || this.#lifted.isPut) return false;
+    this.#lifted.heading_deg += degrees;
+    setPose(this.#lifted.node, this.#lifted);
+    return true;
+  }
+
+  // Shows the reply to #requestRoom: the reason why there is no room, or none.
+  showRoom({ robot: index, reason }) {
+    const robot = this.#lifted;
+    if (robot?.index !== index || !robot.isWaiting) return;
+    robot.isWaiting = false;
+    robot.node.classList.toggle("bad", reason !== "");
+    this.running.drawing.drawReasons(reason ? [[[robot.x_mm, robot.y_mm], reason]] : []);
+    if (robot.hasMoved && !robot.isPut) this.#requestRoom(robot);
+  }
+
+  // Asks if the lifted robot has room at its position: one request at a time.
+  #requestRoom(robot) {
+    robot.hasMoved = true;
+    if (robot.isWaiting) return;
+    Object.assign(robot, { isWaiting: true, hasMoved: false });
+    this.running.attempt(() => post("room", { robot: robot.index, x_mm: robot.x_mm, y_mm: robot.y_mm }), "room");
+  }
+
+  // Puts a robot to a pose; undo returns it to `start`, by default its present pose.
+  #put(robot, x_mm, y_mm, heading_deg, start = this.running.lastPicture?.robots[robot]) {
+    const request = ({ x_mm, y_mm, heading_deg }) => ["put", { robot, x_mm, y_mm, heading_deg }];
+    return this.history.do(request({ x_mm, y_mm, heading_deg }), start && request(start));
   }
 
   #switch(lamp, on) {
-    return this.running.attempt(() => this.hands.do(["switch", { lamp, on }], ["switch", { lamp, on: !on }]), "hand");
-  }
-
-  // Lifts a robot or puts it down; a click on a lamp switches it. Returns whether the pointer hit one of them.
-  down(event, at, target) {
-    if (this.running.real || !this.running.last || event.button !== 0) return false;
-    const live = target?.closest?.(".live");
-    const lamp = target?.dataset.id?.match(/^lamp:(\d+)$/);
-    if (lamp) {
-      const off = this.running.last?.lamps[+lamp[1]]?.off;
-      this.#switch(+lamp[1], off === true);
-      return true;
-    }
-    if (!live) return false;
-    const index = +live.dataset.live;
-    const { x_mm, y_mm, heading_deg } = this.running.last.robots[index];
-    this.#held = { index, at, from: [x_mm, y_mm], lifted: this.running.last.robots[index], x_mm, y_mm, heading_deg, node: live };
-    live.classList.add("held");
-    this.running.show(index);
-    return true;
-  }
-
-  move(_, at) {
-    const held = this.#held;
-    if (!held || held.down) return;
-    held.x_mm = held.from[0] + at[0] - held.at[0];
-    held.y_mm = held.from[1] + at[1] - held.at[1];
-    place(held.node, held);
-    this.#ask(held);
-  }
-
-  // Asks if a held robot has room at its position: one question at a time.
-  #ask(held) {
-    held.moved = true;
-    if (held.asked) return;
-    Object.assign(held, { asked: true, moved: false });
-    this.running.attempt(() => post("room", { robot: held.index, x_mm: held.x_mm, y_mm: held.y_mm }), "room");
-  }
-
-  room({ robot, reason }) {
-    const held = this.#held;
-    if (held?.index !== robot || !held.asked) return;
-    held.asked = false;
-    held.node.classList.toggle("bad", reason !== "");
-    this.running.drawing.reasons(reason ? [[[held.x_mm, held.y_mm], reason]] : []);
-    if (held.moved && !held.down) this.#ask(held);
-  }
-
-  turn(degrees) {
-    if (!this.#held || this.#held.down) return false;
-    this.#held.heading_deg += degrees;
-    place(this.#held.node, this.#held);
-    return true;
-  }
-
-  up() {
-    const held = this.#held;
-    if (!held || held.down) return;
-    held.down = true; // and stays where it was let go until the twin has answered
-    held.node.classList.remove("held");
-    const { index } = held;
-    const [x_mm, y_mm, heading_deg] = [tidy(held.x_mm), tidy(held.y_mm), angle(held.heading_deg)];
-    this.running.attempt(async () => {
-      try {
-        if (Math.hypot(x_mm - held.from[0], y_mm - held.from[1]) > 1 || heading_deg !== this.running.last.robots[index].heading_deg)
-          await this.#put(index, x_mm, y_mm, heading_deg, held.lifted);
-      } finally {
-        held.node.classList.remove("bad");
-        this.running.drawing.reasons([]);
-        this.#held = null;
-      }
-    }, "hand");
+    return this.running.attempt(() => this.history.do(["switch", { lamp, on }], ["switch", { lamp, on: !on }]), "hand");
   }
 }

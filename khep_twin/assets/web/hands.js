@@ -1,62 +1,62 @@
-// What was done to a running twin by hand, robots moved and lamps switched, with undo and redo.
+// The history of manual changes to a running twin, robots moved and lamps switched, with undo and redo.
 
 import { post } from "./api.js";
 
-// Each move has the requests that take it back and that do it again: an action and its values.
-export class Hands extends EventTarget {
-  #moves = { done: [], undone: [] };
-  #before = this.#moves; // the last request, which may still be refused
+// A change has two requests, `redo` and `undo`, each an action and its values.
+export class ManualHistory extends EventTarget {
+  #changes = { done: [], undone: [] };
+  #previous = this.#changes; // before the last request, which the twin may still refuse
 
-  // Another twin, to which nothing has been done yet.
+  // Clears the history for another twin.
   clear() {
-    this.#take({ done: [], undone: [] });
-    this.#before = this.#moves;
+    this.#setChanges({ done: [], undone: [] });
+    this.#previous = this.#changes;
   }
 
-  // Does something, which has no way back before the twin's first picture.
-  do(again, back) {
-    if (!back) return post(...again);
-    return this.#ask({ done: [...this.#moves.done, { again, back }].slice(-300), undone: [] }, again);
+  // Makes a change; without `undo`, before the twin's first picture, it is not part of the history.
+  do(redo, undo) {
+    if (!undo) return post(...redo);
+    return this.#request({ done: [...this.#changes.done, { redo, undo }].slice(-300), undone: [] }, redo);
   }
 
   undo() {
-    const { done, undone } = this.#moves;
-    const move = done.at(-1);
-    return move && this.#ask({ done: done.slice(0, -1), undone: [...undone, move] }, move.back);
+    const { done, undone } = this.#changes;
+    const change = done.at(-1);
+    return change && this.#request({ done: done.slice(0, -1), undone: [...undone, change] }, change.undo);
   }
 
   redo() {
-    const { done, undone } = this.#moves;
-    const move = undone.at(-1);
-    return move && this.#ask({ done: [...done, move], undone: undone.slice(0, -1) }, move.again);
+    const { done, undone } = this.#changes;
+    const change = undone.at(-1);
+    return change && this.#request({ done: [...done, change], undone: undone.slice(0, -1) }, change.redo);
   }
 
-  // The twin has refused the last one, as there is no room.
-  refused() {
-    this.#take(this.#before);
+  // Restores the history after a refused request.
+  revert() {
+    this.#setChanges(this.#previous);
   }
 
   get canUndo() {
-    return this.#moves.done.length > 0;
+    return this.#changes.done.length > 0;
   }
 
   get canRedo() {
-    return this.#moves.undone.length > 0;
+    return this.#changes.undone.length > 0;
   }
 
-  async #ask(moves, [action, values]) {
-    this.#before = this.#moves;
-    this.#take(moves);
+  async #request(changes, [action, values]) {
+    this.#previous = this.#changes;
+    this.#setChanges(changes);
     try {
       await post(action, values);
     } catch (error) {
-      this.refused();
+      this.revert();
       throw error;
     }
   }
 
-  #take(moves) {
-    this.#moves = moves;
+  #setChanges(changes) {
+    this.#changes = changes;
     this.dispatchEvent(new Event("change"));
   }
 }

@@ -1,46 +1,47 @@
-// A material that is lit at the corners only: a pixel costs nothing but its colour, also where a processor draws it.
+// A material with Gouraud shading: the light is computed at the vertices only, as a GPU may be missing.
 
 import { Color, ShaderMaterial, Vector3 } from "./three.min.js";
 
 const LIGHTS = 4;
 
-const CORNER = `
+const VERTEX_SHADER = `
 attribute vec3 color;
-uniform vec3 tint, ambient, head, from[${LIGHTS}], diffuse[${LIGHTS}];
-varying vec3 seen;
+uniform vec3 tint, ambient, head, directions[${LIGHTS}], diffuse[${LIGHTS}];
+varying vec3 shade;
 void main() {
-  vec4 at = modelViewMatrix * vec4(position, 1.0);
-  vec3 out_ = normalize(normalMatrix * normal);
-  vec3 light = ambient + head * max(dot(out_, normalize(-at.xyz)), 0.0);
-  for (int i = 0; i < ${LIGHTS}; i++) light += diffuse[i] * max(dot(out_, mat3(viewMatrix) * from[i]), 0.0);
-  seen = pow(tint * color * light, vec3(0.4545));
-  gl_Position = projectionMatrix * at;
+  vec4 point = modelViewMatrix * vec4(position, 1.0);
+  vec3 outward = normalize(normalMatrix * normal);
+  vec3 light = ambient + head * max(dot(outward, normalize(-point.xyz)), 0.0);
+  for (int i = 0; i < ${LIGHTS}; i++) light += diffuse[i] * max(dot(outward, mat3(viewMatrix) * directions[i]), 0.0);
+  shade = pow(tint * color * light, vec3(0.4545));
+  gl_Position = projectionMatrix * point;
 }`;
 
-const PIXEL = `
-varying vec3 seen;
-void main() { gl_FragColor = vec4(seen, 1.0); }`;
+const FRAGMENT_SHADER = `
+varying vec3 shade;
+void main() { gl_FragColor = vec4(shade, 1.0); }`;
 
-const dark = () => Array.from({ length: LIGHTS }, () => new Color(0, 0, 0));
-
-export class Lit extends ShaderMaterial {
-  constructor(lights = null) {
-    const from = Array.from({ length: LIGHTS }, () => new Vector3());
-    const own = { ambient: { value: new Color(1, 1, 1) }, head: { value: new Color(0, 0, 0) }, from: { value: from }, diffuse: { value: dark() } };
-    super({ uniforms: { ...(lights ?? own), tint: { value: new Color(1, 1, 1) } }, vertexShader: CORNER, fragmentShader: PIXEL });
+export class GouraudMaterial extends ShaderMaterial {
+  // Shares the lights of another material's uniforms, if given.
+  constructor(sharedLights = null) {
+    const directions = Array.from({ length: LIGHTS }, () => new Vector3());
+    const lights = sharedLights ?? { ambient: { value: new Color(1, 1, 1) }, head: { value: new Color(0, 0, 0) }, directions: { value: directions }, diffuse: { value: blackLights() } };
+    super({ uniforms: { ...lights, tint: { value: new Color(1, 1, 1) } }, vertexShader: VERTEX_SHADER, fragmentShader: FRAGMENT_SHADER });
   }
 
-  // Takes the lights of a scene, of which those at a place shine from there to the middle of the floor.
-  light({ lights, headlight }, middle) {
-    const { ambient, head, from, diffuse } = this.uniforms;
+  // Sets the lights of a scene; those with a position shine from there to the centre of the floor.
+  setLights({ lights, headlight }, centre) {
+    const { ambient, head, directions, diffuse } = this.uniforms;
     ambient.value.setRGB(...headlight.ambient);
     head.value.setRGB(...headlight.diffuse);
-    diffuse.value = dark();
+    diffuse.value = blackLights();
     lights.slice(0, LIGHTS).forEach((light, index) => {
-      if (light.directional) from.value[index].set(...light.direction).negate();
-      else from.value[index].set(...light.at).sub(middle).normalize();
+      if (light.directional) directions.value[index].set(...light.direction).negate();
+      else directions.value[index].set(...light.at).sub(centre).normalize();
       diffuse.value[index].setRGB(...light.diffuse);
       ambient.value.add(new Color(...light.ambient));
     });
   }
 }
+
+const blackLights = () => Array.from({ length: LIGHTS }, () => new Color(0, 0, 0));

@@ -1,113 +1,113 @@
-// The running twin in the plan: its robots, their paths and fields of view, its lamps, and objects that move.
+// The running twin in the plan: robots with their paths and fields of view, lamps, and movable objects.
 
-import { closed, make, place } from "./drawing.js";
+import { closedPath, createSvg, setPose } from "./drawing.js";
 import { OBJECTS } from "./model.js";
-
-// Path of a robot so far: of many short paths only the last is drawn anew.
-class Trail {
-  node = make("g");
-  places = []; // the newest
-  #last = null;
-  #path = null;
-  #points = [];
-
-  add(x, y) {
-    const way = this.#last ? Math.hypot(this.#last[0] - x, this.#last[1] - y) : Infinity;
-    if (way <= 3) return;
-    // After a jump, when the user has moved the robot, a new path begins.
-    if (way > 150 || this.#points.length >= 60) {
-      this.#points = way > 150 ? [] : [this.#last];
-      this.#path = make("path", { class: "trail" });
-      this.node.append(this.#path);
-      if (this.node.childElementCount > 25) this.node.firstChild.remove();
-    }
-    this.#last = [x, y];
-    this.#points.push(this.#last);
-    if (this.places.push(this.#last) > 1500) this.places.shift();
-    this.#path.setAttribute("d", `M${this.#points.map((point) => point.join(" ")).join("L")}`);
-  }
-}
-
-// A beam of 30 degrees, as long as an ultrasonic sensor reads.
-function sector(reach) {
-  const [x, y] = [reach * Math.cos(Math.PI / 12), reach * Math.sin(Math.PI / 12)];
-  return `M0 0L${x} ${-y}A${reach} ${reach} 0 0 1 ${x} ${y}Z`;
-}
-
-// An LED of three colours, 0 to 63 each.
-function shine(led, parts) {
-  const most = Math.max(...parts);
-  led.setAttribute("visibility", most ? "visible" : "hidden");
-  if (most) led.setAttribute("fill", `rgb(${parts.map((part) => Math.round((255 * part) / most))})`);
-}
 
 export class LivePlan {
   #trails = [];
-  #nodes = null; // of the robots, while they are drawn
+  #nodes = null; // of the robots; null while no twin runs
 
   constructor(drawing) {
     this.drawing = drawing;
   }
 
-  // Takes the number of robots of another twin, which have been nowhere yet.
-  begin(count) {
+  // Clears the paths for another twin with this number of robots.
+  clear(count) {
     this.#trails = Array.from({ length: count }, () => new Trail());
   }
 
   end() {
     this.#nodes = null;
-    this.drawing.live.replaceChildren();
+    this.drawing.liveGroup.replaceChildren();
   }
 
-  // Places where a robot has been.
-  places(index) {
-    return this.#trails[index].places;
+  // Returns the points of a robot's path.
+  path(index) {
+    return this.#trails[index].points;
   }
 
-  // Draws the robots anew, at their places in the last picture.
-  draw(robots, last) {
+  // Draws the robots, in their poses of the last picture.
+  drawRobots(robots, lastPicture) {
     const { drawing } = this;
     this.#nodes = robots.map((robot, index) => {
-      const node = drawing.robot(null, robot.turrets, robot);
+      const node = drawing.createRobot(null, robot.turrets, robot);
       const rays = robot.sensors.map(([x, y, heading]) => {
-        const fan = make("path", { class: "ray", d: "M0 0L40 -14A42 42 0 0 1 40 14Z", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.06 });
+        const fan = createSvg("path", { class: "ray", d: "M0 0L40 -14A42 42 0 0 1 40 14Z", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.06 });
         node.prepend(fan);
         return fan;
       });
       const beams = robot.sonar.map(([x, y, heading]) => {
-        const beam = make("path", { class: "ray", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.12 });
+        const beam = createSvg("path", { class: "ray", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.12 });
         node.prepend(beam);
         return beam;
       });
-      const leds = (robot.leds_mm ?? []).map(([cx, cy]) => make("circle", { cx, cy, r: 4, visibility: "hidden" }));
+      const leds = (robot.leds_mm ?? []).map(([cx, cy]) => createSvg("circle", { cx, cy, r: 4, visibility: "hidden" }));
       node.append(...leds);
-      node.classList.add("live", "thing");
+      node.classList.add("live", "part");
       node.dataset.live = index;
-      if (last) place(node, last.robots[index]);
+      if (lastPicture) setPose(node, lastPicture.robots[index]);
       return { node, rays, beams, leds, turrets: node.querySelectorAll(".turret") };
     });
-    drawing.live.replaceChildren(...this.#trails.map(({ node }) => node), ...this.#nodes.map(({ node }) => node));
+    drawing.liveGroup.replaceChildren(...this.#trails.map(({ node }) => node), ...this.#nodes.map(({ node }) => node));
   }
 
-  // Takes a picture; a held robot is where the user holds it, and of a hidden plan only the paths go on.
-  picture(message, held, hidden) {
+  // Shows a picture; a lifted robot is where the user holds it, and in a hidden plan only the paths are updated.
+  showPicture(message, liftedIndex, isHidden) {
     if (!this.#nodes) return;
     message.robots.forEach((robot, index) => {
       const { node, rays, beams, leds, turrets } = this.#nodes[index] ?? {};
       if (!node) return;
       this.#trails[index].add(robot.x_mm, robot.y_mm);
-      if (hidden) return;
-      if (held !== index) place(node, robot);
-      robot.turrets.forEach((points, part) => turrets[part]?.setAttribute("d", closed(points)));
-      robot.more?.ultrasonic?.forEach((cm, sensor) => beams[sensor].setAttribute("d", cm && cm < 1000 ? sector(10 * cm) : ""));
-      if (robot.leds.length === 3 * leds.length) leds.forEach((led, each) => shine(led, robot.leds.slice(3 * each, 3 * each + 3)));
+      if (isHidden) return;
+      if (liftedIndex !== index) setPose(node, robot);
+      robot.turrets.forEach((points, turretPart) => turrets[turretPart]?.setAttribute("d", closedPath(points)));
+      robot.more?.ultrasonic?.forEach((cm, sensor) => beams[sensor].setAttribute("d", cm && cm < 1000 ? sectorPath(10 * cm) : ""));
+      if (robot.leds.length === 3 * leds.length) leds.forEach((led, number) => setLed(led, robot.leds.slice(3 * number, 3 * number + 3)));
       robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
     });
     message.lamps.forEach(({ power_w }, index) => this.drawing.nodes.get(`lamp:${index}`)?.classList.toggle("off", power_w === 0));
     for (const kind of Object.keys(OBJECTS))
       for (const [index, [x_mm, y_mm, angle_deg]] of Object.entries(message.objects[kind])) {
         const node = this.drawing.nodes.get(`${kind}:${index}`);
-        if (node) place(node, { x_mm, y_mm, angle_deg });
+        if (node) setPose(node, { x_mm, y_mm, angle_deg });
       }
   }
+}
+
+// Path of a robot so far, in many short SVG paths, of which only the last changes.
+class Trail {
+  node = createSvg("g");
+  points = []; // the newest positions
+  #last = null;
+  #path = null;
+  #pathPoints = []; // of the last SVG path
+
+  add(x, y) {
+    const distance = this.#last ? Math.hypot(this.#last[0] - x, this.#last[1] - y) : Infinity;
+    if (distance <= 3) return;
+    // A jump, when the user has moved the robot, starts a new path.
+    if (distance > 150 || this.#pathPoints.length >= 60) {
+      this.#pathPoints = distance > 150 ? [] : [this.#last];
+      this.#path = createSvg("path", { class: "trail" });
+      this.node.append(this.#path);
+      if (this.node.childElementCount > 25) this.node.firstChild.remove();
+    }
+    this.#last = [x, y];
+    this.#pathPoints.push(this.#last);
+    if (this.points.push(this.#last) > 1500) this.points.shift();
+    this.#path.setAttribute("d", `M${this.#pathPoints.map((point) => point.join(" ")).join("L")}`);
+  }
+}
+
+// Returns a beam of 30 degrees, with the distance that an ultrasonic sensor measures.
+function sectorPath(distance) {
+  const [x, y] = [distance * Math.cos(Math.PI / 12), distance * Math.sin(Math.PI / 12)];
+  return `M0 0L${x} ${-y}A${distance} ${distance} 0 0 1 ${x} ${y}Z`;
+}
+
+// Shows an LED by its channels red, green and blue, 0 to 63 each.
+function setLed(led, channels) {
+  const maximum = Math.max(...channels);
+  led.setAttribute("visibility", maximum ? "visible" : "hidden");
+  if (maximum) led.setAttribute("fill", `rgb(${channels.map((value) => Math.round((255 * value) / maximum))})`);
 }

@@ -1,6 +1,8 @@
-// The playpen that is drawn: a draft in the keys of its file, the selection, and the history.
+// The drawn playpen: a draft with the keys of its file, the selection, and the history.
+//
+// A part is an entry of one of the draft's tables; its id is the table and the index, such as "block:0".
 
-// What stands on the floor: its keys besides name, x and y, with their values in a new one.
+// Kinds of objects on the floor: their keys besides name, x and y, with default values.
 export const OBJECTS = {
   block: { angle_deg: 0, length_mm: 60, width_mm: 20, height_mm: 50, surface: "white", movable: false, mass_g: 20, ramp: false },
   cylinder: { radius_mm: 12.5, height_mm: 50, surface: "white", movable: false, mass_g: 20 },
@@ -8,7 +10,7 @@ export const OBJECTS = {
 
 export const KINDS = ["patch", "wall", ...Object.keys(OBJECTS), "spot", "lamp", "robot"];
 
-export const NEW = {
+export const DEFAULTS = {
   ...OBJECTS,
   wall: { closed: false, thickness_mm: 10, height_mm: 50, surface: "white" },
   patch: { radius_mm: 40, surface: "black" },
@@ -17,119 +19,113 @@ export const NEW = {
   spot: { heading_deg: 90 },
 };
 
-const PARTS = ["arena", "lighting"];
+const SECTIONS = ["arena", "lighting"];
 
 export class Model extends EventTarget {
   draft = { arena: { width_mm: 600, height_mm: 500 } };
-  document = { file: null, version: null, base: {}, saved: "" };
-  opened = 0; // counts the documents that this page has opened or gone back to
+  document = { file: null, version: null, base: {}, savedText: "" };
+  openCount = 0; // documents that were opened, or to which undo or redo has returned
   selected = new Set();
   problems = [];
-  #before = []; // states, each with the document that it is of
-  #after = [];
-  #now = "";
+  #undoStates = []; // former drafts as JSON, each with its document
+  #redoStates = [];
+  #text = ""; // draft as JSON
 
-  // Opens a document; undo goes back to the former one, unless that was an untouched new playpen.
-  load(found, base = {}) {
-    const left = this.document;
-    if (this.opened > 1 || this.file || this.changed) this.#keep();
-    this.document = { file: found.file ?? null, version: found.version ?? null, base };
+  // Opens a document; undo returns to the previous one, unless that was an unchanged new playpen.
+  load(reply, base = {}) {
+    const previous = this.document;
+    if (this.openCount > 1 || this.file || this.isChanged) this.#pushUndo();
+    this.document = { file: reply.file ?? null, version: reply.version ?? null, base };
     this.selected.clear();
-    this.#take(found.draft);
-    this.#now = this.document.saved = JSON.stringify(this.draft);
-    this.#tell("whole");
-    this.#arrive(left, false);
+    this.#setDraft(reply.draft);
+    this.#text = this.document.savedText = JSON.stringify(this.draft);
+    this.#notify("draft");
+    this.#notifyDocument(previous, false);
   }
 
   get file() {
     return this.document.file;
   }
 
-  get changed() {
-    return this.opened > 0 && this.#now !== this.document.saved;
+  get isChanged() {
+    return this.openCount > 0 && this.#text !== this.document.savedText;
   }
 
-  list(kind) {
+  partsOf(kind) {
     return this.draft[kind] ?? [];
   }
 
-  at(id) {
+  part(id) {
     const [kind, index] = id.split(":");
-    return this.list(kind)[+index];
+    return this.partsOf(kind)[+index];
   }
 
   ids() {
-    return KINDS.flatMap((kind) => this.list(kind).map((_, index) => `${kind}:${index}`));
+    return KINDS.flatMap((kind) => this.partsOf(kind).map((_, index) => `${kind}:${index}`));
   }
 
   select(ids) {
     this.selected = new Set(ids);
-    this.#tell("selection");
+    this.#notify("selection");
   }
 
-  // After a change: keeps the previous state for undo.
+  // Completes a change of the draft: undo returns to the draft before it.
   commit() {
-    const now = JSON.stringify(this.draft);
-    if (now !== this.#now) {
-      this.#keep();
-      this.#now = now;
+    const text = JSON.stringify(this.draft);
+    if (text !== this.#text) {
+      this.#pushUndo();
+      this.#text = text;
     }
-    this.#tell("whole");
+    this.#notify("draft");
   }
 
-  #keep() {
-    this.#before.push({ text: this.#now, document: this.document });
-    if (this.#before.length > 300) this.#before.shift();
-    this.#after = [];
-  }
-
-  // Takes another drawing in place of this one; undo brings it back.
+  // Replaces the draft; undo restores the previous one.
   replace(draft) {
-    this.#take(draft);
+    this.#setDraft(draft);
     this.commit();
   }
 
   undo() {
-    this.#swap(this.#before, this.#after);
+    this.#restore(this.#undoStates, this.#redoStates);
   }
 
   redo() {
-    this.#swap(this.#after, this.#before);
+    this.#restore(this.#redoStates, this.#undoStates);
   }
 
   get canUndo() {
-    return this.#before.length > 0;
+    return this.#undoStates.length > 0;
   }
 
   get canRedo() {
-    return this.#after.length > 0;
+    return this.#redoStates.length > 0;
   }
 
-  // During a drag: only these have moved.
-  moved(ids) {
+  // Reports parts that were moved by a drag, which commit() completes.
+  notifyMoved(ids) {
     this.dispatchEvent(new CustomEvent("moved", { detail: ids }));
   }
 
-  add(kind, thing) {
-    const whole = { ...structuredClone(NEW[kind]), ...thing };
-    if (kind === "spot") whole.name = this.#name("spot");
-    (this.draft[kind] ??= []).push(whole);
-    this.selected = new Set([`${kind}:${this.list(kind).length - 1}`]);
+  add(kind, part) {
+    const completePart = { ...structuredClone(DEFAULTS[kind]), ...part };
+    if (kind === "spot") completePart.name = this.#findName("spot");
+    (this.draft[kind] ??= []).push(completePart);
+    this.selected = new Set([`${kind}:${this.partsOf(kind).length - 1}`]);
     this.commit();
   }
 
   copy() {
-    const made = [];
+    const copies = [];
     for (const id of this.selected) {
       const kind = id.split(":")[0];
-      const thing = structuredClone(this.at(id));
-      if (kind === "spot") thing.name = this.#name("spot");
-      else delete thing.name;
-      shift(thing, 20, -20);
-      this.draft[kind].push(thing);
-      made.push(`${kind}:${this.list(kind).length - 1}`);
+      const part = structuredClone(this.part(id));
+      if (kind === "spot") part.name = this.#findName("spot");
+      else delete part.name;
+      shift(part, 20, -20);
+      this.draft[kind].push(part);
+      copies.push(`${kind}:${this.partsOf(kind).length - 1}`);
     }
-    this.selected = new Set(made);
+    this.selected = new Set(copies);
     this.commit();
   }
 
@@ -140,67 +136,74 @@ export class Model extends EventTarget {
     this.commit();
   }
 
-  #name(stem) {
-    const taken = new Set(this.ids().map((id) => this.at(id).name));
+  #pushUndo() {
+    this.#undoStates.push({ text: this.#text, document: this.document });
+    if (this.#undoStates.length > 300) this.#undoStates.shift();
+    this.#redoStates = [];
+  }
+
+  #findName(stem) {
+    const usedNames = new Set(this.ids().map((id) => this.part(id).name));
     let number = 1;
-    while (taken.has(`${stem}${number}`)) number++;
+    while (usedNames.has(`${stem}${number}`)) number++;
     return `${stem}${number}`;
   }
 
-  #swap(from, to) {
+  #restore(from, to) {
     if (!from.length) return;
-    to.push({ text: this.#now, document: this.document });
-    const left = this.document;
+    to.push({ text: this.#text, document: this.document });
+    const previous = this.document;
     const { text, document } = from.pop();
     Object.assign(this, { document });
-    if (document !== left) this.selected.clear();
-    this.#now = text;
-    this.#take(JSON.parse(text));
-    this.#tell("whole");
-    if (document !== left) this.#arrive(left, true);
+    if (document !== previous) this.selected.clear();
+    this.#text = text;
+    this.#setDraft(JSON.parse(text));
+    this.#notify("draft");
+    if (document !== previous) this.#notifyDocument(previous, true);
   }
 
-  // Tells that another document is open now, a new one or one of the history.
-  #arrive(left, back) {
-    this.opened++;
-    this.dispatchEvent(new CustomEvent("document", { detail: { left, back } }));
+  // Reports that another document is open, one of the history or a new one.
+  #notifyDocument(previous, isHistory) {
+    this.openCount++;
+    this.dispatchEvent(new CustomEvent("document", { detail: { previous, isHistory } }));
   }
 
-  // The panels have fields for parts that a draft need not have.
-  #take(draft) {
+  // Sets the draft, with all sections that the panels have fields for.
+  #setDraft(draft) {
     this.draft = draft;
-    for (const part of PARTS) draft[part] ??= {};
-    this.selected = new Set([...this.selected].filter((id) => this.at(id)));
+    for (const section of SECTIONS) draft[section] ??= {};
+    this.selected = new Set([...this.selected].filter((id) => this.part(id)));
   }
 
-  #tell(what) {
-    this.dispatchEvent(new CustomEvent("change", { detail: what }));
+  #notify(subject) {
+    this.dispatchEvent(new CustomEvent("change", { detail: subject }));
   }
 }
 
-export function shift(thing, dx, dy) {
-  if (thing.points_mm) thing.points_mm = thing.points_mm.map(([x, y]) => [tidy(x + dx), tidy(y + dy)]);
+export function shift(part, dx, dy) {
+  if (part.points_mm) part.points_mm = part.points_mm.map(([x, y]) => [roundHundredths(x + dx), roundHundredths(y + dy)]);
   else {
-    thing.x_mm = tidy(drawable(thing.x_mm) + dx);
-    thing.y_mm = tidy(drawable(thing.y_mm) + dy);
+    part.x_mm = roundHundredths(clampFinite(part.x_mm) + dx);
+    part.y_mm = roundHundredths(clampFinite(part.y_mm) + dy);
   }
 }
 
-export function turn(thing, degrees) {
-  const key = "heading_deg" in thing ? "heading_deg" : "angle_deg";
-  if (key in thing || "length_mm" in thing) thing[key] = angle((thing[key] ?? 0) + degrees);
+export function rotate(part, degrees) {
+  const key = "heading_deg" in part ? "heading_deg" : "angle_deg";
+  if (key in part || "length_mm" in part) part[key] = wrapAngle((part[key] ?? 0) + degrees);
 }
 
-export const angle = (degrees) => {
-  const turned = ((degrees % 360) + 360) % 360;
-  return tidy(turned > 180 ? turned - 360 : turned);
+export const wrapAngle = (degrees) => {
+  const positive = ((degrees % 360) + 360) % 360;
+  return roundHundredths(positive > 180 ? positive - 360 : positive);
 };
-// A typed value may be no number yet, or a huge one: returns the value to draw meanwhile.
-export const drawable = (value, otherwise = 0) => (Number.isFinite(value) ? Math.min(Math.max(value, -1e5), 1e5) : otherwise);
-export const tidy = (value) => Math.round(value * 100) / 100;
 
-// Returns true for the keys of undo, false for those of redo, and null for others.
-export function undoKey({ key, ctrlKey, metaKey, shiftKey }) {
+// Returns a number that can be drawn for a value that is being typed, which may be no number yet or a huge one.
+export const clampFinite = (value, fallback = 0) => (Number.isFinite(value) ? Math.min(Math.max(value, -1e5), 1e5) : fallback);
+export const roundHundredths = (value) => Math.round(value * 100) / 100;
+
+// Returns true for the keys of undo, false for those of redo, and null for other keys.
+export function readUndoKey({ key, ctrlKey, metaKey, shiftKey }) {
   const letter = key.toLowerCase();
   if (!(ctrlKey || metaKey) || (letter !== "z" && letter !== "y")) return null;
   return letter === "z" && !shiftKey;

@@ -1,32 +1,30 @@
-// The running twin, or the robot at a port: begun, paused and ended, and what the page shows of it.
+// The running twin, or the robot at a port: started, paused and ended, and its state on the page.
 
-import { keep, post } from "./api.js";
+import { download, post } from "./api.js";
 import { Curves } from "./curves.js";
 import { Driving } from "./driving.js";
 import { Handling } from "./handling.js";
 import { LivePlan } from "./live.js";
-import { undoKey } from "./model.js";
-import { Panel, SENSORS, Strip, write } from "./panel.js";
+import { readUndoKey } from "./model.js";
+import { $, readNumber, setText } from "./page.js";
+import { Panel, SENSORS, Strip } from "./panel.js";
 
-const $ = (selector) => document.querySelector(selector);
-const number = (selector) => ($(selector).value === "" ? null : $(selector).valueAsNumber);
-
-// When a button can be pressed, by its data-when.
+// States in which a button is enabled, by its data-when.
 const WHEN = {
-  ended: ({ active }) => !active,
-  running: ({ active }) => active,
-  twin: ({ twin }) => twin,
-  "no-twin": ({ twin }) => !twin,
-  idle: ({ busy, asking }) => !busy && !asking,
+  ended: ({ isActive }) => !isActive,
+  running: ({ isActive }) => isActive,
+  twin: ({ hasTwin }) => hasTwin,
+  "no-twin": ({ hasTwin }) => !hasTwin,
+  idle: ({ isBusy, isStarting }) => !isBusy && !isStarting,
 };
 
 export class Running {
-  active = false;
-  busy = false;
-  asking = false; // for a program or a sensor test to begin
-  paused = false;
+  isActive = false; // a twin runs, or a robot at a port is connected
+  isBusy = false; // a program or a sensor test runs
+  isStarting = false; // one of them has been requested
+  isPaused = false;
   robots = [];
-  #starts = 0;
+  #startCount = 0;
 
   constructor(drawing, model, banner, attempt) {
     Object.assign(this, { drawing, model, banner, attempt });
@@ -43,199 +41,198 @@ export class Running {
     press("#pause", () => this.pause());
     press("#step", () => this.step());
     press("#connect", () => post("connect", { port: $("#device").value }), "run");
-    const stem = () => this.logged.log.replace(/^.*\//, "").replace(/\.mcap$/, "");
-    press("#keep-log", async () => keep(await post("log", { file: this.logged.log }), `${stem()}.mcap`));
-    press("#keep-report", async () => keep(await post("report", { file: this.logged.log }), `${stem()}.html`));
+    const logStem = () => this.startReply.log.replace(/^.*\//, "").replace(/\.mcap$/, "");
+    press("#keep-log", async () => download(await post("log", { file: this.startReply.log }), `${logStem()}.mcap`));
+    press("#keep-report", async () => download(await post("report", { file: this.startReply.log }), `${logStem()}.html`));
     press("#copy-view", () => navigator.clipboard.writeText($("#view-command").textContent));
     press("#copy-port", () => navigator.clipboard.writeText($("#port").textContent));
-    $("#speed").addEventListener("change", () => attempt(() => this.#pace(), "pace"));
-    $("#which").addEventListener("change", () => this.#shape());
+    $("#speed").addEventListener("change", () => attempt(() => this.#setPace(), "pace"));
+    $("#which").addEventListener("change", () => this.#showRobot());
     model.addEventListener("change", ({ detail }) => {
-      if (detail !== "whole") return;
-      if (this.active) this.#live();
-      this.driving.choices();
+      if (detail !== "draft") return;
+      if (this.isActive) this.#drawLive();
+      this.driving.updateLists();
     });
-    this.#buttons();
+    this.#updateButtons();
   }
 
-  // True while a twin runs, and no robot at a port.
-  get twin() {
-    return this.active && !this.real;
+  // True while a twin runs; false for a robot at a port.
+  get hasTwin() {
+    return this.isActive && !this.isRealRobot;
   }
 
-  // The robots of the twin, each with the places where it has been.
-  get travellers() {
-    return this.twin ? this.robots.map((robot, index) => ({ ...robot, places: this.plan.places(index) })) : [];
+  // The robots of the twin, each with the points of its path.
+  get robotPaths() {
+    return this.hasTwin ? this.robots.map((robot, index) => ({ ...robot, path: this.plan.path(index) })) : [];
   }
 
-  get which() {
+  get selectedIndex() {
     return Math.max(+$("#which").value || 0, 0);
   }
 
   async start() {
-    this.#starts++;
-    this.paused = this.lost = false;
+    this.#startCount++;
+    this.isPaused = this.hasEnded = false;
     $("#logged").hidden = true;
-    this.logged = await post("start", { file: this.model.file, version: this.model.document.version, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
+    this.startReply = await post("start", { file: this.model.file, version: this.model.document.version, draft: this.model.draft, seed: readNumber("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
   }
 
   async pause() {
-    this.paused = !this.paused;
-    await this.#pace();
-    this.#buttons();
+    this.isPaused = !this.isPaused;
+    await this.#setPace();
+    this.#updateButtons();
   }
 
   async step() {
-    if (!this.paused) await this.pause();
+    if (!this.isPaused) await this.pause();
     await post("step");
   }
 
-  async #pace() {
-    if (this.active && !this.real) await post("pace", { speed: +$("#speed").value, paused: this.paused });
+  async #setPace() {
+    if (this.isActive && !this.isRealRobot) await post("pace", { speed: +$("#speed").value, paused: this.isPaused });
   }
 
-  // Starts a twin, if none is running, and what is wanted on it; meanwhile a second click does nothing.
-  async begin(act) {
-    if (this.asking) return;
-    this.asking = true;
-    this.#buttons();
+  // Starts a job, and before it a twin if none is running; meanwhile a second click does nothing.
+  async startJob(act) {
+    if (this.isStarting) return;
+    this.isStarting = true;
+    this.#updateButtons();
     try {
-      if (!this.active) await this.start();
-      if (!(await this.#there())) return;
+      if (!this.isActive) await this.start();
+      if (!(await this.#waitForStart())) return;
       await act();
-      this.busy = true;
+      this.isBusy = true;
     } finally {
-      this.asking = false;
-      this.#buttons();
+      this.isStarting = false;
+      this.#updateButtons();
     }
   }
 
-  // Waits until the twin has started, which takes long in a large playpen, or has failed with a shown reason.
-  async #there() {
-    const starts = this.#starts; // a later start is waited for by its own button
-    for (let tries = 0; tries < 300 && starts === this.#starts && !this.active && !this.lost; tries++) await new Promise((done) => setTimeout(done, 100));
-    return this.active && starts === this.#starts;
+  // Waits until the twin has started, which takes long in a large playpen, or has failed with a reason in a banner.
+  async #waitForStart() {
+    const startCount = this.#startCount; // its change is a later start, for which another button waits
+    for (let attempts = 0; attempts < 300 && startCount === this.#startCount && !this.isActive && !this.hasEnded; attempts++) await new Promise((resolve) => setTimeout(resolve, 100));
+    return this.isActive && startCount === this.#startCount;
   }
 
-  // What it does about each kind of message (khep_twin/web/messages.py).
-  hears = {
-    twin: (message) => this.#cast(message, false),
-    robot: (message) => this.#cast(message, true),
-    picture: (message) => this.#picture(message),
-    run: (message) => this.driving.ran(message),
-    printed: ({ text }) => this.driving.printed(text),
-    sensed: ({ warning }) => this.driving.sensed(warning),
+  // Handlers of messages by their kind (khep_twin/web/messages.py).
+  messageHandlers = {
+    twin: (message) => this.#showRobots(message, false),
+    robot: (message) => this.#showRobots(message, true),
+    picture: (message) => this.#showPicture(message),
+    run: (message) => this.driving.addRun(message),
+    printed: ({ text }) => this.driving.appendOutput(text),
+    sensed: ({ warning }) => this.driving.showSensorTest(warning),
     done: () => {
-      this.busy = false;
-      this.#buttons();
+      this.isBusy = false;
+      this.#updateButtons();
     },
     error: ({ text }) => {
       this.banner(text, "error", {}, "run");
-      this.failed?.(text);
+      this.onError?.(text);
     },
     refused: ({ text }) => {
-      this.handling.hands.refused();
+      this.handling.history.revert();
       this.banner(text, "error", {}, "hand");
     },
     note: ({ text }) => this.banner(text),
-    room: (message) => this.handling.room(message),
-    ended: () => this.#ended(),
+    room: (message) => this.handling.showRoom(message),
+    ended: () => this.#showEnd(),
   };
 
-  #cast(message, real) {
-    Object.assign(this, { active: true, real, busy: false, robots: message.robots, last: null });
-    this.plan.begin(message.robots.length);
+  #showRobots(message, isRealRobot) {
+    Object.assign(this, { isActive: true, isRealRobot, isBusy: false, robots: message.robots, lastPicture: null });
+    this.plan.clear(message.robots.length);
     this.curves.clear(message.robots);
-    this.handling.hands.clear();
-    const chosen = $("#which");
-    chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
+    this.handling.history.clear();
+    $("#which").replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
     this.model.select([]);
-    if (!real && message.playpen !== this.model.draft.name) this.banner(`The running twin is in ${message.playpen}, not in this drawing: another page has started it.`, "error");
-    for (const part of [this.drawing.svg, $("#arena")]) part.classList.toggle("running", !real);
-    this.#shape();
-    if (!real) this.#live();
-    this.driving.choices();
-    this.#buttons();
-    this.stage?.changed();
+    if (!isRealRobot && message.playpen !== this.model.draft.name) this.banner(`The running twin is in ${message.playpen}, not in this drawing: another page has started it.`, "error");
+    for (const element of [this.drawing.svg, $("#arena")]) element.classList.toggle("running", !isRealRobot);
+    this.#showRobot();
+    if (!isRealRobot) this.#drawLive();
+    this.driving.updateLists();
+    this.#updateButtons();
+    this.stage?.reload();
   }
 
-  #live() {
-    this.plan.draw(this.robots, this.last);
-    this.handling.lamps(this.model.list("lamp").length);
+  #drawLive() {
+    this.plan.drawRobots(this.robots, this.lastPicture);
+    this.handling.createSwitches(this.model.partsOf("lamp").length);
   }
 
-  // Chooses the robot that the panel shows.
-  show(index) {
+  // Selects the robot that the panel shows.
+  selectRobot(index) {
     $("#which").value = index;
-    this.#shape();
+    this.#showRobot();
   }
 
-  #shape() {
-    const robot = this.robots[this.which];
+  #showRobot() {
+    const robot = this.robots[this.selectedIndex];
     if (!robot) return;
-    this.panel.shape(robot);
+    this.panel.drawRobot(robot);
     this.strip.clear();
-    this.curves.show(this.which);
+    this.curves.selectRobot(this.selectedIndex);
     $("#port").textContent = robot.port;
   }
 
-  #picture(message) {
-    if (!this.active) return;
-    const shown = message.robots[this.which];
-    if (!this.last && message.speed !== undefined) $("#speed").value = message.speed;
-    this.last = message;
+  #showPicture(message) {
+    if (!this.isActive) return;
+    const readings = message.robots[this.selectedIndex];
+    if (!this.lastPicture && message.speed !== undefined) $("#speed").value = message.speed;
+    this.lastPicture = message;
     // Another page may have paused it, or this one was loaded meanwhile.
-    const [busy, paused] = [message.busy === true, message.paused === true];
-    if (busy !== this.busy || paused !== this.paused) {
-      Object.assign(this, { busy, paused });
-      this.#buttons();
+    const [isBusy, isPaused] = [message.busy === true, message.paused === true];
+    if (isBusy !== this.isBusy || isPaused !== this.isPaused) {
+      Object.assign(this, { isBusy, isPaused });
+      this.#updateButtons();
     }
-    if (shown && this.panel.near) this.panel.read(shown);
-    if (shown) this.strip.read(shown, message.time);
-    this.curves.read(message);
+    if (readings && this.panel.proximityBars) this.panel.showReadings(readings);
+    if (readings) this.strip.add(readings, message.time);
+    this.curves.add(message);
     if (message.part !== $("#part").value) $("#part").value = message.part;
-    write($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
-    if (this.real) return;
-    this.stage?.told(message);
-    const between = shown?.host_commands ? `; ${shown.host_commands} commands between those of the program here` : "";
-    write($("#host"), shown?.host ? `A host has it open${between}.` : "No host has it open.");
-    this.plan.picture(message, this.handling.held, this.stage?.shown);
-    this.handling.told(message.lamps);
+    setText($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
+    if (this.isRealRobot) return;
+    this.stage?.showPicture(message);
+    const commands = readings?.host_commands ? `; ${readings.host_commands} commands between those of the program here` : "";
+    setText($("#host"), readings?.host ? `A host has it open${commands}.` : "No host has it open.");
+    this.plan.showPicture(message, this.handling.liftedIndex, this.stage?.isShown);
+    this.handling.updateSwitches(message.lamps);
   }
 
-  #ended() {
-    Object.assign(this, { active: false, busy: false, real: false, paused: false, lost: true });
-    for (const part of [this.drawing.svg, $("#arena")]) part.classList.remove("running");
+  #showEnd() {
+    Object.assign(this, { isActive: false, isBusy: false, isRealRobot: false, isPaused: false, hasEnded: true });
+    for (const element of [this.drawing.svg, $("#arena")]) element.classList.remove("running");
     this.plan.end();
-    this.drawing.all();
+    this.drawing.drawAll();
     $("#clock").textContent = "not running";
-    $("#logged").hidden = !this.logged?.log;
-    $("#view-command").textContent = this.logged?.view ?? "";
+    $("#logged").hidden = !this.startReply?.log;
+    $("#view-command").textContent = this.startReply?.view ?? "";
     $("#part").value = 0;
     $("#port").textContent = "–";
     $("#host").textContent = "";
-    this.driving.choices();
-    this.#buttons();
-    this.stage?.changed();
+    this.driving.updateLists();
+    this.#updateButtons();
+    this.stage?.reload();
   }
 
-  #buttons() {
+  #updateButtons() {
     for (const button of document.querySelectorAll("[data-when]")) button.disabled = !WHEN[button.dataset.when](this);
-    $("#pause").textContent = this.paused ? "Resume" : "Pause";
-    document.body.classList.toggle("running", this.active);
+    $("#pause").textContent = this.isPaused ? "Resume" : "Pause";
+    document.body.classList.toggle("running", this.isActive);
     // The twin was made from the drawing, which does not change.
-    for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = this.twin;
-    if (this.stage?.shown) $("#tools").inert = true;
-    this.handling.hands.dispatchEvent(new Event("change")); // undo is about them, or again about the drawing
+    for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = this.hasTwin;
+    if (this.stage?.isShown) $("#tools").inert = true;
+    this.handling.history.dispatchEvent(new Event("change")); // undo is about it, or about the drawing again
   }
 
-  key(event) {
-    if (!this.active) return false;
-    if (this.handling.held !== undefined && (event.key === "[" || event.key === "]")) return this.handling.turn(event.key === "[" ? 15 : -15);
-    const back = undoKey(event);
-    if (back !== null && !this.real) return this.attempt(() => (back ? this.handling.hands.undo() : this.handling.hands.redo()), "hand"), true;
-    if (event.key === " " && !this.real) return this.attempt(() => this.pause(), "pace"), true;
-    if (event.key === "." && !this.real) return this.attempt(() => this.step(), "pace"), true;
+  handleKey(event) {
+    if (!this.isActive) return false;
+    if (this.handling.liftedIndex !== undefined && (event.key === "[" || event.key === "]")) return this.handling.rotate(event.key === "[" ? 15 : -15);
+    const isUndo = readUndoKey(event);
+    if (isUndo !== null && !this.isRealRobot) return this.attempt(() => (isUndo ? this.handling.history.undo() : this.handling.history.redo()), "hand"), true;
+    if (event.key === " " && !this.isRealRobot) return this.attempt(() => this.pause(), "pace"), true;
+    if (event.key === "." && !this.isRealRobot) return this.attempt(() => this.step(), "pace"), true;
     if (event.key === "Escape") return this.attempt(() => post("stop"), "stop"), true;
     return false;
   }

@@ -1,59 +1,126 @@
-// Light and shadow on the floor in 3-D: a pool of light around each lamp, with the shadows in it, and a soft shadow
-// around the foot of what stands there. All of it is colours of corners, which cost little where a processor draws.
+// Light and shadow on the floor in 3-D: a pool of light around each lamp, with shadows of the objects in it, and a soft
+// shadow around the footprint of each object. All are vertex colours, which cost little without a GPU.
 
 import { AdditiveBlending, BufferAttribute, BufferGeometry, Color, Float32BufferAttribute, Group, Mesh, NormalBlending, ShaderMaterial } from "./three.min.js";
 
 const [RAYS, RINGS] = [144, 16];
-const NEAR = 0.1; // distance at which a pool has half of its light, for 7 W [m]
-const FAR = 3.5; // end of a pool, in such distances
-const DARK = 0.002;
-const RIM = 0.014; // width of a soft edge [m]
+const NEAR = 0.1; // distance at which the light is halved, for a lamp of 7 W [m]
+const FAR = 3.5; // radius of a pool, in such distances
+const DARK = 0.002; // light that is not drawn
+const SOFT_EDGE = 0.014; // width of a soft edge [m]
 const [LIGHT, SHADE] = [0.5, 0.35];
-const [LOW, HIGH] = [0.007, 0.015]; // what stands begins below and ends above these heights [m]
-const [SHADE_Z, POOL_Z] = [0.0001, 0.00015]; // below the lines on the floor [m]
-const SLOW = 45; // longest usual time of a frame, beyond which there is neither [ms]
-const FRAMES = 40;
+const [LOW, HIGH] = [0.007, 0.015]; // an object on the floor has its bottom below and its top above these heights [m]
+const [SHADE_Z, POOL_Z] = [0.0001, 0.00015]; // heights, below the lines on the floor [m]
+const SLOW = 45; // median time of a frame above which light and shadow are switched off [ms]
+const FRAMES = 40; // of a median
 
-const CORNER = `
+const VERTEX_SHADER = `
 attribute vec4 color;
 uniform vec3 tint;
-varying vec4 seen;
+varying vec4 shade;
 void main() {
-  seen = vec4(pow(tint, vec3(0.4545)) * color.rgb, color.a);
+  shade = vec4(pow(tint, vec3(0.4545)) * color.rgb, color.a);
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
 }`;
 
-const PIXEL = `
-varying vec4 seen;
-void main() { gl_FragColor = seen; }`;
+const FRAGMENT_SHADER = `
+varying vec4 shade;
+void main() { gl_FragColor = shade; }`;
 
-// A pixel costs nothing but its colour, as in lit.js.
-const material = (blending) => new ShaderMaterial({ uniforms: { tint: { value: new Color() } }, vertexShader: CORNER, fragmentShader: PIXEL, blending, transparent: true, depthWrite: false });
+// Interpolates the colours of the vertices, as in lit.js.
+const createMaterial = (blending) => new ShaderMaterial({ uniforms: { tint: { value: new Color() } }, vertexShader: VERTEX_SHADER, fragmentShader: FRAGMENT_SHADER, blending, transparent: true, depthWrite: false });
 
-const turn = ([, , , w, i, j, k]) => Math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k));
+export class FloorShading {
+  node = new Group();
+  #material = createMaterial(NormalBlending);
+  #lamps = [];
+  #staticFootprints = [];
+  #pools = []; // by lamp; null before its first light
+  #bodies = [];
+  #frameTimes = []; // [ms]
 
-// Feet of the shapes of a body that stand on the floor when it is at this height, in the frame of the body.
-function feet(shapes, z = 0) {
-  const standing = shapes.filter(({ kind }) => kind === "box" || kind === "cylinder").map(({ kind, size, pose }) => {
+  // Shows a scene, with the colour of each lamp and its power [W].
+  load({ shapes, poses }, lamps, powers) {
+    for (const pool of this.#pools) pool?.dispose();
+    for (const mesh of this.node.children) mesh.geometry.dispose();
+    this.node.clear();
+    this.node.visible = true; // until frames are measured again
+    this.#frameTimes = [];
+    const shapesOf = (body) => shapes.filter((shape) => shape.body === body);
+    this.#staticFootprints = findFootprints(shapesOf(null));
+    this.node.add(createShadows(this.#staticFootprints, this.#material));
+    this.#bodies = poses.map((pose, body) => ({ index: body, footprints: findFootprints(shapesOf(body), pose[2]), floorPose: [] })).filter(({ footprints }) => footprints.length);
+    for (const body of this.#bodies) this.node.add((body.node = createShadows(body.footprints, this.#material)));
+    this.#lamps = lamps;
+    this.#pools = lamps.map(() => null);
+    this.setPoses(poses);
+    this.setPowers(powers);
+  }
+
+  // Takes the poses of the bodies and updates the shadows of those that have moved.
+  setPoses(poses) {
+    let hasMoved = false;
+    for (const body of this.#bodies) {
+      const pose = poses[body.index];
+      const floorPose = [pose[0], pose[1], yaw(pose)];
+      if (body.floorPose.length && Math.hypot(...floorPose.map((value, axis) => value - body.floorPose[axis])) < 0.0005) continue;
+      hasMoved = true;
+      body.floorPose = floorPose;
+      body.node.position.set(floorPose[0], floorPose[1], 0);
+      body.node.rotation.z = floorPose[2];
+    }
+    if (!hasMoved || !this.node.visible) return;
+    for (const pool of this.#pools) pool?.update(this.#movingFootprints());
+  }
+
+  // Takes the power of each lamp [W]; a lamp that becomes much brighter gets a wider pool.
+  setPowers(powers) {
+    this.#lamps.forEach((lamp, index) => {
+      const [pool, power] = [this.#pools[index], powers[index] ?? 0];
+      if (power <= 2 * (pool?.power ?? 0)) return void pool?.setPower(power);
+      pool?.dispose();
+      const newPool = (this.#pools[index] = new LightPool(lamp, power, this.#staticFootprints));
+      newPool.update(this.#movingFootprints());
+      this.node.add(newPool.node);
+    });
+  }
+
+  // Takes the time of a frame [ms]; on a slow machine, light and shadow are switched off.
+  measureFrame(time) {
+    if (!this.node.visible || this.#frameTimes.push(time) < FRAMES) return;
+    this.node.visible = this.#frameTimes.sort((a, b) => a - b)[FRAMES / 2] < SLOW;
+    this.#frameTimes = [];
+  }
+
+  #movingFootprints() {
+    return this.#bodies.flatMap(({ footprints, floorPose }) => footprints.map((footprint) => moveFootprint(footprint, floorPose, floorPose[2])));
+  }
+}
+
+const yaw = ([, , , w, i, j, k]) => Math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k));
+
+// Returns the footprints of a body's boxes and cylinders on the floor, in the frame of the body at height z.
+function findFootprints(shapes, z = 0) {
+  const candidates = shapes.filter(({ kind }) => kind === "box" || kind === "cylinder").map(({ kind, size, pose }) => {
     const half = size[kind === "box" ? 2 : 1];
-    const foot = { x: pose[0], y: pose[1], turned: turn(pose), bottom: z + pose[2] - half, top: z + pose[2] + half };
-    return kind === "box" ? { ...foot, length: size[0], width: size[1] } : { ...foot, radius: size[0] };
+    const footprint = { x: pose[0], y: pose[1], rotation: yaw(pose), bottom: z + pose[2] - half, top: z + pose[2] + half };
+    return kind === "box" ? { ...footprint, length: size[0], width: size[1] } : { ...footprint, radius: size[0] };
   });
-  return standing.filter(({ bottom, top }) => bottom < LOW && top > HIGH);
+  return candidates.filter(({ bottom, top }) => bottom < LOW && top > HIGH);
 }
 
-// A foot of a body that is at a place now.
-function moved(foot, [x, y], turned) {
-  const [c, s] = [Math.cos(turned), Math.sin(turned)];
-  return { ...foot, x: x + c * foot.x - s * foot.y, y: y + s * foot.x + c * foot.y, turned: turned + foot.turned };
+// Returns a footprint in the frame of the floor, for the pose of its body.
+function moveFootprint(footprint, [x, y], rotation) {
+  const [c, s] = [Math.cos(rotation), Math.sin(rotation)];
+  return { ...footprint, x: x + c * footprint.x - s * footprint.y, y: y + s * footprint.x + c * footprint.y, rotation: rotation + footprint.rotation };
 }
 
-// Where a ray enters a foot and leaves it; null if it misses it, or begins in it.
-function crossing({ x, y, turned, radius, length, width }, [fromX, fromY], along) {
-  const [c, s] = [Math.cos(turned), Math.sin(turned)];
+// Returns the distances at which a ray enters and leaves a footprint; null if it misses it or starts in it.
+function intersectRay({ x, y, rotation, radius, length, width }, [fromX, fromY], angle) {
+  const [c, s] = [Math.cos(rotation), Math.sin(rotation)];
   const [dx, dy] = [fromX - x, fromY - y];
   const [px, py] = [c * dx + s * dy, c * dy - s * dx];
-  const [ux, uy] = [Math.cos(along - turned), Math.sin(along - turned)];
+  const [ux, uy] = [Math.cos(angle - rotation), Math.sin(angle - rotation)];
   let [first, last] = [-Infinity, Infinity];
   if (radius) {
     const nearest = -(px * ux + py * uy);
@@ -67,43 +134,43 @@ function crossing({ x, y, turned, radius, length, width }, [fromX, fromY], along
   return first < last && first > 0 ? [first, last] : null;
 }
 
-// Pool of light around a lamp: a disc of rays and rings, which is dark where something hides the lamp.
-class Pool {
-  #still = new Float32Array(RAYS * RINGS);
+// Pool of light around a lamp: a disc of rays and rings, dark where an object hides the lamp.
+class LightPool {
+  #staticLight = new Float32Array(RAYS * RINGS);
 
-  constructor({ pose: [x, y, z], size, lit }, power, still) {
-    Object.assign(this, { at: [x, y], height: Math.max(z - size[0], 0.001), lit, power });
+  constructor({ pose: [x, y, z], size, colour }, power, staticFootprints) {
+    Object.assign(this, { position: [x, y], height: Math.max(z - size[0], 0.001), colour, power });
     const near = NEAR * Math.sqrt(power / 7);
-    this.reach = near * FAR;
-    const places = new Float32BufferAttribute(3 * RAYS * RINGS, 3);
-    const parts = [];
+    this.radius = near * FAR;
+    const positions = new Float32BufferAttribute(3 * RAYS * RINGS, 3);
+    const triangles = [];
     for (let ray = 0; ray < RAYS; ray++)
       for (let ring = 0; ring < RINGS; ring++) {
-        const [vertex, radius, along] = [ray * RINGS + ring, (this.reach * ring) / (RINGS - 1), (2 * Math.PI * ray) / RAYS];
-        places.setXYZ(vertex, x + radius * Math.cos(along), y + radius * Math.sin(along), POOL_Z);
-        this.#still[vertex] = (LIGHT * (1 - (ring / (RINGS - 1)) ** 2) ** 2) / (1 + (radius * radius + z * z) / (near * near));
+        const [vertex, radius, angle] = [ray * RINGS + ring, (this.radius * ring) / (RINGS - 1), (2 * Math.PI * ray) / RAYS];
+        positions.setXYZ(vertex, x + radius * Math.cos(angle), y + radius * Math.sin(angle), POOL_Z);
+        this.#staticLight[vertex] = (LIGHT * (1 - (ring / (RINGS - 1)) ** 2) ** 2) / (1 + (radius * radius + z * z) / (near * near));
         const next = ((ray + 1) % RAYS) * RINGS + ring;
-        if (ring) parts.push([vertex - 1, vertex, next], [vertex - 1, next, next - 1]);
+        if (ring) triangles.push([vertex - 1, vertex, next], [vertex - 1, next, next - 1]);
       }
-    this.#hide(this.#still, still);
-    // What is always dark is not drawn.
-    const index = parts.filter((part) => part.some((vertex) => this.#still[vertex] > DARK)).flat();
+    this.#castShadows(this.#staticLight, staticFootprints);
+    // Triangles that are always dark are not drawn.
+    const index = triangles.filter((triangle) => triangle.some((vertex) => this.#staticLight[vertex] > DARK)).flat();
     this.colours = new BufferAttribute(new Uint8Array(3 * RAYS * RINGS), 3, true);
-    const geometry = new BufferGeometry().setIndex(index).setAttribute("position", places).setAttribute("color", this.colours);
-    this.node = new Mesh(geometry, material(AdditiveBlending));
+    const geometry = new BufferGeometry().setIndex(index).setAttribute("position", positions).setAttribute("color", this.colours);
+    this.node = new Mesh(geometry, createMaterial(AdditiveBlending));
     this.node.renderOrder = 1;
-    this.shine(power);
-    this.move([]);
+    this.setPower(power);
+    this.update([]);
   }
 
-  shine(power) {
-    this.node.material.uniforms.tint.value.copy(this.lit).multiplyScalar(power / this.power);
+  setPower(power) {
+    this.node.material.uniforms.tint.value.copy(this.colour).multiplyScalar(power / this.power);
   }
 
-  // Takes what may hide the lamp and moves.
-  move(moving) {
-    const light = this.#still.slice();
-    this.#hide(light, moving);
+  // Computes the light with the shadows of moving objects.
+  update(movingFootprints) {
+    const light = this.#staticLight.slice();
+    this.#castShadows(light, movingFootprints);
     light.forEach((value, vertex) => this.colours.array.fill(255 * value, 3 * vertex, 3 * vertex + 3));
     this.colours.needsUpdate = true;
   }
@@ -114,111 +181,44 @@ class Pool {
     this.node.removeFromParent();
   }
 
-  #hide(light, feet) {
-    for (const foot of feet) {
-      if (Math.hypot(foot.x - this.at[0], foot.y - this.at[1]) > this.reach + (foot.radius ?? foot.length + foot.width)) continue;
+  #castShadows(light, footprints) {
+    for (const footprint of footprints) {
+      if (Math.hypot(footprint.x - this.position[0], footprint.y - this.position[1]) > this.radius + (footprint.radius ?? footprint.length + footprint.width)) continue;
       for (let ray = 0; ray < RAYS; ray++) {
-        const found = crossing(foot, this.at, (2 * Math.PI * ray) / RAYS);
-        if (!found) continue;
-        // Behind what is lower than the lamp, its light reaches the floor again.
-        const end = foot.top < this.height ? (found[1] * this.height) / (this.height - foot.top) : Infinity;
-        const [from, to] = [found[0], end].map((radius) => (radius * (RINGS - 1)) / this.reach);
+        const interval = intersectRay(footprint, this.position, (2 * Math.PI * ray) / RAYS);
+        if (!interval) continue;
+        // Behind an object lower than the lamp, the light reaches the floor again.
+        const end = footprint.top < this.height ? (interval[1] * this.height) / (this.height - footprint.top) : Infinity;
+        const [from, to] = [interval[0], end].map((radius) => (radius * (RINGS - 1)) / this.radius);
         light.fill(0, ray * RINGS + Math.min(Math.ceil(from), RINGS), ray * RINGS + Math.min(Math.ceil(to), RINGS));
       }
     }
   }
 }
 
-// Soft shadows around feet, as one mesh.
-function shadows(feet, material) {
-  const [places, colours, index] = [[], [], []];
-  for (const { x, y, turned, radius, length, width } of feet) {
+// Creates the soft shadows around footprints, as one mesh.
+function createShadows(footprints, material) {
+  const [positions, colours, index] = [[], [], []];
+  for (const { x, y, rotation, radius, length, width } of footprints) {
     const corners = radius
-      ? Array.from({ length: 32 }, (_, each) => [Math.cos(each * Math.PI / 16), Math.sin(each * Math.PI / 16)]).map(([c, s]) => [radius * c, radius * s, c, s])
+      ? Array.from({ length: 32 }, (_, corner) => [Math.cos(corner * Math.PI / 16), Math.sin(corner * Math.PI / 16)]).map(([c, s]) => [radius * c, radius * s, c, s])
       : [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([a, b]) => [a * length, b * width, a, b]);
-    const first = places.length / 3;
-    const [c, s] = [Math.cos(turned), Math.sin(turned)];
-    for (const edge of [0, RIM])
+    const first = positions.length / 3;
+    const [c, s] = [Math.cos(rotation), Math.sin(rotation)];
+    for (const edge of [0, SOFT_EDGE])
       for (const [a, b, outA, outB] of corners) {
         const [along, across] = [a + edge * outA, b + edge * outB];
-        places.push(x + c * along - s * across, y + s * along + c * across, SHADE_Z);
+        positions.push(x + c * along - s * across, y + s * along + c * across, SHADE_Z);
         colours.push(0, 0, 0, edge ? 0 : SHADE);
       }
     const count = corners.length;
-    for (let each = 0; each < count; each++) {
-      const [a, b] = [first + each, first + ((each + 1) % count)];
+    for (let corner = 0; corner < count; corner++) {
+      const [a, b] = [first + corner, first + ((corner + 1) % count)];
       index.push(a, a + count, b + count, a, b + count, b);
-      if (radius) index.push(a, b, first); // there is light below a robot
+      if (radius) index.push(a, b, first); // fills the disc, as the floor below a robot can be seen
     }
   }
   const geometry = new BufferGeometry().setIndex(index);
-  geometry.setAttribute("position", new Float32BufferAttribute(places, 3)).setAttribute("color", new Float32BufferAttribute(colours, 4));
+  geometry.setAttribute("position", new Float32BufferAttribute(positions, 3)).setAttribute("color", new Float32BufferAttribute(colours, 4));
   return new Mesh(geometry, material);
-}
-
-export class Shades {
-  node = new Group();
-  #material = material(NormalBlending);
-  #lamps = [];
-  #still = [];
-  #pools = []; // of the lamps, each from its first light on
-  #bodies = [];
-  #times = [];
-
-  // Takes a scene, with the power of each lamp [W] and its colour.
-  load({ shapes, poses }, lamps, powers) {
-    for (const pool of this.#pools) pool?.dispose();
-    for (const each of this.node.children) each.geometry.dispose();
-    this.node.clear();
-    this.node.visible = true; // until it is measured anew
-    this.#times = [];
-    const of = (body) => shapes.filter((shape) => shape.body === body);
-    this.#still = feet(of(null));
-    this.node.add(shadows(this.#still, this.#material));
-    this.#bodies = poses.map((pose, body) => ({ body, feet: feet(of(body), pose[2]), at: [] })).filter(({ feet }) => feet.length);
-    for (const each of this.#bodies) this.node.add((each.node = shadows(each.feet, this.#material)));
-    this.#lamps = lamps;
-    this.#pools = lamps.map(() => null);
-    this.move(poses);
-    this.shine(powers);
-  }
-
-  // Takes the poses of the bodies; what has moved casts another shadow.
-  move(poses) {
-    let changed = false;
-    for (const each of this.#bodies) {
-      const pose = poses[each.body];
-      const at = [pose[0], pose[1], turn(pose)];
-      if (each.at.length && Math.hypot(...at.map((value, index) => value - each.at[index])) < 0.0005) continue;
-      changed = true;
-      each.at = at;
-      each.node.position.set(at[0], at[1], 0);
-      each.node.rotation.z = at[2];
-    }
-    if (!changed || !this.node.visible) return;
-    for (const pool of this.#pools) pool?.move(this.#moving());
-  }
-
-  #moving() {
-    return this.#bodies.flatMap(({ feet, at }) => feet.map((foot) => moved(foot, at, at[2])));
-  }
-
-  // Takes the power of each lamp [W]; a lamp that becomes much brighter has a wider pool.
-  shine(powers) {
-    this.#lamps.forEach((lamp, index) => {
-      const [pool, power] = [this.#pools[index], powers[index] ?? 0];
-      if (power <= 2 * (pool?.power ?? 0)) return void pool?.shine(power);
-      pool?.dispose();
-      const wider = (this.#pools[index] = new Pool(lamp, power, this.#still));
-      wider.move(this.#moving());
-      this.node.add(wider.node);
-    });
-  }
-
-  // Takes the time of a frame [ms]: on a slow machine there is neither light nor shadow.
-  measure(time) {
-    if (!this.node.visible || this.#times.push(time) < FRAMES) return;
-    this.node.visible = this.#times.sort((a, b) => a - b)[FRAMES / 2] < SLOW;
-    this.#times = [];
-  }
 }

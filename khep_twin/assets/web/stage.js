@@ -1,24 +1,23 @@
-// The arena in 3-D instead of the plan, on a key or a button; three.js is loaded when it is first wanted.
+// The arena in 3-D instead of the plan, on a key or a button; three.js is loaded at the first request.
 
 import { post } from "./api.js";
-
-const $ = (selector) => document.querySelector(selector);
+import { $ } from "./page.js";
 
 export class Stage {
-  shown = false;
+  isShown = false;
   #view = null;
-  #waiting = 0;
-  #asked = 0;
+  #timer = 0;
+  #requestCount = 0;
 
-  // Without WebGL, `picture` shows the scene as the server draws it.
-  constructor(model, running, attempt, picture) {
-    Object.assign(this, { model, running, attempt, picture });
+  // Without WebGL, `showPreview` shows the scene as the server draws it.
+  constructor(model, running, attempt, showPreview) {
+    Object.assign(this, { model, running, attempt, showPreview });
     running.stage = this;
     $("#three-d").addEventListener("click", () => this.toggle());
-    $("#follow").addEventListener("click", () => this.follow());
-    $("#which").addEventListener("change", () => this.#view?.followed != null && this.#view.follow(running.which));
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.changed());
-    model.addEventListener("change", ({ detail }) => detail === "whole" && !running.twin && this.soon());
+    $("#follow").addEventListener("click", () => this.toggleFollow());
+    $("#which").addEventListener("change", () => this.#view?.followedIndex != null && this.#view.follow(running.selectedIndex));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.reload());
+    model.addEventListener("change", ({ detail }) => detail === "draft" && !running.hasTwin && this.loadSoon());
   }
 
   toggle() {
@@ -28,64 +27,64 @@ export class Stage {
         try {
           this.#view = new ThreeD($("#solid"));
         } catch {
-          return this.picture();
+          return this.showPreview();
         }
       }
-      this.shown = !this.shown;
-      $("#three-d").setAttribute("aria-pressed", this.shown);
-      $("#solid").hidden = !this.shown;
-      $("#view").style.visibility = this.shown ? "hidden" : "";
-      $("#tools").inert = this.shown || this.running.twin;
-      (this.shown ? $("#solid") : $("#view")).focus({ preventScroll: true });
-      this.#buttons();
-      if (this.shown) await this.load();
+      this.isShown = !this.isShown;
+      $("#three-d").setAttribute("aria-pressed", this.isShown);
+      $("#solid").hidden = !this.isShown;
+      $("#view").style.visibility = this.isShown ? "hidden" : "";
+      $("#tools").inert = this.isShown || this.running.hasTwin;
+      (this.isShown ? $("#solid") : $("#view")).focus({ preventScroll: true });
+      this.#updateButtons();
+      if (this.isShown) await this.load();
     }, "three-d");
   }
 
-  follow() {
-    this.#view?.follow(this.#view.followed === null ? this.running.which : null);
-    this.#buttons();
+  toggleFollow() {
+    this.#view?.follow(this.#view.followedIndex === null ? this.running.selectedIndex : null);
+    this.#updateButtons();
   }
 
   zoom(key) {
-    return this.shown && this.#view.key({ key });
+    return this.isShown && this.#view.handleKey({ key });
   }
 
-  // Loads the scene anew when the drawing has been left alone for a moment.
-  soon() {
-    clearTimeout(this.#waiting);
-    if (this.shown) this.#waiting = setTimeout(() => this.attempt(() => this.load(), "three-d"), 300);
+  // Loads the scene 0.3 s after the last change of the drawing.
+  loadSoon() {
+    clearTimeout(this.#timer);
+    if (this.isShown) this.#timer = setTimeout(() => this.attempt(() => this.load(), "three-d"), 300);
   }
 
   async load() {
-    const asked = ++this.#asked;
-    const { twin } = this.running;
-    if (!twin && this.model.problems.length) return; // which are told; the last scene stays
-    const scene = await post("scene", twin ? {} : { draft: this.model.draft });
-    if (asked === this.#asked) this.#view.load(scene, this.running.travellers, this.model.list("lamp").map(({ power_w, dim = 1 }) => power_w * dim));
-    this.#buttons();
+    const request = ++this.#requestCount;
+    const { hasTwin } = this.running;
+    if (!hasTwin && this.model.problems.length) return; // they are listed; the last scene stays
+    const scene = await post("scene", hasTwin ? {} : { draft: this.model.draft });
+    if (request === this.#requestCount) this.#view.load(scene, this.running.robotPaths, this.model.partsOf("lamp").map(({ power_w, dim = 1 }) => power_w * dim));
+    this.#updateButtons();
   }
 
-  // A twin has started or ended, or the page's colours are others.
-  changed() {
-    if (this.shown) this.attempt(() => this.load(), "three-d");
-    this.#buttons();
+  // Loads the scene of a twin that has started, of the drawing after its end, or in the page's other colours.
+  reload() {
+    if (this.isShown) this.attempt(() => this.load(), "three-d");
+    this.#updateButtons();
   }
 
-  told(message) {
-    if (this.shown) this.#view.picture(message);
+  showPicture(message) {
+    if (this.isShown) this.#view.showPicture(message);
   }
 
-  key(event) {
+  handleKey(event) {
     if (event.ctrlKey || event.metaKey) return false;
     if (event.key === "3") return this.toggle(), true;
-    if (!this.shown) return false;
-    if (event.key === "f") return this.follow(), true;
-    return this.#view.key(event);
+    if (!this.isShown) return false;
+    if (event.key === "f") return this.toggleFollow(), true;
+    return this.#view.handleKey(event);
   }
 
-  #buttons() {
-    $("#follow").hidden = !this.shown || !this.running.twin;
-    $("#follow").setAttribute("aria-pressed", this.#view?.followed != null);
+  #updateButtons() {
+    $("#follow").hidden = !this.isShown || !this.running.hasTwin;
+    $("#follow").setAttribute("aria-pressed", this.#view?.followedIndex != null);
   }
 }

@@ -1,58 +1,58 @@
-// The history of a text: what was typed word by word, and other edits one by one.
+// The history of a text, with undo and redo: typing is undone word by word, other edits one by one.
 
 const LIMIT = 1000; // steps
 
 export class TextHistory {
-  #done = [];
-  #undone = [];
+  #undoSteps = [];
+  #redoSteps = [];
 
   constructor(text) {
     this.text = text;
   }
 
-  // Takes the text after an edit; `kind` is its inputType.
+  // Records the text after an edit; `kind` is the inputType of its event.
   record(text, kind = "") {
-    const step = { ...difference(this.text, text), kind };
+    const step = { ...findDifference(this.text, text), kind };
     if (!step.removed && !step.added) return;
     this.text = text;
-    this.#undone = [];
-    if (!join(this.#done.at(-1), step)) this.#done.push(step);
-    if (this.#done.length > LIMIT) this.#done.shift();
+    this.#redoSteps = [];
+    if (!mergeStep(this.#undoSteps.at(-1), step)) this.#undoSteps.push(step);
+    if (this.#undoSteps.length > LIMIT) this.#undoSteps.shift();
   }
 
-  // Returns where the caret comes, undefined if there is nothing to take back.
+  // Returns the new position of the caret; undefined if there is no step to undo.
   undo() {
-    return this.#go(this.#done, this.#undone, "added", "removed");
+    return this.#apply(this.#undoSteps, this.#redoSteps, "added", "removed");
   }
 
   redo() {
-    return this.#go(this.#undone, this.#done, "removed", "added");
+    return this.#apply(this.#redoSteps, this.#undoSteps, "removed", "added");
   }
 
-  #go(from, to, away, back) {
+  #apply(from, to, oldKey, newKey) {
     const step = from.pop();
     if (!step) return undefined;
-    to.push({ ...step, kind: "" }); // what is typed next is a step of its own
-    this.text = this.text.slice(0, step.at) + step[back] + this.text.slice(step.at + step[away].length);
-    return step.at + step[back].length;
+    to.push({ ...step, kind: "" }); // further typing is another step
+    this.text = this.text.slice(0, step.start) + step[newKey] + this.text.slice(step.start + step[oldKey].length);
+    return step.start + step[newKey].length;
   }
 }
 
-function difference(before, after) {
+function findDifference(before, after) {
   const shorter = Math.min(before.length, after.length);
-  let at = 0;
-  while (at < shorter && before[at] === after[at]) at++;
-  let end = 0;
-  while (end < shorter - at && before.at(-1 - end) === after.at(-1 - end)) end++;
-  return { at, removed: before.slice(at, before.length - end), added: after.slice(at, after.length - end) };
+  let start = 0;
+  while (start < shorter && before[start] === after[start]) start++;
+  let tail = 0; // length of the common end
+  while (tail < shorter - start && before.at(-1 - tail) === after.at(-1 - tail)) tail++;
+  return { start, removed: before.slice(start, before.length - tail), added: after.slice(start, after.length - tail) };
 }
 
-// Adds a step to the last one if it goes on with the same word, or deletes on.
-function join(last, { at, removed, added, kind }) {
+// Adds a step to the last one if it continues the same word or deletion; returns false otherwise.
+function mergeStep(last, { start, removed, added, kind }) {
   if (last?.kind !== kind) return false;
-  if (kind === "insertText" && !removed && at === last.at + last.added.length && !(/\s$/.test(last.added) && /^\S/.test(added))) last.added += added;
-  else if (kind === "deleteContentBackward" && !added && at + removed.length === last.at) Object.assign(last, { at, removed: removed + last.removed });
-  else if (kind === "deleteContentForward" && !added && at === last.at) last.removed += removed;
+  if (kind === "insertText" && !removed && start === last.start + last.added.length && !(/\s$/.test(last.added) && /^\S/.test(added))) last.added += added;
+  else if (kind === "deleteContentBackward" && !added && start + removed.length === last.start) Object.assign(last, { start, removed: removed + last.removed });
+  else if (kind === "deleteContentForward" && !added && start === last.start) last.removed += removed;
   else return false;
   return true;
 }

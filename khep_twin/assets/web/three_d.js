@@ -1,212 +1,169 @@
-// The scene in 3-D: what stands still is one mesh, and each body that moves another; drawn only when it has changed.
+// The scene in 3-D: one mesh of all static shapes and one of each moving body; drawn only after a change.
 
-import { Lit } from "./lit.js";
-import { Shades } from "./shades.js";
-import { merged } from "./solids.js";
+import { GouraudMaterial } from "./lit.js";
+import { FloorShading } from "./shades.js";
+import { mergeShapes } from "./solids.js";
 import * as THREE from "./three.min.js";
 import { OrbitControls } from "./three.min.js";
 
-const TRAIL = 1500; // parts of a path that are kept
-const LINE = 0.1; // distance of the floor's lines [m]
-const REACH = 0.042; // length of a field of view [m], as in the plan
-const JUMP = 0.15;
-const ABOVE = 0.0006; // lines lie above the floor by this [m]
-const SOFT = "SwiftShader|llvmpipe|Software";
-
-const colour = (name) => new THREE.Color(getComputedStyle(document.documentElement).getPropertyValue(name).trim());
-
-// Path of a robot so far: a ring of separate parts, so that its size is fixed.
-class Trail {
-  #parts = 0;
-  #last = null;
-
-  constructor(material) {
-    const geometry = new THREE.BufferGeometry();
-    this.places = new THREE.BufferAttribute(new Float32Array(6 * TRAIL), 3).setUsage(THREE.DynamicDrawUsage);
-    geometry.setAttribute("position", this.places).setDrawRange(0, 0);
-    this.node = Object.assign(new THREE.LineSegments(geometry, material), { frustumCulled: false });
-  }
-
-  add(x, y) {
-    const way = this.#last ? Math.hypot(x - this.#last[0], y - this.#last[1]) : 0;
-    if (this.#last && way < 0.003) return;
-    if (this.#last && way < JUMP) {
-      const at = this.#parts++ % TRAIL;
-      this.places.array.set([...this.#last, ABOVE, x, y, ABOVE], 6 * at);
-      this.places.addUpdateRange(6 * at, 6);
-      this.places.needsUpdate = true;
-      this.node.geometry.setDrawRange(0, 2 * Math.min(this.#parts, TRAIL));
-    }
-    this.#last = [x, y];
-  }
-}
-
-// Fields of view of a robot's sensors, stronger at higher counts.
-function fans({ sensors, sensor_height_mm: height }, material) {
-  const corners = sensors.flatMap(([x, y, heading]) => {
-    const rim = [-20, -7, 7, 20].map((aside) => ((heading + aside) * Math.PI) / 180);
-    const at = rim.map((angle) => [x / 1e3 + REACH * Math.cos(angle), y / 1e3 + REACH * Math.sin(angle), height / 1e3]);
-    return [0, 1, 2].flatMap((part) => [x / 1e3, y / 1e3, height / 1e3, ...at[part], ...at[part + 1]]);
-  });
-  const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
-  const { r, g, b } = colour("--ray");
-  const colours = new THREE.Float32BufferAttribute(corners.length / 3 * 4, 4).setUsage(THREE.DynamicDrawUsage);
-  for (let at = 0; at < colours.count; at++) colours.setXYZW(at, r, g, b, 0.05);
-  return new THREE.Mesh(geometry.setAttribute("color", colours), material);
-}
+const TRAIL_LIMIT = 1500; // line segments of a path
+const GRID = 0.1; // distance of the grid lines [m]
+const FAN_LENGTH = 0.042; // length of a field of view [m], as in the plan
+const JUMP = 0.15; // a longer step is not interpolated [m]
+const LINE_Z = 0.0006; // height of lines above the floor [m]
+const SOFTWARE_RENDERERS = "SwiftShader|llvmpipe|Software";
 
 export class ThreeD {
-  followed = null; // index of the robot that the camera follows
-  #solid = new Lit();
+  followedIndex = null; // index of the robot that the camera follows
+  #solidMaterial = new GouraudMaterial();
   #scene = new THREE.Scene();
-  #still = new THREE.Group();
-  #shades = new Shades();
+  #staticGroup = new THREE.Group();
+  #shading = new FloorShading();
   #bodies = [];
   #lamps = [];
   #robots = [];
-  #from = [];
-  #to = [];
+  #previousPoses = [];
+  #poses = [];
   #frame = 0;
-  #arrived = 0;
-  #gap = 40;
+  #pictureTime = 0;
+  #pictureInterval = 40;
   #extent = new THREE.Box3();
 
   // Throws an error where the browser has no WebGL.
   constructor(canvas) {
     const probe = new OffscreenCanvas(1, 1).getContext("webgl2");
     if (!probe) throw new Error("no WebGL");
-    const named = probe.getExtension("WEBGL_debug_renderer_info");
-    const soft = new RegExp(SOFT).test(named ? probe.getParameter(named.UNMASKED_RENDERER_WEBGL) : "");
+    const debugInfo = probe.getExtension("WEBGL_debug_renderer_info");
+    const isSoftware = new RegExp(SOFTWARE_RENDERERS).test(debugInfo ? probe.getParameter(debugInfo.UNMASKED_RENDERER_WEBGL) : "");
     probe.getExtension("WEBGL_lose_context")?.loseContext();
     this.canvas = canvas;
-    // Smooth edges take too long where a processor draws.
-    const context = canvas.getContext("webgl2", { alpha: false, antialias: !soft, stencil: false });
+    // Antialiasing takes too long without a GPU.
+    const context = canvas.getContext("webgl2", { alpha: false, antialias: !isSoftware, stencil: false });
     this.renderer = new THREE.WebGLRenderer({ canvas, context });
-    this.renderer.setPixelRatio(soft ? 1 : Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(isSoftware ? 1 : Math.min(devicePixelRatio, 2));
     this.camera = new THREE.PerspectiveCamera(40, 1, 0.01, 60);
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
     Object.assign(this.controls, { maxPolarAngle: Math.PI / 2, minDistance: 0.05, maxDistance: 30 });
-    this.controls.addEventListener("change", () => this.draw());
-    this.#scene.add(this.#still, this.#shades.node);
+    this.controls.addEventListener("change", () => this.requestFrame());
+    this.#scene.add(this.#staticGroup, this.#shading.node);
     this.material = {
-      solid: this.#solid,
-      floor: new Lit(this.#solid.uniforms),
+      solid: this.#solidMaterial,
+      floor: new GouraudMaterial(this.#solidMaterial.uniforms),
       lines: new THREE.LineBasicMaterial(),
       trail: new THREE.LineBasicMaterial(),
       fans: new THREE.MeshBasicMaterial({ vertexColors: true, transparent: true, depthWrite: false, side: THREE.DoubleSide }),
     };
-    new ResizeObserver(() => this.#size()).observe(canvas.parentElement);
-    this.#size();
+    new ResizeObserver(() => this.#resize()).observe(canvas.parentElement);
+    this.#resize();
   }
 
-  // Takes a scene in place of the one before; robots are those of a running twin, powers those of the lamps [W].
+  // Replaces the scene; `robots` are those of a running twin with their paths, `powers` those of the lamps [W].
   load(scene, robots, powers) {
-    const before = this.#extent.clone();
+    const previousExtent = this.#extent.clone();
     this.#clear();
-    this.#paint();
+    this.#setColours();
     const floors = scene.shapes.filter(({ kind }) => kind === "plane");
     const lamps = scene.shapes.filter(({ name }) => /^lamp\d+$/.test(name));
-    const rest = scene.shapes.filter((shape) => !floors.includes(shape) && !lamps.includes(shape));
-    const of = (body) => merged(rest.filter((shape) => shape.body === body), scene.meshes);
-    const solid = new THREE.Mesh(of(null), this.material.solid);
-    this.#still.add(solid);
-    for (const floor of floors) this.#floor(floor, scene.meshes);
+    const solids = scene.shapes.filter((shape) => !floors.includes(shape) && !lamps.includes(shape));
+    const mergeBody = (body) => mergeShapes(solids.filter((shape) => shape.body === body), scene.meshes);
+    this.#staticGroup.add(new THREE.Mesh(mergeBody(null), this.material.solid));
+    for (const floor of floors) this.#addFloor(floor, scene.meshes);
     this.#lamps = lamps.map((lamp) => {
-      const bulb = new THREE.Mesh(merged([{ ...lamp, rgba: [1, 1, 1, 1] }], []), new THREE.MeshBasicMaterial());
-      bulb.userData.lit = new THREE.Color().setRGB(...lamp.rgba.slice(0, 3), "srgb");
-      bulb.material.color.copy(bulb.userData.lit);
-      this.#still.add(bulb);
+      const bulb = new THREE.Mesh(mergeShapes([{ ...lamp, rgba: [1, 1, 1, 1] }], []), new THREE.MeshBasicMaterial());
+      bulb.userData.colour = new THREE.Color().setRGB(...lamp.rgba.slice(0, 3), "srgb");
+      bulb.material.color.copy(bulb.userData.colour);
+      this.#staticGroup.add(bulb);
       return bulb;
     });
     this.#bodies = scene.bodies.map((_, index) => {
-      const body = new THREE.Mesh(of(index), this.material.solid);
+      const body = new THREE.Mesh(mergeBody(index), this.material.solid);
       this.#scene.add(body);
       return body;
     });
     this.#robots = robots.map((robot) => {
       const body = this.#bodies[scene.bodies.indexOf(`${robot.name}/base`)];
-      const fan = fans(robot, this.material.fans);
+      const fan = createFans(robot, this.material.fans);
       const trail = new Trail(this.material.trail);
-      for (const [x, y] of robot.places) trail.add(x / 1e3, y / 1e3);
+      for (const [x, y] of robot.path) trail.add(x / 1e3, y / 1e3);
       body.add(fan);
       this.#scene.add(trail.node);
       return { body, fan, trail };
     });
-    if (this.followed !== null && !this.#robots[this.followed]) this.followed = null;
-    this.#to = scene.poses;
-    this.#put(1);
-    this.#shades.load(scene, lamps.map((lamp, index) => ({ ...lamp, lit: this.#lamps[index].userData.lit })), powers);
-    this.#extent.setFromObject(this.#still);
-    this.#solid.light(scene, this.#extent.getCenter(new THREE.Vector3()));
-    if (!this.#extent.equals(before)) this.fit();
+    if (this.followedIndex !== null && !this.#robots[this.followedIndex]) this.followedIndex = null;
+    this.#poses = scene.poses;
+    this.#interpolate(1);
+    this.#shading.load(scene, lamps.map((lamp, index) => ({ ...lamp, colour: this.#lamps[index].userData.colour })), powers);
+    this.#extent.setFromObject(this.#staticGroup);
+    this.#solidMaterial.setLights(scene, this.#extent.getCenter(new THREE.Vector3()));
+    if (!this.#extent.equals(previousExtent)) this.fit();
     this.canvas.dataset.shapes = scene.shapes.length;
-    this.draw();
+    this.requestFrame();
   }
 
-  // Takes the state of a running twin; what has moved goes there until the next one comes.
-  picture({ bodies, robots, lamps }) {
-    if (bodies.length !== this.#bodies.length) return; // of a twin that has just been started
+  // Shows the state of a running twin; bodies move to their new poses until the next state is expected.
+  showPicture({ bodies, robots, lamps }) {
+    if (bodies.length !== this.#bodies.length) return; // its scene is not loaded yet
     const now = performance.now();
-    this.#gap = Math.min(Math.max(now - this.#arrived, 20), 100);
-    this.#arrived = now;
-    this.#from = this.#bodies.map(({ position, quaternion }) => [position.clone(), quaternion.clone()]);
-    this.#to = bodies;
+    this.#pictureInterval = Math.min(Math.max(now - this.#pictureTime, 20), 100);
+    this.#pictureTime = now;
+    this.#previousPoses = this.#bodies.map(({ position, quaternion }) => [position.clone(), quaternion.clone()]);
+    this.#poses = bodies;
     robots.forEach(({ proximity, x_mm, y_mm }, index) => {
       const { fan, trail } = this.#robots[index] ?? {};
       if (!fan) return;
       const colours = fan.geometry.attributes.color;
-      for (let at = 0; at < colours.count; at++) colours.setW(at, 0.05 + (0.6 * proximity[Math.floor(at / 9)]) / 1023);
+      for (let vertex = 0; vertex < colours.count; vertex++) colours.setW(vertex, 0.05 + (0.6 * proximity[Math.floor(vertex / 9)]) / 1023);
       colours.needsUpdate = true;
       trail.add(x_mm / 1e3, y_mm / 1e3);
     });
-    this.#shades.move(bodies);
-    this.#shades.shine(lamps.map(({ power_w }) => power_w));
+    this.#shading.setPoses(bodies);
+    this.#shading.setPowers(lamps.map(({ power_w }) => power_w));
     lamps.forEach(({ power_w }, index) => {
       const bulb = this.#lamps[index];
-      if (bulb) power_w ? bulb.material.color.copy(bulb.userData.lit) : bulb.material.color.setScalar(0.25);
+      if (bulb) power_w ? bulb.material.color.copy(bulb.userData.colour) : bulb.material.color.setScalar(0.25);
     });
-    this.draw();
+    this.requestFrame();
   }
 
-  // Draws the next frame, once however often it is asked for.
-  draw() {
+  // Requests the next frame; several requests draw it once.
+  requestFrame() {
     this.#frame ||= requestAnimationFrame((now) => {
       this.#frame = 0;
       if (!this.canvas.clientWidth) return;
-      const part = Math.min((now - this.#arrived) / this.#gap, 1);
-      this.#put(part);
+      const fraction = Math.min((now - this.#pictureTime) / this.#pictureInterval, 1);
+      this.#interpolate(fraction);
       this.renderer.render(this.#scene, this.camera);
-      requestAnimationFrame((next) => this.#shades.measure(next - now));
-      if (part < 1) this.draw();
+      requestAnimationFrame((nextTime) => this.#shading.measureFrame(nextTime - now));
+      if (fraction < 1) this.requestFrame();
     });
   }
 
   // Shows the whole arena.
   fit() {
-    const [middle, size] = [new THREE.Vector3(), new THREE.Vector3()];
-    this.#extent.getCenter(middle);
+    const [centre, size] = [new THREE.Vector3(), new THREE.Vector3()];
+    this.#extent.getCenter(centre);
     this.#extent.getSize(size);
-    const across = Math.max(size.y, size.x / Math.max(this.camera.aspect, 0.1)) || 1;
-    this.controls.target.copy(middle).setZ(0);
-    this.camera.position.set(middle.x, middle.y - 0.92 * across, 1.25 * across);
+    const height = Math.max(size.y, size.x / Math.max(this.camera.aspect, 0.1)) || 1;
+    this.controls.target.copy(centre).setZ(0);
+    this.camera.position.set(centre.x, centre.y - 0.92 * height, 1.25 * height);
     this.controls.update();
-    this.draw();
+    this.requestFrame();
   }
 
-  // Follows a robot from now on, or with null none.
+  // Follows a robot; with null, none.
   follow(index) {
-    this.followed = this.#robots[index] ? index : null;
-    if (this.followed !== null) this.#aim(this.#robots[index].body.position);
-    this.draw();
+    this.followedIndex = this.#robots[index] ? index : null;
+    if (this.followedIndex !== null) this.#moveTarget(this.#robots[index].body.position);
+    this.requestFrame();
   }
 
-  key({ key, shiftKey }) {
+  handleKey({ key, shiftKey }) {
     const { controls } = this;
-    const way = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[key];
-    if (way && shiftKey) controls.pan(30 * way[0], 30 * way[1]);
-    else if (way?.[0]) controls.rotateLeft(0.1 * way[0]);
-    else if (way) controls.rotateUp(0.1 * way[1]);
+    const direction = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[key];
+    if (direction && shiftKey) controls.pan(30 * direction[0], 30 * direction[1]);
+    else if (direction?.[0]) controls.rotateLeft(0.1 * direction[0]);
+    else if (direction) controls.rotateUp(0.1 * direction[1]);
     else if (key === "+" || key === "=") controls.dollyIn(0.87);
     else if (key === "-") controls.dollyOut(0.87);
     else if (key === "0") this.fit();
@@ -214,23 +171,24 @@ export class ThreeD {
     return true;
   }
 
-  #put(part) {
-    const turned = new THREE.Quaternion();
+  // Places the bodies between their previous poses and the last ones.
+  #interpolate(fraction) {
+    const rotation = new THREE.Quaternion();
     this.#bodies.forEach(({ position, quaternion }, index) => {
-      const [x, y, z, w, i, j, k] = this.#to[index];
-      const from = part < 1 && this.#from[index];
-      turned.set(i, j, k, w);
+      const [x, y, z, w, i, j, k] = this.#poses[index];
+      const previous = fraction < 1 && this.#previousPoses[index];
+      rotation.set(i, j, k, w);
       position.set(x, y, z);
-      quaternion.copy(turned);
-      if (!from || from[0].distanceTo(position) > JUMP) return;
-      position.lerpVectors(from[0], position, part);
-      quaternion.slerpQuaternions(from[1], turned, part);
+      quaternion.copy(rotation);
+      if (!previous || previous[0].distanceTo(position) > JUMP) return;
+      position.lerpVectors(previous[0], position, fraction);
+      quaternion.slerpQuaternions(previous[1], rotation, fraction);
     });
-    if (this.followed !== null) this.#aim(this.#robots[this.followed].body.position);
+    if (this.followedIndex !== null) this.#moveTarget(this.#robots[this.followedIndex].body.position);
   }
 
-  // Moves the camera with what it looks at.
-  #aim({ x, y }) {
+  // Moves the target of the camera, and the camera with it.
+  #moveTarget({ x, y }) {
     const { target } = this.controls;
     const [dx, dy] = [x - target.x, y - target.y];
     if (!dx && !dy) return;
@@ -240,19 +198,19 @@ export class ThreeD {
     this.camera.lookAt(target);
   }
 
-  #floor(floor, meshes) {
+  #addFloor(floor, meshes) {
     const [[x, y], [width, depth]] = [floor.pose, floor.size];
-    this.#still.add(new THREE.Mesh(merged([{ ...floor, rgba: [1, 1, 1, 1] }], meshes), this.material.floor));
+    this.#staticGroup.add(new THREE.Mesh(mergeShapes([{ ...floor, rgba: [1, 1, 1, 1] }], meshes), this.material.floor));
     const corners = [];
-    const lines = (low, high) => Array.from({ length: Math.floor(high / LINE) - Math.ceil(low / LINE) + 1 }, (_, turn) => (Math.ceil(low / LINE) + turn) * LINE);
-    for (const at of lines(x - width, x + width)) corners.push(at, y - depth, ABOVE / 2, at, y + depth, ABOVE / 2);
-    for (const at of lines(y - depth, y + depth)) corners.push(x - width, at, ABOVE / 2, x + width, at, ABOVE / 2);
+    const lines = (low, high) => Array.from({ length: Math.floor(high / GRID) - Math.ceil(low / GRID) + 1 }, (_, index) => (Math.ceil(low / GRID) + index) * GRID);
+    for (const coordinate of lines(x - width, x + width)) corners.push(coordinate, y - depth, LINE_Z / 2, coordinate, y + depth, LINE_Z / 2);
+    for (const coordinate of lines(y - depth, y + depth)) corners.push(x - width, coordinate, LINE_Z / 2, x + width, coordinate, LINE_Z / 2);
     const grid = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
-    this.#still.add(new THREE.LineSegments(grid, this.material.lines));
+    this.#staticGroup.add(new THREE.LineSegments(grid, this.material.lines));
   }
 
   #clear() {
-    const nodes = [...this.#still.children, ...this.#bodies, ...this.#robots.flatMap(({ fan, trail }) => [fan, trail.node])];
+    const nodes = [...this.#staticGroup.children, ...this.#bodies, ...this.#robots.flatMap(({ fan, trail }) => [fan, trail.node])];
     for (const node of nodes) {
       node.geometry?.dispose();
       node.dispose?.();
@@ -261,19 +219,61 @@ export class ThreeD {
     for (const { material } of this.#lamps) material.dispose();
   }
 
-  // Colours of the page, which are others in the dark.
-  #paint() {
-    this.#scene.background = colour("--around");
-    this.material.floor.uniforms.tint.value.copy(colour("--floor"));
-    for (const name of ["lines", "trail"]) this.material[name].color.copy(colour(`--${name}`));
+  // Sets the colours of the page, which differ in dark mode.
+  #setColours() {
+    this.#scene.background = readColour("--around");
+    this.material.floor.uniforms.tint.value.copy(readColour("--floor"));
+    for (const name of ["lines", "trail"]) this.material[name].color.copy(readColour(`--${name}`));
   }
 
-  #size() {
+  #resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (!width || !height) return;
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    this.draw();
+    this.requestFrame();
   }
+}
+
+const readColour = (name) => new THREE.Color(getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+
+// Path of a robot so far: a ring buffer of separate line segments.
+class Trail {
+  #count = 0;
+  #last = null;
+
+  constructor(material) {
+    const geometry = new THREE.BufferGeometry();
+    this.positions = new THREE.BufferAttribute(new Float32Array(6 * TRAIL_LIMIT), 3).setUsage(THREE.DynamicDrawUsage);
+    geometry.setAttribute("position", this.positions).setDrawRange(0, 0);
+    this.node = Object.assign(new THREE.LineSegments(geometry, material), { frustumCulled: false });
+  }
+
+  add(x, y) {
+    const distance = this.#last ? Math.hypot(x - this.#last[0], y - this.#last[1]) : 0;
+    if (this.#last && distance < 0.003) return;
+    if (this.#last && distance < JUMP) {
+      const slot = this.#count++ % TRAIL_LIMIT;
+      this.positions.array.set([...this.#last, LINE_Z, x, y, LINE_Z], 6 * slot);
+      this.positions.addUpdateRange(6 * slot, 6);
+      this.positions.needsUpdate = true;
+      this.node.geometry.setDrawRange(0, 2 * Math.min(this.#count, TRAIL_LIMIT));
+    }
+    this.#last = [x, y];
+  }
+}
+
+// Creates the fields of view of a robot's sensors, which are drawn stronger at higher counts.
+function createFans({ sensors, sensor_height_mm: height }, material) {
+  const corners = sensors.flatMap(([x, y, heading]) => {
+    const angles = [-20, -7, 7, 20].map((offset) => ((heading + offset) * Math.PI) / 180);
+    const rim = angles.map((angle) => [x / 1e3 + FAN_LENGTH * Math.cos(angle), y / 1e3 + FAN_LENGTH * Math.sin(angle), height / 1e3]);
+    return [0, 1, 2].flatMap((triangle) => [x / 1e3, y / 1e3, height / 1e3, ...rim[triangle], ...rim[triangle + 1]]);
+  });
+  const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+  const { r, g, b } = readColour("--ray");
+  const colours = new THREE.Float32BufferAttribute(corners.length / 3 * 4, 4).setUsage(THREE.DynamicDrawUsage);
+  for (let vertex = 0; vertex < colours.count; vertex++) colours.setXYZW(vertex, r, g, b, 0.05);
+  return new THREE.Mesh(geometry.setAttribute("color", colours), material);
 }

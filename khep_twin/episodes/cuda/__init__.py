@@ -1,1 +1,1 @@
-"""Episodes in a plane on an NVIDIA card, one thread for each (extras `cuda12` and `cuda13`)."""
+"""Episodes in a plane on an NVIDIA GPU, one thread per episode (extras `cuda12` and `cuda13`)."""

@@ -93,7 +93,8 @@ class CardBatch(EpisodeBatch):
         shared = () if options.vary else (*arguments[1:6], arguments.tables)
         is_shared = shared and self._shared_arrays and all(map(operator.is_, shared, self._shared_arrays))
         if self._layout is None:
-            self._layout, self._shared_arrays = EpisodeLayout(arguments), shared
+            self._layout = EpisodeLayout(arguments)
+            self._shared_arrays = shared
         if not self._layout.fits(arguments):
             raise PlaypenError(
                 f"{episode.playpen.name}: other numbers of obstacles, or another controller, than in the "
@@ -249,7 +250,8 @@ class _RestoredEpisodes(Sequence[Episode]):
     """
 
     def __init__(self, restore: Callable[[int], Episode], count: int) -> None:
-        self._restore, self._count = restore, count
+        self._restore = restore
+        self._count = count
 
     def __len__(self) -> int:
         return self._count

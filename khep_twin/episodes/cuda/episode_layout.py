@@ -31,7 +31,7 @@ STATE_FIELDS = {
 }
 """Fields of the records of the robot and of the plane that belong to an episode's state."""
 
-_NOT_IN_ROBOTS = frozenset({*STATE_FIELDS["robot"], "sensors.proximity.table", "sensors.proximity.found"})
+_NOT_IN_ROBOTS = frozenset({*STATE_FIELDS["robot"], "sensors.proximity.table", "sensors.proximity.surfaces"})
 _NOT_IN_PLANES = frozenset({*STATE_FIELDS["plane"], *BUFFERS})
 """Fields that the records of constants leave out."""
 
@@ -64,9 +64,9 @@ class EpisodeLayout:
             (name, np.dtype(parts, align=True)) if name in STATE_FIELDS else parts[0]
             for name, parts in fields.items()
         ]
-        surfaces = arguments.robots["sensors"]["proximity"]["found"]
+        surfaces = arguments.robots["sensors"]["proximity"]["surfaces"]
         plane_buffers = np.dtype([(name, plane.robot.dtype[name]) for name in BUFFERS], align=True)
-        proximity = np.dtype([("found", surfaces.dtype, surfaces.shape[1:])])
+        proximity = np.dtype([("surfaces", surfaces.dtype, surfaces.shape[1:])])
         self._n_fixed, self._n_movable = len(plane.order), len(plane.bodies)
         self._shape = _shape_of(arguments)
         self.controllers = controllers

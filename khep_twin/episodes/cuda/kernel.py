@@ -1,8 +1,7 @@
 """The stepping core of episodes in a plane as a CUDA kernel, compiled from the source of the plane.
 
-A thread runs one episode after another. It copies an episode's state to its local memory, runs the episode,
-and copies the state back. The states are the columns of a table of 64-bit words. Constants are shared by all
-episodes, or have a row for each slot.
+A thread runs one episode after another: it copies its state to local memory, runs it, and copies the state
+back. States are columns of a table of 64-bit words. Constants have one row for all slots, or one per slot.
 
 Imported only where numba-cuda is installed.
 """
@@ -230,9 +229,8 @@ def kernel(capacity: int) -> Any:
 def compiling() -> Generator[None]:
     """Compile kernels within this context as on the CPU: no fused multiply-adds, large functions only once.
 
-    A fused multiply-add rounds once where the CPU's code rounds twice. numba-cuda has no option for it, nor
-    for `compilable.ONCE`, so its function that compiles one function is replaced temporarily. numba's warning
-    about small grids is suppressed: few episodes do not fill a GPU.
+    A fused multiply-add rounds once where CPU code rounds twice. As numba-cuda has no option for it, nor
+    for `compilable.ONCE`, its compiler is replaced temporarily. Its warning about small grids is suppressed.
     """
     if SIMULATED:
         yield

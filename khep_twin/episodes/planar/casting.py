@@ -23,7 +23,7 @@ from khep_twin.episodes.planar.plane import (
 )
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import FASTEST, FEW, Triple
+from khep_twin.sensing.scene import COARSE, MAX_SPEED, Triple
 from khep_twin.sensing.seen_surfaces import Chip, add_upright
 
 
@@ -40,7 +40,7 @@ def in_bounds(scene: Plane, limit: float) -> bool:
     square_distance = joints[X] * joints[X] + joints[Y] * joints[Y]
     if not square_distance <= 2 * limit * limit:
         return False
-    return _square(speeds) <= len(speeds) * FASTEST * FASTEST and _square(joints) < math.inf
+    return _square(speeds) <= len(speeds) * MAX_SPEED * MAX_SPEED and _square(joints) < math.inf
 
 
 @compilable
@@ -52,7 +52,7 @@ def _square(numbers: Vector[float]) -> float:
 
 
 @compilable
-def warned(scene: Plane) -> bool:
+def has_warned(scene: Plane) -> bool:
     """Return False, as there are no warnings in a plane."""
     return False
 
@@ -132,7 +132,7 @@ def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, min_
             (near[index, flat.LENGTH], near[index, flat.WIDTH]),
             (near[index, flat.BOTTOM], near[index, flat.TOP]),
         )
-        count = add_upright(proximity.found, count, chip, shape, near[index, flat.REFLECTANCE])
+        count = add_upright(proximity.surfaces, count, chip, shape, near[index, flat.REFLECTANCE])
     return count
 
 
@@ -165,13 +165,13 @@ def _is_faint(distance: float, bound: float, min_light: float) -> bool:
 
 
 @compilable
-def stopped(scene: Plane, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
-    """Return the value of `scene.stopped`."""
+def is_blocked(scene: Plane, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
+    """Return the value of `scene.is_blocked`."""
     return shadows.stopped(scene, position(scene, sensors, channel), way, glass)
 
 
 @compilable
-def blocked(
+def hidden_part(
     scene: Plane,
     sensors: RobotSensors,
     channel: int,
@@ -181,24 +181,14 @@ def blocked(
     way: Triple,
     glass: float,
 ) -> float:
-    """Return the value of `scene.blocked`."""
+    """Return the value of `scene.hidden_part`."""
     n_few, n_points = scene.robot.n_few, len(scene.robot.points)
-    first, last = (0, n_few) if disc == FEW else (n_few, n_points)
+    first, last = (0, n_few) if disc == COARSE else (n_few, n_points)
     return shadows.blocked(scene, position(scene, sensors, channel), first, last, left, up, way, glass)
 
 
-_BODY_QUERIES = (
-    step,
-    in_bounds,
-    warned,
-    pose,
-    joint_position,
-    joint_speed,
-    motor_torque,
-    set_motor,
-    body_frame,
-)
-QUERIES = *_BODY_QUERIES, position, chip, surfaces, stopped, blocked
+_BODY_QUERIES = step, in_bounds, has_warned, pose, joint_position, joint_speed, motor_torque, set_motor
+QUERIES = *_BODY_QUERIES, body_frame, position, chip, surfaces, is_blocked, hidden_part
 """Functions that implement the queries of the same names in `sensing.scene`."""
 
 

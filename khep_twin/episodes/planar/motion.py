@@ -8,7 +8,7 @@ integrator, in substeps of 2.5 ms, of which a step has any number:
 
 T is the gear's dry friction, against the speed; a wheel stands still while the torque that drives it is
 smaller. Without slip or a change of direction of a wheel, translation and rotation are two first-order lags
-in closed form. For wheels of different radii, they are those of the mean radius. All else: `contact_solver`.
+in closed form. Wheels of different radii use the mean radius there. `contact_solver` handles other cases.
 """
 
 import math

@@ -20,7 +20,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION
-from khep_twin.sensing.mujoco_scene import visible
+from khep_twin.sensing.mujoco_scene import visible_geoms
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.fitted_robots import pairs_of
 from khep_twin.simulation.mujoco_forms import movable_names
@@ -60,7 +60,7 @@ class PlanarScene:
         shell = model.geom(f"{_PREFIX}shell")
         low, high = _height_range(model, shell.id)
         self.sensor_height = float(model.cam_pos[indices.cameras[0], 2])
-        fixed = [geom for geom in visible(model) if model.geom_bodyid[geom] == 0]
+        fixed = [geom for geom in visible_geoms(model) if model.geom_bodyid[geom] == 0]
         movable = [model.geom(name).id for name in movable_names(playpen)]
         upright = [*fixed, *movable]
         self.obstacles = np.zeros((len(upright), flat.N_COLUMNS))

@@ -26,9 +26,9 @@ from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.buffers import as_records, view
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Light
-from khep_twin.sensing.mujoco_scene import points_of_a_bulb
+from khep_twin.sensing.mujoco_scene import bulb_points
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.scene import FEW, MANY
+from khep_twin.sensing.scene import COARSE, FINE
 from khep_twin.simulation.fitted_robots import FittedRobots
 from khep_twin.simulation.mujoco_forms import SceneModel, robot_state
 from khep_twin.simulation.simulation import Simulation
@@ -56,12 +56,13 @@ class PlanarForms:
 
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
         self._planar_scene = planar_scene
-        self._entry, self._model = scene_model.playpen.robots[0], scene_model.model
+        self._entry = scene_model.playpen.robots[0]
+        self._model = scene_model.model
         self._calibration = self._drawn_calibration = calibration.read(self._entry.calibration)[0]
         self._fitted: tuple[PlanarScene, FittedRobots, mujoco.MjModel, mujoco.MjData] | None = None
         self._indices = RobotIndices.of(self._model, "khepera0")
         self._lights = LightSource(self._model, self._indices)
-        points = [points_of_a_bulb(disc) for disc in (FEW, MANY)]
+        points = [bulb_points(disc) for disc in (COARSE, FINE)]
         fields: dict[str, Any] = {
             **planar_scene.chassis,
             "mounts": planar_scene.mounts,
@@ -120,7 +121,7 @@ class PlanarForms:
         distances = np.hypot(fixed[:, flat.CENTRE_X] - x, fixed[:, flat.CENTRE_Y] - y)
         self._order[:] = np.argsort(distances - fixed[:, flat.LENGTH], kind="stable")
 
-    def vary(self, spread: Callable[[int], np.random.Generator] | None) -> None:
+    def vary(self, make_rng: Callable[[int], np.random.Generator] | None) -> None:
         """Draw the robot's parameters from its stream; None for those of the playpen."""
         if self._fitted is None:
             model = copy.copy(self._model)
@@ -132,10 +133,10 @@ class PlanarForms:
             )
         scene, fitted, model, data = self._fitted
         self._drawn_calibration = self._calibration
-        if spread is None:
+        if make_rng is None:
             scene = self._planar_scene
         else:
-            self._drawn_calibration = calibration.varied(self._calibration, spread(0))
+            self._drawn_calibration = calibration.vary(self._calibration, make_rng(0))
             fitted.fit([self._drawn_calibration], data)
             scene.fit(model, self._indices, data)
         self._set_sensors(scene)
@@ -146,7 +147,7 @@ class PlanarForms:
         return 1
 
     @property
-    def numbers(self) -> Sequence[int]:
+    def core_robots(self) -> Sequence[int]:
         """Number of the robot."""
         return (0,)
 
@@ -158,7 +159,7 @@ class PlanarForms:
         """Return the lamps with their precomputed lines of sight."""
         return self._lights.light(lamps.positions, lighting)
 
-    def trouble(self, reason: int) -> str:
+    def describe_error(self, reason: int) -> str:
         """Return why the motion cannot continue."""
         return "the motion left its bounds"
 
@@ -210,7 +211,8 @@ class PlanarWorld:
 
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
         self.guard = RLock()
-        self.playpen, self.timing = scene_model.playpen, scene_model.timing
+        self.playpen = scene_model.playpen
+        self.timing = scene_model.timing
         self.forms = PlanarForms(scene_model, planar_scene)
         self.simulation = Simulation(self.forms, self.timing)
 
@@ -252,7 +254,7 @@ class PlanarWorld:
     @one_thread
     def finish_steps(self, reason: int, end_step: int) -> None:
         """Handle a return of the stepping core, and run up to a step, as `World.finish_steps` does."""
-        self.simulation.checked(reason)
+        self.simulation.check_reason(reason)
         self.advance_to(end_step * self.timing.step_ns)
 
     @property

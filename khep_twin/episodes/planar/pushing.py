@@ -3,8 +3,8 @@
 A movable obstacle slides upright. The floor's friction holds it up to a force F and a torque T about its
 centre, which limit each other as in an ellipse: (f / F)^2 + (t / T)^2 <= 1. T is F times the distance of its
 rim or corners from the centre, where MuJoCo has its contacts. Contacts of boxes are at their corners.
-`contact_solver` iterates over these impulses together with those of the robot; during a substep, velocities
-and normals are in the frame of the robot.
+`contact_solver` iterates over these and the robot's impulses. Within a substep, velocities and normals are in
+the robot's frame.
 
 Not modelled: tipping over, so that movable obstacles must be stable; contacts of boxes that cross without a
 corner in each other.

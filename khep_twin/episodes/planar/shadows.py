@@ -94,9 +94,8 @@ def _is_clear(
         along, across = abs(ray_x * c + ray_y * s), abs(ray_y * c - ray_x * s)
         side = half_length * across + width * along + radius * length
         size = half_length * along + width * across + radius * length
-    forward = dx * ray_x + dy * ray_y
-    end = length * (length + radius)
-    return abs(dx * ray_y - dy * ray_x) > side or forward < -size or forward - size > end
+    path = dx * ray_x + dy * ray_y
+    return abs(dx * ray_y - dy * ray_x) > side or path < -size or path - size > length * (length + radius)
 
 
 @compilable

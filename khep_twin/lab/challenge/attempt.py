@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from khep_twin.errors import KhepTwinError, StoppedError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.atomic import write_atomic
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.challenge.challenge import ChallengeFile, load
 from khep_twin.lab.challenge.scoring import Score, is_worth_compiling, score
@@ -272,7 +272,7 @@ def _main(settings: dict[str, Any]) -> None:
             content: dict[str, Any] = {"score": asdict(file_score)}
     except KhepTwinError as error:
         content = {"reason": "; ".join(str(error).splitlines())}
-    write_whole(result, json.dumps(content).encode("utf-8"))
+    write_atomic(result, json.dumps(content).encode("utf-8"))
 
 
 if __name__ == "__main__":

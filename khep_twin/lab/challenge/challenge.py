@@ -186,7 +186,7 @@ def load(name: str) -> ChallengeFile:
     def problem(
         location: tuple[str | int, ...], message: str, expected: str | tuple[object, ...], value: object
     ) -> ChallengeError:
-        line = LineNumbers(text).of(location)
+        line = LineNumbers(text).find(location)
         plain = Problem.of(location, message, expected, value, source)
         return ChallengeError(problems=[Problem(plain.location, plain.text, value, expected, source, line)])
 

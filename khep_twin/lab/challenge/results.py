@@ -8,7 +8,7 @@ from io import StringIO
 from pathlib import Path
 
 from khep_twin.errors import ChallengeError
-from khep_twin.files.text import encodable
+from khep_twin.files.text import escape_surrogates
 from khep_twin.lab.challenge.attempt import REAL_SECONDS, Attempt, score_file
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile
 
@@ -79,8 +79,8 @@ def score_files(
 def rank_attempts(challenge: Challenge, attempts: Iterable[Attempt]) -> list[tuple[int | None, Attempt]]:
     """Return attempts with their ranks, the best first; equal scores share a rank."""
     sign = -1 if challenge.better == "higher" else 1
-    scored = [(sign * one.score.value, one.file, one) for one in attempts if one.score is not None]
-    rest = sorted((one for one in attempts if one.score is None), key=lambda attempt: attempt.file)
+    scored = [(sign * entry.score.value, entry.file, entry) for entry in attempts if entry.score is not None]
+    rest = sorted((entry for entry in attempts if entry.score is None), key=lambda attempt: attempt.file)
     rows = [
         (1 + sum(other < value for other, _, _ in scored), attempt)
         for value, _, attempt in sorted(scored, key=lambda row: row[:2])
@@ -93,10 +93,10 @@ def table(challenge: Challenge, attempts: Sequence[Attempt]) -> str:
     width = max(11, *(len(_name(attempt)) for attempt in attempts))
     head = f"{'rank':>4}  {'participant':{width}}  {'score':>8}  {'passed':6}  note".rstrip()
     lines = [head]
-    for rank, one in rank_attempts(challenge, attempts):
-        value = "" if one.score is None else f"{one.score.value:.4g}"
-        passed_text = _passed_text(challenge, one)
-        row = f"{rank or '-':>4}  {_name(one):{width}}  {value:>8}  {passed_text:6}  {encodable(one.note)}"
+    for rank, entry in rank_attempts(challenge, attempts):
+        value = "" if entry.score is None else f"{entry.score.value:.4g}"
+        verdict, note = _passed_text(challenge, entry), escape_surrogates(entry.note)
+        row = f"{rank or '-':>4}  {_name(entry):{width}}  {value:>8}  {verdict:6}  {note}"
         lines.append(row.rstrip())
     return "\n".join(lines)
 
@@ -112,13 +112,13 @@ def to_csv(challenge: Challenge, attempts: Sequence[Attempt]) -> bytes:
     for rank, attempt in rank_attempts(challenge, attempts):
         score = attempt.score
         value, *of_runs = [""] * (1 + runs) if score is None else [score.value, *score.runs]
-        note = _plain_note(encodable(attempt.note))
+        note = _plain_note(escape_surrogates(attempt.note))
         writer.writerow([rank or "", _name(attempt), value, _passed_text(challenge, attempt), note, *of_runs])
     return text.getvalue().encode("utf-8")
 
 
 def _name(attempt: Attempt) -> str:
-    return encodable(Path(attempt.file).stem)
+    return escape_surrogates(Path(attempt.file).stem)
 
 
 def _passed_text(challenge: Challenge, attempt: Attempt) -> str:

@@ -26,7 +26,7 @@ import numpy as np
 from khep_twin.envs.gymnasium import register
 from khep_twin.envs.tasks import Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
-from khep_twin.files.atomic import free_name, kept_both, resolved
+from khep_twin.files.atomic import free_name, name_taken_message, resolve
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset.episodes import OfflineEpisode
 from khep_twin.signals import clear_at_end
@@ -140,7 +140,7 @@ def _temporary_folder(target: Path, force: bool) -> Generator[Path]:
     new_folders = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
     target.parent.mkdir(parents=True, exist_ok=True)
     # Minari joins relative paths twice.
-    part = Path(mkdtemp(prefix=f".{target.name}.part-", dir=resolved(target.parent)))
+    part = Path(mkdtemp(prefix=f".{target.name}.part-", dir=resolve(target.parent)))
     clear = partial(shutil.rmtree, part, ignore_errors=True)
     unregister = clear_at_end(clear)
     try:
@@ -151,7 +151,7 @@ def _temporary_folder(target: Path, force: bool) -> Generator[Path]:
             os.replace(destination, part / "old")
         os.replace(part / "new", destination)
         if destination != target:
-            raise KhepTwinError(kept_both(target, destination))
+            raise KhepTwinError(name_taken_message(target, destination))
     finally:
         clear()
         unregister()

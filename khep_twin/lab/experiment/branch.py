@@ -1,8 +1,7 @@
 """Branches of a logged run: identical to it up to the branch point, and changed from there.
 
 The new log starts with the parent's messages up to the last snapshot before the branch point. The rest up to
-the branch point is simulated again. The recorded hosts continue, so a branch without a change equals its
-parent.
+the branch point is simulated again. Recorded hosts continue, so a branch without a change equals its parent.
 """
 
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from khep_twin.lab.experiment.controllers import AnyController, as_controller, s
 from khep_twin.lab.experiment.experiment import run
 from khep_twin.lab.experiment.run_statistics import Floats
 from khep_twin.log.recorded import BranchPoint
-from khep_twin.ports.branching import Described, branch_off
+from khep_twin.ports.branching import LogDetails, branch_off
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.replay import Setup
 from khep_twin.ports.resume import ResumedRun, run_end_ns
@@ -88,9 +87,9 @@ def branch(
     else:
         end_ns = run_end_ns(plan.log)
     source = plan.controller and source_of(plan.controller)
-    description = Described(source.facts, source.attachments) if source else Described()
+    description = LogDetails(source.facts, source.attachments) if source else LogDetails()
     is_unchanged = plan.controller is None and not plan.change.text
-    resumed = branch_off(plan.log, plan.change, path, description, on_failure, same=is_unchanged)
+    resumed = branch_off(plan.log, plan.change, path, description, on_failure, is_unchanged=is_unchanged)
     recorder = _PoseRecorder(resumed.twin.world)
     # As for any run that fails, the log is complete up to the error.
     with resumed.twin:
@@ -124,7 +123,7 @@ def _run_controller(
     index = twin.robot.index if plan.robot is None else plan.robot
     if not 0 <= index < len(twin.world.robots):
         raise LogError(f"{plan.log}: robot = {index}; expected 0 to {len(twin.world.robots) - 1}")
-    resumed.hosts.replace(index)
+    resumed.hosts.drop_host(index)
     single_robot_twin = Twin(twin.world, (twin.world.robots[index],), twin.options, resumed.hosts)
     seconds = (
         None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0) or DEFAULT_DURATION_S

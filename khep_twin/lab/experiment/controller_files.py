@@ -14,7 +14,7 @@ from typing import TypeVar
 from khep_twin.episodes.controllers import Braitenberg, Driver, Network
 from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import ControllerError, choices
-from khep_twin.files.atomic import open_regular, resolved
+from khep_twin.files.atomic import open_regular, resolve
 from khep_twin.files.text import check_encoding
 from khep_twin.files.toml_files import names
 from khep_twin.invocation import command
@@ -279,7 +279,7 @@ def _load_module(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     # A program can import modules from its folder, as if Python ran it.
-    folder = str(resolved(path.parent))
+    folder = str(resolve(path.parent))
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:

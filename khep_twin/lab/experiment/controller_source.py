@@ -13,7 +13,7 @@ from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType
 
-from khep_twin.files.text import encodable
+from khep_twin.files.text import escape_surrogates
 from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, definition_of, name_of
 from khep_twin.lab.experiment.periodic_controllers import NetworkController
 
@@ -46,8 +46,7 @@ class Source:
 
     Attributes:
         facts: Name, built-in or FILE.py:FUNCTION without the folder, and the reason if the source is omitted.
-        attachments: Source by the name controller/FILE.py, or a network as controller/FILE.json; empty if
-            omitted.
+        attachments: Source as controller/FILE.py, or network as controller/FILE.json; empty if omitted.
     """
 
     facts: Mapping[str, str]
@@ -67,7 +66,7 @@ def source_of(controller: AnyController) -> Source:
     definition = definition_of(controller)
     file = inspect.getsourcefile(definition) or ""
     # The folder depends on the machine and does not affect the run.
-    name = encodable(Path(file).name)
+    name = escape_surrogates(Path(file).name)
     built_in = next((key for key, function in BUILT_IN.items() if function is controller), None)
     facts = {"controller": built_in or f"{name}:{name_of(controller)}"}
     try:
@@ -85,7 +84,7 @@ def source_of(controller: AnyController) -> Source:
 
 def _network_source(controller: NetworkController) -> Source:
     """Return the name of a network's file, and the network as JSON."""
-    name = encodable(controller.file or "network.npz")
+    name = escape_surrogates(controller.file or "network.npz")
     text = json.dumps(asdict(controller.network))
     facts = {"controller": name, "network": f"sha256 {sha256(text.encode()).hexdigest()}"}
     if len(text) > MAX_BYTES:

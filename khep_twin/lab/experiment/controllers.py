@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
 from khep_twin.errors import ControllerError, KhepTwinError, in_a_line
-from khep_twin.files.atomic import resolved, write_whole
-from khep_twin.files.text import encodable
+from khep_twin.files.atomic import resolve, write_atomic
+from khep_twin.files.text import escape_surrogates
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.users_folder import in_users_folder
 from khep_twin.playpen import Playpen
@@ -85,7 +85,7 @@ class FunctionController(Controller):
 
     def returned(self) -> dict[str, object]:
         """Return the last mapping that the function returned."""
-        return {encodable(str(name)): value for name, value in self._returned.items()}
+        return {escape_surrogates(str(name)): value for name, value in self._returned.items()}
 
 
 class LoopingController(FunctionController):
@@ -181,12 +181,12 @@ def source_file(controller: AnyController | AnyFunction) -> str:
 
 def error_in_file(file: str | Path, error: BaseException, prefix: str = "") -> ControllerError:
     """Return the error of a user's file, with the failing line in it and in a module of the same folder."""
-    file_path = resolved(Path(file))
+    file_path = resolve(Path(file))
     frames = traceback.walk_tb(error.__traceback__)
-    locations = [(resolved(Path(frame.f_code.co_filename)), line) for frame, line in frames]
+    locations = [(resolve(Path(frame.f_code.co_filename)), line) for frame, line in frames]
     is_invalid = isinstance(error, SyntaxError)
     if isinstance(error, SyntaxError) and error.filename and error.lineno is not None:
-        locations.append((resolved(Path(error.filename)), error.lineno))
+        locations.append((resolve(Path(error.filename)), error.lineno))
     lines = [line for location, line in locations if location == file_path]
     line = f":{lines[-1]}" if lines else ""
     neighbours = [location for location in locations if location[0].parent == file_path.parent]
@@ -207,7 +207,7 @@ def copy_variables(controller: Controller) -> dict[str, object]:
         if name.startswith("_"):
             continue
         if isinstance(value, str):
-            copies[name] = encodable(value)
+            copies[name] = escape_surrogates(value)
         elif isinstance(value, bool | int | float):
             copies[name] = _python_number(value)
         elif isinstance(value, np.generic | np.ndarray | list | tuple):
@@ -219,7 +219,7 @@ def copy_variables(controller: Controller) -> dict[str, object]:
 
 def write_template(kind: Literal["controller", "toolbox"], file: Path, replace: bool = False) -> None:
     """Write a commented controller template: a class, or a function in the Khepera Toolbox's form."""
-    write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes(), replace)
+    write_atomic(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes(), replace)
 
 
 def _python_number(value: bool | int | float) -> bool | int | float:

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.drawing.map import STYLE, sheet
+from khep_twin.drawing.map import STYLE, blank_figure
 from khep_twin.drawing.map import draw as draw_map
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.experiment.branch import BranchPlan, Trajectory
@@ -46,7 +46,7 @@ def draw(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence
     n_columns = min(len(names), 2 if len(names) < 5 else 3)
     n_rows = math.ceil(len(names) / n_columns)
     with matplotlib.style.context(STYLE):
-        figure = sheet(_WIDTH * n_columns, _HEIGHT * n_rows + 0.4, "constrained")
+        figure = blank_figure(_WIDTH * n_columns, _HEIGHT * n_rows + 0.4, "constrained")
         panels: list[Axes] = [figure.add_subplot(n_rows, n_columns, n + 1) for n in range(len(names))]
         for axes, name in zip(panels, names, strict=True):
             _draw_column(axes, labels, series, name)

@@ -121,9 +121,8 @@ class _Comparison(Observer):
             parts = (np.array(self._replies.values), world.data.qpos, world.data.qvel, *registers)
             old, new = self._recorded[index], int(hash_samples(*(part.reshape(1, -1) for part in parts))[0])
             if old != new:
-                self.difference = Divergence(
-                    world.time_ns, "/state", f"{old % 2**64:016x}", f"{new % 2**64:016x}"
-                )
+                texts = [f"{state % 2**64:016x}" for state in (old, new)]
+                self.difference = Divergence(world.time_ns, "/state", *texts)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Add bytes to the transcript."""

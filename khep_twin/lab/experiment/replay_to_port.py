@@ -58,8 +58,7 @@ class Comparison:
         letters: Comparisons by the first letter of the replies.
         missing: Number of recorded replies without a counterpart.
         additional: Number of replies without a counterpart in the log.
-        first_difference: First recorded reply that differs or is missing, and its counterpart, empty if
-            missing.
+        first_difference: First recorded reply that differs or is missing, and its counterpart or "".
     """
 
     robot: str
@@ -169,7 +168,7 @@ def _send(
                     port.write(event.data)
                 elif event.kind == HostEventKind.FLUSH:
                     port.reset_output_buffer()
-                elif event.kind == HostEventKind.SET and event.host is not None and event.host.baud:
+                elif event.kind == HostEventKind.LINE_SETTINGS and event.host is not None and event.host.baud:
                     port.baudrate = event.host.baud
                 if progress is not None:
                     progress(min(event.at_ns / end.at_ns, 1.0))
@@ -212,9 +211,9 @@ def _pair(recorded: Sequence[TextLine], replies: Sequence[str]) -> tuple[list[tu
     return pairs, n_additional + len(replies) - position
 
 
-def _index_of_letter(reply: str, others: Sequence[str]) -> int | None:
+def _index_of_letter(reply: str, replies: Sequence[str]) -> int | None:
     """Return the index of the first reply with the same letter, or None."""
-    return next((index for index, other in enumerate(others) if other[:1] == reply[:1]), None)
+    return next((index for index, other in enumerate(replies) if other[:1] == reply[:1]), None)
 
 
 def _subtract(recorded: str, reply: str) -> list[int]:

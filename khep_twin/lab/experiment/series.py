@@ -165,8 +165,7 @@ def run_series(
         source: Source of the robots.
         plan: Number and length of the runs.
         first: Number of the first run, for a resumed series.
-        before_run: Called with the run's number after the pause before each run, e.g. to place a robot by
-            hand.
+        before_run: Called with each run's number before it, after the pause, e.g. to place a robot manually.
         progress: Called after each cycle with the completed share of the series, 0 to 1.
         stop: Called before each cycle; returns whether to stop early. An aborted run is not yielded.
         on_abort: Called with the incomplete run that `stop` aborted.

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from khep_twin.errors import ControllerError
-from khep_twin.files.atomic import read_regular, write_whole
+from khep_twin.files.atomic import read_regular, write_atomic
 from khep_twin.files.mat_file import mat_bytes
 from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
@@ -99,7 +99,7 @@ class SeriesFolder:
                     )
             return False
         self.rows.append(row)
-        write_whole(self._folder / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
+        write_atomic(self._folder / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
         self._write()
         return True
 
@@ -117,9 +117,9 @@ class SeriesFolder:
     def _write(self) -> None:
         """Write series.json, then the tables of the runs."""
         text = json.dumps({"settings": self._settings, "runs": self.rows}, indent=1)
-        write_whole(self._folder / _INDEX, text.encode("utf-8") + b"\n")
+        write_atomic(self._folder / _INDEX, text.encode("utf-8") + b"\n")
         for suffix, data in tables(self.rows).items() if self.rows else ():
-            write_whole(self._folder / f"runs{suffix}", data)
+            write_atomic(self._folder / f"runs{suffix}", data)
 
 
 def read_series(path: StrPath) -> tuple[dict[str, object], list[Row]]:

@@ -64,8 +64,8 @@ class SeriesRun:
         if runs == 1:
             return "\n".join([summary, *metric_lines([self.metrics])])
         names = ("fitness", "distance_m")
-        shown = [f"{name} {self.metrics[name]:.3g}" for name in names if name in self.metrics]
-        return "  ".join([f"run {self.number:3d}", summary, *shown])
+        values = [f"{name} {self.metrics[name]:.3g}" for name in names if name in self.metrics]
+        return "  ".join([f"run {self.number:3d}", summary, *values])
 
 
 def metric_lines(robots: Sequence[Mapping[str, float]]) -> list[str]:

@@ -9,7 +9,7 @@ from typing import NamedTuple, cast, get_args
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.parts import LightingMode
-from khep_twin.playpen.starts import TRIES, extent, free_pose, no_room, own_starts, starts_rng
+from khep_twin.playpen.starts import TRIES, extent, draw_free_pose, find_obstruction, defined_starts, starts_rng
 from khep_twin.renamed import renamed_arguments
 
 LIGHTINGS = (*get_args(LightingMode), "off")
@@ -58,7 +58,7 @@ def starts(words: Sequence[str], playpen: Playpen, robot: int, runs: int, seed: 
     poses: list[StartPose | None] = []
     for word in words:
         if word == "playpen":
-            poses += [StartPose(*start) for start in own_starts(playpen, robot)]
+            poses += [StartPose(*start) for start in defined_starts(playpen, robot)]
         elif word == "random":
             poses.append(None)
         elif word.startswith("grid:"):
@@ -123,7 +123,7 @@ def _parse_pose(word: str, playpen: Playpen, robot: int) -> StartPose:
             "grid:COLUMNSxROWS, random or playpen"
         )
     start = StartPose(*values)
-    if reason := no_room(playpen, robot, start.x_mm, start.y_mm):
+    if reason := find_obstruction(playpen, robot, start.x_mm, start.y_mm):
         raise PlaypenError(f"start {word}: {reason}")
     return start
 
@@ -141,7 +141,7 @@ def _parse_grid(word: str, playpen: Playpen, robot: int) -> list[StartPose]:
     xs = [left + (right - left) * (column + 0.5) / columns for column in range(columns)]
     ys = [low + (high - low) * (row + 0.5) / rows for row in range(rows)]
     positions = [StartPose(x, y, float(parts[3] or 0)) for y in ys for x in xs]
-    free = [start for start in positions if not no_room(playpen, robot, start.x_mm, start.y_mm)]
+    free = [start for start in positions if not find_obstruction(playpen, robot, start.x_mm, start.y_mm)]
     if not free:
         raise PlaypenError(f"start {word}: none of the {len(positions)} places has room for the robot")
     return free
@@ -150,7 +150,7 @@ def _parse_grid(word: str, playpen: Playpen, robot: int) -> list[StartPose]:
 def _random_poses(playpen: Playpen, robot: int, seed: int) -> Iterator[StartPose]:
     rng = starts_rng(seed)
     while True:
-        start = free_pose(playpen, robot, rng)
+        start = draw_free_pose(playpen, robot, rng)
         if start is None:
             raise PlaypenError(f"start random: no room for the robot was found in {TRIES} tries")
         yield StartPose(*start)

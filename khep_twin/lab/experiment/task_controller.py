@@ -82,7 +82,7 @@ class TaskController(PeriodicController):
         for term in self._task.observation_terms:
             if term not in TERM_REQUESTS:
                 raise ControllerError(
-                    f"task {self._task.name}: no robot tells its {term}; expected a task that observes "
+                    f"task {self._task.name}: no robot reports its {term}; expected a task that observes "
                     f"{', '.join(TERM_REQUESTS)} alone"
                 )
         self._name = type(policy).__name__

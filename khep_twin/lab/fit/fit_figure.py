@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from khep_twin.drawing.map import STYLE, sheet
+from khep_twin.drawing.map import STYLE, blank_figure
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.fit.fit_inputs import FitTests, SensorData
 from khep_twin.lab.fit.motor_fit import DutyDrive, simulate
@@ -37,7 +37,7 @@ def draw_fit(tests: FitTests, fit: RobotFit) -> Figure | None:
     if not heights:
         return None
     with matplotlib.style.context(STYLE):
-        figure = sheet(10, sum(heights), "constrained")
+        figure = blank_figure(10, sum(heights), "constrained")
         rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
         parts: list[SubFigure] = rows[:, 0].tolist()
         for part, (kind, runs) in zip(parts, kinds.items(), strict=False):

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin.errors import FitError
-from khep_twin.files.atomic import resolved
+from khep_twin.files.atomic import resolve
 from khep_twin.lab.fit.least_squares import Floats
 from khep_twin.lab.fit.motor_fit import DutyDrive, read_drive
 from khep_twin.lab.fit.placement import Placement, Readings
@@ -126,7 +126,7 @@ def fit_inputs(words: list[str]) -> FitTests:
     """
     tests: dict[Path, Drive | DutyDrive | SensorData] = {}
     for text in words:
-        file = resolved(Path(text.rpartition("=")[0]))
+        file = resolve(Path(text.rpartition("=")[0]))
         if file in tests:
             raise FitError(f"{text}: this file is given twice; expected each test once")
         tests[file] = _read_test(text)

@@ -76,8 +76,8 @@ class DutyDrive:
 
     def delayed(self, shift_ns: int) -> Self:
         """Return the drive with all times shifted [ns]."""
-        sent = tuple((time_ns + shift_ns, text) for time_ns, text in self.requests)
-        return replace(self, sent=sent, times_ns=self.times_ns + shift_ns)
+        requests = tuple((time_ns + shift_ns, text) for time_ns, text in self.requests)
+        return replace(self, requests=requests, times_ns=self.times_ns + shift_ns)
 
     @property
     def times(self) -> Floats:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from khep_twin.errors import FitError
-from khep_twin.files.atomic import read_regular, write_whole
+from khep_twin.files.atomic import read_regular, write_atomic
 from khep_twin.files.text import decode
 from khep_twin.host import Khepera
 from khep_twin.lab.fit.fit_inputs import fit_inputs
@@ -119,4 +119,4 @@ class CalibrationSession:
     def _write(self) -> None:
         """Write the words; the file marks the folder as a session's."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        write_whole(self.folder / TESTS, "".join(f"{word}\n" for word in self.words).encode("utf-8"))
+        write_atomic(self.folder / TESTS, "".join(f"{word}\n" for word in self.words).encode("utf-8"))

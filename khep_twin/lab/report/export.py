@@ -26,7 +26,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.turrets import installed
+from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import LogError, choices
 from khep_twin.files.mat_file import mat_bytes
 from khep_twin.lab.report.table_files import TABLES, Channel, Heading, is_integer, rows_of
@@ -104,7 +104,7 @@ def choose_channels(
     known_names = order_channels({*available})
     if names is None:
         omitted = {"registers", f"{KHEPERA4_PREFIX}registers"}
-        omitted |= {turret.name for turret in installed().values() if turret.image}
+        omitted |= {turret.name for turret in installed_turrets().values() if turret.image}
         names = [name for name in known_names if name not in omitted]
     for name in names:
         if name not in available:

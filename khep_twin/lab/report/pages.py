@@ -16,7 +16,7 @@ import matplotlib.style
 from matplotlib.figure import Figure
 
 from khep_twin.drawing import map as drawing
-from khep_twin.drawing.map import STYLE, sheet
+from khep_twin.drawing.map import STYLE, blank_figure
 from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import (
     EXTRA_HEIGHT,
@@ -133,7 +133,7 @@ def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
 
 def _sheet(draw: Callable[[Figure, _T, tuple[float, float]], None], height: float, subject: _T) -> Figure:
     with matplotlib.style.context(STYLE):
-        figure = sheet(WIDTH, height)
+        figure = blank_figure(WIDTH, height)
         draw(figure, subject, (0.0, 0.0))
     return figure
 

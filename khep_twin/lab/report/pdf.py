@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from khep_twin.drawing import map as drawing
-from khep_twin.drawing.map import METADATA, STYLE, sheet
+from khep_twin.drawing.map import METADATA, STYLE, blank_figure
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import WIDTH
@@ -86,7 +86,7 @@ class _Pages:
     def room(self, height: float) -> float:
         """Reserve a strip on this or a new page; return the position of its lower edge [inch]."""
         if not self.figures or self._free_height < height:
-            self.figures.append(sheet(*_PAGE))
+            self.figures.append(blank_figure(*_PAGE))
             self._free_height = _PAGE[1] - 2 * _END
         self._free_height -= height
         return _END + self._free_height

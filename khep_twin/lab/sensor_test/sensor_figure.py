@@ -22,7 +22,7 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
-from khep_twin.drawing.map import STYLE, sheet
+from khep_twin.drawing.map import STYLE, blank_figure
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
@@ -65,7 +65,7 @@ def draw(
     check(runs, sensor=sensor, y_min=y_min)
     with matplotlib.style.context(STYLE):
         if sensor is not None:
-            figure = sheet(6.4, 4.4)
+            figure = blank_figure(6.4, 4.4)
             axes = figure.add_axes((0.11, 0.12, 0.86, 0.79 if len(runs) == 1 else 0.73))
             _draw_sensor(axes, runs, _names(runs).index(sensor), y_min, grid)
             axes.set_xlabel(_UNITS[runs[0].test.motion])
@@ -158,7 +158,7 @@ def draw_body(axes: Axes) -> None:
 
 
 def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
-    figure = sheet(10.5, 7.6)
+    figure = blank_figure(10.5, 7.6)
     edges = {"left": 0.07, "right": 0.985, "bottom": 0.075, "top": 0.955}
     cells = figure.add_gridspec(3, 4, hspace=0.42, wspace=0.26, **edges)
     for index, name in enumerate(SENSOR_LABELS):
@@ -181,7 +181,7 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
 
 def _draw_images(runs: Sequence[SensorRun]) -> Figure:
     """Draw the line images of each run over its path."""
-    figure = sheet(8.0, 1.0 + 1.9 * len(runs))
+    figure = blank_figure(8.0, 1.0 + 1.9 * len(runs))
     all_axes = [figure.add_subplot(len(runs), 1, row) for row in range(1, len(runs) + 1)]
     for axes, run in zip(all_axes, runs, strict=True):
         x = positions(run)

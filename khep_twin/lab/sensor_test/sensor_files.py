@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from khep_twin import __version__
 from khep_twin.errors import LogError, SensorTestError
-from khep_twin.files.atomic import read_regular, write_whole
+from khep_twin.files.atomic import read_regular, write_atomic
 from khep_twin.files.mat_file import mat_bytes
 from khep_twin.files.paths import StrPath
 from khep_twin.files.text import decode
@@ -53,9 +53,9 @@ def save(path: StrPath, run: SensorRun, replace: bool = True) -> None:
     if not len(run.dv):
         raise SensorTestError(f"{path}: the test has no rows; expected a run with rows")
     if kind == ".csv":
-        write_whole(path, _format_csv(run).encode("utf-8"), replace)
+        write_atomic(path, _format_csv(run).encode("utf-8"), replace)
     elif kind == ".mat":
-        write_whole(path, _format_mat(run), replace)
+        write_atomic(path, _format_mat(run), replace)
     else:
         _write_log(path, run)
 
@@ -213,7 +213,7 @@ def _format_mat(run: SensorRun) -> bytes:
     numbers = {key: float(value) for key, value in settings.items() if key not in ("what", "motion")}
     data = {"dv": run.dv.astype(np.float64), "dlgstr": run.text, "times": run.times.reshape(-1, 1)}
     values: dict[str, object] = {**data, "what": settings["what"], "motion": settings["motion"], **numbers}
-    return mat_bytes(values, "sensor test", packed=False)
+    return mat_bytes(values, "sensor test", compressed=False)
 
 
 def _write_log(path: Path, run: SensorRun) -> None:

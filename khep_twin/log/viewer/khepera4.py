@@ -15,10 +15,10 @@ from khep_twin.khepera4.channels import CODES, LEDS, ULTRASONIC
 from khep_twin.khepera4.ultrasonic import HEADINGS_DEG, HEIGHT, RADIUS
 from khep_twin.log.viewer.arena import in_frame, line_chunks
 from khep_twin.log.viewer.collected import Floats, Samples, time_column
-from khep_twin.sensing.colours import AXES, OF_SENSORS, Colour
+from khep_twin.sensing.colours import ALL_SENSORS, AXES, Colour
 
 CURVES: Mapping[str, tuple[str, Mapping[str, Colour]]] = {
-    "ultrasonic": ("ultrasonic [cm]", {name: OF_SENSORS[name] for name in ULTRASONIC}),
+    "ultrasonic": ("ultrasonic [cm]", {name: ALL_SENSORS[name] for name in ULTRASONIC}),
     "accelerometer": ("accelerometer [1/16384 g]", AXES),
     "gyroscope": ("gyroscope [0.066 deg/s]", AXES),
 }

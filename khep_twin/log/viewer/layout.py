@@ -17,7 +17,7 @@ from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.log.viewer.ghost import FAULT_PATH, RECKONED, RESIDUALS, TRUTH
 from khep_twin.log.viewer.khepera4 import CURVES
 from khep_twin.log.viewer.robot_panel import PanelGeometry, panel, robots_with_images, strip
-from khep_twin.sensing.colours import COLD, OF_SENSORS, SENSORS, WHEELS, Colour
+from khep_twin.sensing.colours import ALL_SENSORS, COLD, SENSORS, WHEELS, Colour
 from khep_twin.units import BODIES, Body
 
 _SETPOINT: Colour = (235, 235, 235)
@@ -175,7 +175,7 @@ def _curves(log: ShownLog) -> list[rrb.Vertical]:
         return _residuals(log, log.label.robots[0])
     views: list[rrb.Vertical] = []
     for robot, body in _bodies(log).items():
-        sensors = {name: OF_SENSORS[name] for name in body.sensors}
+        sensors = {name: ALL_SENSORS[name] for name in body.sensors}
         base = rrb.Vertical(
             _plot(log, robot, "proximity", "proximity [counts]", sensors),
             _plot(log, robot, "ambient", "ambient light [counts, low is bright]", sensors),

@@ -25,7 +25,7 @@ from rerun.chunk import Chunk
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.text import encodable
+from khep_twin.files.text import escape_surrogates
 from khep_twin.invocation import command
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.entries import Entry
@@ -82,7 +82,9 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], notify: Cal
         if stop():
             return
         with open_viewer(str(log.path), web, stop=stop) as viewer:
-            recording = rr.RecordingStream("khep_twin", recording_id=f"{encodable(log.path.stem)} live")
+            recording = rr.RecordingStream(
+                "khep_twin", recording_id=f"{escape_surrogates(log.path.stem)} live"
+            )
             recording.connect_grpc(viewer.address)
             try:
                 follow(log, recording, lambda: stop() or viewer.is_closed(), first_entries)
@@ -119,7 +121,7 @@ def follow(
             messages, first_entries = first_entries or log.read_new(), ()
             if label is None and (label := log.label()) is not None:
                 recording.send_blueprint(layout([ShownLog(label, last_s=LAST_S)]))
-                recording.send_recording_name(f"{encodable(log.path.stem)}, live")
+                recording.send_recording_name(f"{escape_surrogates(log.path.stem)}, live")
                 rr.send_chunks(static_chunks(label), recording=recording)
             if messages and label is not None:
                 static, timed = translator.translate(messages, label)

@@ -20,7 +20,7 @@ from typing import IO, TYPE_CHECKING
 from urllib.parse import quote
 
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import resolved
+from khep_twin.files.atomic import resolve
 from khep_twin.files.drawings import write_drawing
 from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.signals import clear_at_end, undisturbed
@@ -218,7 +218,7 @@ def write_still(recording: Path, at_s: float, target: Path, replace: bool) -> No
 
 def _show(viewer: "rx.ViewerClient", recording: Path, at_s: float) -> None:
     """Open a recording and wait until a time is shown."""
-    viewer.open(str(resolved(recording)))
+    viewer.open(str(resolve(recording)))
     deadline = time.monotonic() + _OPENING_TIMEOUT_S
     while True:
         try:

@@ -21,8 +21,8 @@ from rerun.chunk import Chunk
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import is_same, part_file, resolved
-from khep_twin.files.text import encodable
+from khep_twin.files.atomic import is_same, part_file, resolve
+from khep_twin.files.text import escape_surrogates
 from khep_twin.log.attached import bodies_of, compile_shapes, playpen_of
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.reader import Label, read_end_ns, read_message_batches
@@ -110,9 +110,9 @@ def static_chunks(label: Label) -> list[Chunk]:
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
     """Return the file names without suffix; equal names with their folders, or with numbers."""
-    stems = [encodable(path.stem) for path in paths]
+    stems = [escape_surrogates(path.stem) for path in paths]
     names = [
-        stem if stems.count(stem) == 1 else f"{encodable(resolved(path).parent.name)}/{stem}"
+        stem if stems.count(stem) == 1 else f"{escape_surrogates(resolve(path).parent.name)}/{stem}"
         for path, stem in zip(paths, stems, strict=True)
     ]
     counts: Counter[str] = Counter()
@@ -145,7 +145,7 @@ def _check_and_copy(path: Path, copy: Path, progress: Progress) -> Label:
 def _temporary_recording(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
     """Provide a temporary recording."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-        recording = Path(folder) / f"{encodable(paths[0].stem)}.rrd"
+        recording = Path(folder) / f"{escape_surrogates(paths[0].stem)}.rrd"
         _save(paths, recording, bar)
         yield recording
 

@@ -16,7 +16,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import Chunk
 
-from khep_twin.board.turrets import installed
+from khep_twin.board.turrets import installed_turrets
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.viewer.collected import Floats, Samples, time_column
@@ -175,7 +175,7 @@ def robots_with_images(label: Label) -> list[str]:
     """Return the robots of a log that have a turret with line images; none without a playpen."""
     if "playpen.toml" not in label.attachments:
         return []
-    kinds = installed()
+    kinds = installed_turrets()
     robots = zip(label.robots, playpen_of(label.attachments, "log").robots, strict=False)
     return [
         name for name, robot in robots if any(kinds[kind].image for kind in robot.turrets if kind in kinds)

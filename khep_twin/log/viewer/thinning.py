@@ -26,7 +26,7 @@ _SAMPLE_NS = 20_000_000
 _N_LINES = 2
 """Lines of the transcript per interval of a thinned log: a command and its reply."""
 
-_UNTHINNED_TOPICS = ("/events", *LINE_TOPICS)
+_UNTHINNED = ("/events", *LINE_TOPICS)
 """Topics of which all messages are copied."""
 
 
@@ -97,6 +97,5 @@ class LogCopy:
         """Define the channel of a message; None if it is not shown."""
         if first.definition is None or self._hidden.search(first.topic):
             return None
-        n_times = _N_LINES if first.schema.endswith("/Log") else 1
-        n_times = 0 if first.topic in _UNTHINNED_TOPICS else n_times
+        n_times = 0 if first.topic in _UNTHINNED else (_N_LINES if first.schema.endswith("/Log") else 1)
         return _Channel(self._writer.channel(first.topic, first.schema, first.definition), n_times)

@@ -25,9 +25,9 @@ def test_any_bytes_are_answered(data: bytes) -> None:
 
 def test_the_seeds_are_what_the_transcripts_say(tmp_path: Path) -> None:
     seeds(tmp_path)
-    said = [path.read_bytes() for path in tmp_path.iterdir()]
-    assert len(said) > 80
-    for data in said:
+    reports = [path.read_bytes() for path in tmp_path.iterdir()]
+    assert len(reports) > 80
+    for data in reports:
         check(data)
 
 

@@ -12,9 +12,9 @@ SHARE = {"toml": 500, "mat": 300, "png": 300, "picture": 150, "npz": 300}
 
 @pytest.mark.parametrize("kind", TARGETS)
 def test_a_share_of_the_fuzzing_finds_nothing(kind: str, tmp_path: Path) -> None:
-    done = run_target("fuzz-files", kind, str(SHARE[kind]), folder=tmp_path)
-    assert done.stdout.startswith(f"{kind}: {SHARE[kind]} inputs from 0")
-    assert done.stderr == ""
+    process = run_target("fuzz-files", kind, str(SHARE[kind]), folder=tmp_path)
+    assert process.stdout.startswith(f"{kind}: {SHARE[kind]} inputs from 0")
+    assert process.stderr == ""
 
 
 @pytest.mark.parametrize("kind", TARGETS)

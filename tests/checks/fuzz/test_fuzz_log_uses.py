@@ -34,7 +34,7 @@ def test_each_use_of_the_log_to_begin_with_has_a_result(use: object, tmp_path: P
 
 def test_a_word_of_an_attachment_is_replaced() -> None:
     def text(log: tuple[Record, ...]) -> bytes:
-        return next(each.content for each in log if each.opcode == Opcode.ATTACHMENT)
+        return next(record.content for record in log if record.opcode == Opcode.ATTACHMENT)
 
     changed = changed_text(records()[1], 1, WORDS[0])
     assert b"version = 1\n" in text(records())

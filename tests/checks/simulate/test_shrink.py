@@ -12,8 +12,8 @@ def test_a_failure_without_any_fault_needs_none() -> None:
 
 
 def test_faults_that_matter_together_are_found() -> None:
-    wanted = {FAULTS[3], FAULTS[57], FAULTS[99]}
-    assert set(fewest(FAULTS, wanted.issubset)) == wanted
+    needed_faults = {FAULTS[3], FAULTS[57], FAULTS[99]}
+    assert set(fewest(FAULTS, needed_faults.issubset)) == needed_faults
 
 
 def test_none_of_those_left_can_be_left_out() -> None:

@@ -64,7 +64,7 @@ def test_a_power_cut_loses_only_what_was_not_synchronized() -> None:
 
 def test_names_survive_a_power_cut_in_their_order(tmp_path: Path) -> None:
     """What is renamed last is lost first; after an fsync of the folder, nothing is."""
-    found = set[tuple[str, ...]]()
+    contents = set[tuple[str, ...]]()
     for seed in range(50):
         folder = tmp_path / str(seed)
         folder.mkdir()
@@ -75,8 +75,8 @@ def test_names_survive_a_power_cut_in_their_order(tmp_path: Path) -> None:
             disk.call("rename", folder / name, folder / f"{name}.whole")
         disk.cut()
         assert disk.agrees()
-        found.add(tuple(sorted(each.name for each in folder.iterdir())))
-    assert found == {(), ("one",), ("one.whole",), ("one.whole", "two"), ("one.whole", "two.whole")}
+        contents.add(tuple(sorted(path.name for path in folder.iterdir())))
+    assert contents == {(), ("one",), ("one.whole",), ("one.whole", "two"), ("one.whole", "two.whole")}
 
 
 def test_the_disk_does_what_the_machine_does_with_files_and_their_errors(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from checks.simulate.simulation import Outcome, Simulation, Violation, simulate
 
 
 def test_simulated_time_passes_while_all_wait_and_no_wall_time_does() -> None:
-    seen: list[float] = []
+    times: list[float] = []
 
     def scenario(simulation: Simulation, seconds: float) -> None:
         time = simulation.system.modules["time"]
@@ -18,18 +18,18 @@ def test_simulated_time_passes_while_all_wait_and_no_wall_time_does() -> None:
         def sleeper() -> None:
             for _ in range(3):
                 time.sleep(1000.0)
-                seen.append(time.monotonic())
+                times.append(time.monotonic())
 
         simulation.spawn("sleeper", sleeper)
         simulation.run(seconds)
 
     outcome = simulate("x", scenario, 1, 1e5)
     assert outcome.simulated_ns == 100_000 * NS_PER_S
-    assert [round(each / 1000) for each in seen] == [1, 2, 3]
+    assert [round(time / 1000) for time in times] == [1, 2, 3]
 
 
 def test_a_byte_wakes_who_waits_for_it() -> None:
-    heard: list[bytes] = []
+    messages: list[bytes] = []
 
     def scenario(simulation: Simulation, seconds: float) -> None:
         modules, ends = simulation.system.modules, {}
@@ -38,7 +38,7 @@ def test_a_byte_wakes_who_waits_for_it() -> None:
             ends["reader"], ends["writer"] = modules["os"].pipe()
             ends["file"] = simulation.kernel.current.files[ends["writer"]]
             assert modules["select"].select([ends["reader"]], [], [], None)[0] == [ends["reader"]]
-            heard.append(modules["os"].read(ends["reader"], 10))
+            messages.append(modules["os"].read(ends["reader"], 10))
 
         def writer() -> None:
             modules["time"].sleep(0.5)
@@ -50,24 +50,24 @@ def test_a_byte_wakes_who_waits_for_it() -> None:
         simulation.run(seconds)
 
     simulate("x", scenario, 1, 1.0)
-    assert heard == [b"x"]
+    assert messages == [b"x"]
 
 
 def test_a_killed_process_does_nothing_more_and_leaves_no_descriptor(tmp_path: Path) -> None:
-    kept, log = tmp_path / "kept", list[str]()
+    kept_file, log = tmp_path / "kept", list[str]()
 
     def scenario(simulation: Simulation, seconds: float) -> None:
         modules = simulation.system.modules
 
         def victim() -> None:
             modules["os"].pipe()
-            descriptor = modules["os"].open(kept, os.O_WRONLY | os.O_CREAT)
+            descriptor = modules["os"].open(kept_file, os.O_WRONLY | os.O_CREAT)
             try:
                 modules["time"].sleep(10.0)
             finally:
                 log.append("unwound")
                 with pytest.raises(Killed):
-                    modules["os"].unlink(kept)
+                    modules["os"].unlink(kept_file)
                 with pytest.raises(Killed):
                     modules["os"].write(descriptor, b"x")
 
@@ -80,7 +80,7 @@ def test_a_killed_process_does_nothing_more_and_leaves_no_descriptor(tmp_path: P
 
     simulate("x", scenario, 1, 5.0)
     assert log == ["unwound"]
-    assert kept.read_bytes() == b""
+    assert kept_file.read_bytes() == b""
 
 
 def test_an_error_that_is_not_the_packages_own_is_a_violation() -> None:
@@ -110,19 +110,19 @@ def unlucky(simulation: Simulation, seconds: float) -> None:
 
 def unlucky_seed() -> Outcome:
     """Return the outcome of the first seed under which there are three faults."""
-    return next(found for seed in range(20) if (found := simulate("x", unlucky, seed, 500.0)).violation)
+    return next(outcome for seed in range(20) if (outcome := simulate("x", unlucky, seed, 500.0)).violation)
 
 
 def test_the_same_seed_gives_the_same_outcome_and_its_faults_alone_do_too() -> None:
-    found = unlucky_seed()
-    assert simulate("x", unlucky, found.seed, 500.0) == found
-    assert simulate("x", unlucky, found.seed, 500.0, kept=found.faults) == found
+    outcome = unlucky_seed()
+    assert simulate("x", unlucky, outcome.seed, 500.0) == outcome
+    assert simulate("x", unlucky, outcome.seed, 500.0, kept=outcome.faults) == outcome
 
 
 def test_a_fault_that_is_left_out_does_not_happen() -> None:
-    found = unlucky_seed()
-    other = simulate("x", unlucky, found.seed, 500.0, kept=found.faults[:1])
-    assert other.faults == found.faults[:1]
+    outcome = unlucky_seed()
+    other = simulate("x", unlucky, outcome.seed, 500.0, kept=outcome.faults[:1])
+    assert other.faults == outcome.faults[:1]
     assert other.violation is None
 
 

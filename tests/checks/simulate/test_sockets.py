@@ -21,21 +21,21 @@ def on_the_machine(script: Script) -> list[object]:
 
 
 def simulated(script: Script) -> list[object]:
-    found: list[object] = []
+    results: list[object] = []
 
     def scenario(simulation: Simulation, seconds: float) -> None:
         modules = simulation.system.modules
-        found.clear()
+        results.clear()
         simulation.spawn(
             "host",
-            lambda: found.extend(
+            lambda: results.extend(
                 script(modules["socket"], modules["select"], lambda: modules["time"].sleep(0.05))
             ),
         )
         simulation.run(seconds)
 
     assert simulate("x", scenario, seed=0, seconds=100, kept=()).violation is None
-    return found
+    return results
 
 
 def outcome(call: Callable[[], object]) -> object:
@@ -58,15 +58,15 @@ def bytes_and_their_end(module: Any, select: Any, settle: Any) -> list[object]:
     client.sendall(b"hello")
     client.shutdown(module.SHUT_WR)
     settle()
-    found = [accepted.recv(3), accepted.recv(100), accepted.recv(100), accepted.send(b"bye")]
+    results = [accepted.recv(3), accepted.recv(100), accepted.recv(100), accepted.send(b"bye")]
     settle()
-    found += [client.recv(10), outcome(lambda: client.send(b"x"))]
+    results += [client.recv(10), outcome(lambda: client.send(b"x"))]
     accepted.close()
     settle()
-    found += [client.recv(10)]
+    results += [client.recv(10)]
     client.close()
     server.close()
-    return found
+    return results
 
 
 def no_bytes_yet(module: Any, select: Any, settle: Any) -> list[object]:
@@ -74,14 +74,14 @@ def no_bytes_yet(module: Any, select: Any, settle: Any) -> list[object]:
     accepted.setblocking(False)
     client.settimeout(0.02)
     server.setblocking(False)
-    found = [outcome(lambda: accepted.recv(1)), outcome(lambda: client.recv(1)), outcome(server.accept)]
-    found += [len(each) for each in select.select([accepted, server], [accepted], [], 0)]
+    results = [outcome(lambda: accepted.recv(1)), outcome(lambda: client.recv(1)), outcome(server.accept)]
+    results += [len(ready) for ready in select.select([accepted, server], [accepted], [], 0)]
     client.sendall(b"x")
     settle()
-    found += [len(each) for each in select.select([accepted, server], [accepted], [], 0)]
-    for each in (server, client, accepted):
-        each.close()
-    return [*found, outcome(lambda: client.recv(1))]
+    results += [len(ready) for ready in select.select([accepted, server], [accepted], [], 0)]
+    for endpoint in (server, client, accepted):
+        endpoint.close()
+    return [*results, outcome(lambda: client.recv(1))]
 
 
 def closed_with_bytes_unread(module: Any, select: Any, settle: Any) -> list[object]:
@@ -91,31 +91,31 @@ def closed_with_bytes_unread(module: Any, select: Any, settle: Any) -> list[obje
     settle()
     accepted.close()
     settle()
-    found = [
+    results = [
         outcome(lambda: client.recv(100)),
         outcome(lambda: client.recv(100)),
         outcome(lambda: client.recv(9)),
     ]
-    found += [outcome(lambda: client.send(b"x")), outcome(lambda: client.shutdown(module.SHUT_RDWR))]
+    results += [outcome(lambda: client.send(b"x")), outcome(lambda: client.shutdown(module.SHUT_RDWR))]
     client.close()
     server.close()
-    return found
+    return results
 
 
 def sent_to_a_closed_end(module: Any, select: Any, settle: Any) -> list[object]:
     server, client, accepted = pair(module)
     accepted.close()
     settle()
-    found = [client.send(b"x")]
+    results = [client.send(b"x")]
     settle()
-    found += [
+    results += [
         client.getsockopt(module.SOL_SOCKET, module.SO_ERROR),
         client.recv(10),
         outcome(lambda: client.send(b"y")),
     ]
     client.close()
     server.close()
-    return found
+    return results
 
 
 def lingering_for_no_time(module: Any, select: Any, settle: Any) -> list[object]:
@@ -125,24 +125,24 @@ def lingering_for_no_time(module: Any, select: Any, settle: Any) -> list[object]
     client.setsockopt(module.SOL_SOCKET, module.SO_LINGER, struct.pack("ii", 1, 0))
     client.close()
     settle()
-    found = [accepted.getsockopt(module.SOL_SOCKET, module.SO_ERROR), accepted.recv(10), accepted.recv(10)]
+    results = [accepted.getsockopt(module.SOL_SOCKET, module.SO_ERROR), accepted.recv(10), accepted.recv(10)]
     accepted.close()
     server.close()
-    return found
+    return results
 
 
 def refused(module: Any, select: Any, settle: Any) -> list[object]:
     server = module.create_server(("127.0.0.1", 0))
     address = server.getsockname()[:2]
-    taken = outcome(lambda: module.create_server(address))
+    second_server = outcome(lambda: module.create_server(address))
     server.close()
-    found = [taken, outcome(lambda: module.create_connection(address, timeout=5))]
+    results = [second_server, outcome(lambda: module.create_connection(address, timeout=5))]
     with module.socket(module.AF_INET, module.SOCK_STREAM) as host:
         host.setblocking(False)
-        found += [host.connect_ex(address) in (errno.EINPROGRESS, errno.ECONNREFUSED)]
+        results += [host.connect_ex(address) in (errno.EINPROGRESS, errno.ECONNREFUSED)]
         settle()
-        found += [host.getsockopt(module.SOL_SOCKET, module.SO_ERROR) in (0, errno.ECONNREFUSED)]
-    return found
+        results += [host.getsockopt(module.SOL_SOCKET, module.SO_ERROR) in (0, errno.ECONNREFUSED)]
+    return results
 
 
 def left_before_it_was_accepted(module: Any, select: Any, settle: Any) -> list[object]:
@@ -151,20 +151,20 @@ def left_before_it_was_accepted(module: Any, select: Any, settle: Any) -> list[o
         host.sendall(b"last")
     settle()
     accepted, _ = server.accept()
-    found = [accepted.recv(10), accepted.recv(10)]
+    results = [accepted.recv(10), accepted.recv(10)]
     accepted.close()
     server.close()
-    return found
+    return results
 
 
 def no_room(module: Any, select: Any, settle: Any) -> list[object]:
     server, client, accepted = pair(module)
     client.settimeout(0.1)
-    found = [outcome(lambda: client.sendall(bytes(50_000_000)))]
-    found += [len(each) for each in select.select([], [client], [], 0)]
-    for each in (server, client, accepted):
-        each.close()
-    return found
+    results = [outcome(lambda: client.sendall(bytes(50_000_000)))]
+    results += [len(ready) for ready in select.select([], [client], [], 0)]
+    for endpoint in (server, client, accepted):
+        endpoint.close()
+    return results
 
 
 @pytest.mark.parametrize(
@@ -185,61 +185,61 @@ def test_simulated_sockets_do_what_the_machines_own_do(script: Script) -> None:
 
 
 def test_a_pulled_cable_shows_by_retransmissions_and_a_silent_end_by_keepalive() -> None:
-    found: list[object] = []
+    results: list[object] = []
 
     def scenario(simulation: Simulation, seconds: float) -> None:
         modules, network = simulation.system.modules, simulation.network
 
         def host() -> None:
-            own, sleep = modules["socket"], modules["time"].sleep
-            server, client, accepted = pair(own)
-            server.setsockopt(own.SOL_SOCKET, own.SO_KEEPALIVE, 1)
-            silent = own.create_connection(server.getsockname()[:2])
-            heard, _ = server.accept()
+            simulated_socket, sleep = modules["socket"], modules["time"].sleep
+            server, client, accepted = pair(simulated_socket)
+            server.setsockopt(simulated_socket.SOL_SOCKET, simulated_socket.SO_KEEPALIVE, 1)
+            silent = simulated_socket.create_connection(server.getsockname()[:2])
+            connection, _ = server.accept()
             for name, value in (("KEEPIDLE", 10), ("KEEPINTVL", 5), ("KEEPCNT", 3)):
-                heard.setsockopt(own.IPPROTO_TCP, getattr(own, f"TCP_{name}"), value)
-            for each in (client, silent):
-                network.cut(each._tcp)
+                connection.setsockopt(simulated_socket.IPPROTO_TCP, getattr(simulated_socket, f"TCP_{name}"), value)
+            for endpoint in (client, silent):
+                network.cut(endpoint._tcp)
             accepted.send(b"lost")
             for _ in range(3):
                 sleep(10)
-                found.append(accepted.getsockopt(own.IPPROTO_TCP, own.TCP_INFO, 3)[2])
-                found.append(heard.getsockopt(own.SOL_SOCKET, own.SO_ERROR))
+                results.append(accepted.getsockopt(simulated_socket.IPPROTO_TCP, simulated_socket.TCP_INFO, 3)[2])
+                results.append(connection.getsockopt(simulated_socket.SOL_SOCKET, simulated_socket.SO_ERROR))
 
         simulation.spawn("host", host)
         simulation.run(seconds)
 
     assert simulate("x", scenario, 1, 100, kept=()).violation is None
     # After 0.2, 0.6, 1.4, 3, 6.2, 12.6 and 25.4 s; keepalive after 10 + 3 * 5 s.
-    assert found == [5, 0, 6, 0, 7, errno.ETIMEDOUT]
+    assert results == [5, 0, 6, 0, 7, errno.ETIMEDOUT]
 
 
 def test_a_thread_shares_the_descriptors_of_its_process_and_ends_with_it() -> None:
-    seen: list[object] = []
+    states: list[object] = []
 
     def scenario(simulation: Simulation, seconds: float) -> None:
         modules = simulation.system.modules
 
         def host() -> None:
             _server, client, accepted = pair(modules["socket"])
-            heard = modules["queue"].Queue()
+            messages = modules["queue"].Queue()
 
             def listen() -> None:
                 while data := accepted.recv(10):
-                    heard.put(data)
+                    messages.put(data)
 
             thread = modules["threading"].Thread(target=listen, daemon=True)
             thread.start()
             client.sendall(b"x")
-            seen.append(heard.get(True, 5.0))
+            states.append(messages.get(True, 5.0))
             with pytest.raises(modules["queue"].Empty):
-                heard.get(True, 0.5)
-            seen.append(thread.is_alive())
+                messages.get(True, 0.5)
+            states.append(thread.is_alive())
 
         process = simulation.spawn("host", host)
         simulation.run(seconds)
-        seen.append([each.alive for each in process.threads])
-        seen.append(process.files)
+        states.append([thread.alive for thread in process.threads])
+        states.append(process.files)
 
     assert simulate("x", scenario, 1, NS_PER_S / 1e8, kept=()).violation is None
-    assert seen == [b"x", True, [False], {}]
+    assert states == [b"x", True, [False], {}]

@@ -63,29 +63,29 @@ class Bench:
         for _ in range(STEPS):
             kind = self._rng.choice(kinds)
             try:
-                found = kind()
+                result = kind()
             except (OSError, termios.error) as error:
-                found = type(error), error.args[0]
-            self.results.append((kind.__name__, found))
+                result = type(error), error.args[0]
+            self.results.append((kind.__name__, result))
             self._settle(self._ready)
             self.results.append(self._state())
         assert isinstance(self._events, OpenEvents)
         self.results.append(_merged([*self._events.drain()]))
         self._events.close()
-        for each in [*self._hosts, self._master]:
-            self._os.close(each)
+        for descriptor in [*self._hosts, self._master]:
+            self._os.close(descriptor)
 
     def _ready(self) -> list[int]:
-        return [self._asked(each, termios.FIONREAD) for each in [self._master, *self._hosts[:1]]]
+        return [self._request(descriptor, termios.FIONREAD) for descriptor in [self._master, *self._hosts[:1]]]
 
-    def _asked(self, descriptor: int, request: int) -> int:
+    def _request(self, descriptor: int, request: int) -> int:
         return struct.unpack("i", self._fcntl.ioctl(descriptor, request, bytes(4)))[0]
 
     def _state(self) -> object:
         poll = self._select.poll()
         poll.register(self._master, select.POLLIN)
-        for each in self._hosts:
-            poll.register(each, select.POLLIN)
+        for descriptor in self._hosts:
+            poll.register(descriptor, select.POLLIN)
         ready = self._ready()
         return ready, sorted(state for _, state in poll.poll(0)), len(self._hosts)
 
@@ -130,9 +130,9 @@ class Bench:
         flags[4] = flags[5] = self._rng.choice(_SPEEDS)
         flags[6][termios.VMIN] = self._rng.choice([0, 1])
         self._termios.tcsetattr(descriptor, self._rng.choice([termios.TCSANOW, termios.TCSAFLUSH]), flags)
-        return self._seen(self._master), self._seen(self._host())
+        return self._read_settings(self._master), self._read_settings(self._host())
 
-    def _seen(self, descriptor: int) -> object:
+    def _read_settings(self, descriptor: int) -> object:
         flags = self._termios.tcgetattr(descriptor)
         return flags[2] & _CONTROLS, flags[4:6], flags[6][termios.VMIN]
 
@@ -140,7 +140,7 @@ class Bench:
         descriptor = self._host()
         self._locked = not self._locked
         self._fcntl.ioctl(descriptor, termios.TIOCEXCL if self._locked else termios.TIOCNXCL)
-        return self._asked(descriptor, _TIOCGEXCL)
+        return self._request(descriptor, _TIOCGEXCL)
 
     def _flock(self) -> None:
         operation = self._rng.choice([fcntl.LOCK_EX, fcntl.LOCK_EX, fcntl.LOCK_UN])
@@ -155,7 +155,7 @@ class Bench:
         reader = self._hosts[0] if descriptor == self._master else self._master
         return (
             self._os.write(descriptor, self._rng.randbytes(5000))
-            if not self._asked(reader, termios.FIONREAD)
+            if not self._request(reader, termios.FIONREAD)
             else 0
         )
 
@@ -167,7 +167,7 @@ class Bench:
                 self._fcntl.ioctl(descriptor, request, bytes(4))
             except OSError as error:
                 refused.append(error.errno)
-        return self._asked(descriptor, termios.TIOCOUTQ), refused
+        return self._request(descriptor, termios.TIOCOUTQ), refused
 
 
 def make_raw(module: Any, descriptor: int) -> None:
@@ -185,13 +185,13 @@ def test_random_operations_give_the_same_results_as_on_the_machines_own_terminal
         simulated = _on_the_simulated(seed, arrivals)
         real = _on_the_machine(seed, iter(arrivals))
         first = next(
-            (each for each in enumerate(zip(simulated, real, strict=True)) if each[1][0] != each[1][1]), None
+            (pair for pair in enumerate(zip(simulated, real, strict=True)) if pair[1][0] != pair[1][1]), None
         )
         assert first is None, (seed, first, simulated[max(first[0] - 6, 0) : first[0]])
 
 
 def test_a_full_terminal_takes_no_more() -> None:
-    taken: list[int] = []
+    descriptors: list[int] = []
 
     def fill(modules: dict[str, Any]) -> None:
         os_ = modules["os"]
@@ -204,14 +204,14 @@ def test_a_full_terminal_takes_no_more() -> None:
                 count += os_.write(master, b"12345678")
             except BlockingIOError:
                 break
-        taken.append(count)
+        descriptors.append(count)
         os_.close(host)
         os_.close(master)
 
     fill({"os": os, "termios": termios})
     _in_a_simulation(0, fill)
-    assert 13_000 < taken[0] < 21_000
-    assert taken[1] == CAPACITY
+    assert 13_000 < descriptors[0] < 21_000
+    assert descriptors[1] == CAPACITY
 
 
 def test_a_simulation_is_the_same_each_time() -> None:
@@ -221,8 +221,8 @@ def test_a_simulation_is_the_same_each_time() -> None:
 def _on_the_machine(seed: int, arrivals: Any) -> list[object]:
     def settle(ready: Callable[[], list[int]]) -> None:
         expected, end = next(arrivals), time.monotonic() + LONGEST_S
-        while (found := ready()) != expected:
-            assert time.monotonic() < end, (seed, bench.results[-2:], found, expected)
+        while (ready_events := ready()) != expected:
+            assert time.monotonic() < end, (seed, bench.results[-2:], ready_events, expected)
 
     modules: dict[str, ModuleType] = {"os": os, "select": select, "termios": termios, "fcntl": fcntl}
     bench = Bench(modules, seed, settle)
@@ -258,5 +258,5 @@ def _in_a_simulation(seed: int, work: Callable[[dict[str, Any]], None]) -> None:
 
 def _merged(events: list[Event]) -> list[Event]:
     """Return events with one write for each run of writes: others' terminals may stand between them."""
-    kept = [second for first, second in pairwise([None, *events]) if not first is second is Event.WRITTEN]
-    return [each for each in kept if each is not None]
+    distinct = [second for first, second in pairwise([None, *events]) if not first is second is Event.WRITTEN]
+    return [event for event in distinct if event is not None]

@@ -1,4 +1,4 @@
-"""Challenges that ship, their scores, and files that fail in every way."""
+"""Shipped challenges, their scores, and files that fail in many ways."""
 
 import csv
 import json
@@ -44,7 +44,7 @@ def controller(robot):
     robot.proximity()
 """
 
-# A file, and the beginning of what is said of it.
+# A file, and the start of its error message.
 BROKEN = {
     "syntax": ("def controller(robot)\n    pass\n", "syntax.py:1: SyntaxError: expected ':'"),
     "exits": ("import sys\nsys.exit(3)\n", "exits.py:2: SystemExit: 3"),
@@ -132,10 +132,10 @@ def test_runs_are_independent_of_each_other_in_modules_and_metrics(short: Path, 
 
 
 def test_a_file_name_that_is_no_utf_8_has_its_row(short: Path) -> None:
-    found = [Attempt("ren\udce9.py", None, "ren\udce9.py: ended", 0, "")]
+    attempts = [Attempt("ren\udce9.py", None, "ren\udce9.py: ended", 0, "")]
     challenge = load(str(short)).challenge
-    assert b"ren\\udce9" in to_csv(challenge, found)
-    table(challenge, found).encode("utf-8")
+    assert b"ren\\udce9" in to_csv(challenge, attempts)
+    table(challenge, attempts).encode("utf-8")
 
 
 # A quarter turn to one side at the end of a stem.
@@ -159,9 +159,9 @@ def controller(robot):
 """
 
 
-def long_but(*kept: str) -> list[Any]:
-    """The names of all challenges, of which the suite takes a few."""
-    return [pytest.param(name, marks=() if name in kept else pytest.mark.long) for name in names()]
+def long_but(*short_names: str) -> list[Any]:
+    """The names of all challenges; the suite runs only some of them."""
+    return [pytest.param(name, marks=() if name in short_names else pytest.mark.long) for name in names()]
 
 
 @pytest.mark.parametrize("name", long_but("stop", "square"))
@@ -173,11 +173,11 @@ def test_a_shipped_challenge_has_a_solution_that_passes_with_its_score(
     assert challenge.name == name
     with monkeypatch.context() as patch:
         patch.setattr(sys, "path", [*sys.path])
-        found = score(file, str(file.solution), challenge.runs, challenge.seed)
-    assert challenge.passes(found.value)
+        solution_score = score(file, str(file.solution), challenge.runs, challenge.seed)
+    assert challenge.passes(solution_score.value)
     assert challenge.reference is not None
     if tutorial.same_numbers():
-        assert f"{found.value:.4g}" == f"{challenge.reference:.4g}"
+        assert f"{solution_score.value:.4g}" == f"{challenge.reference:.4g}"
 
 
 @pytest.mark.parametrize("name", names())
@@ -192,8 +192,8 @@ def test_a_shipped_challenge_has_a_small_picture(name: str) -> None:
 def test_a_robot_that_stands_does_not_pass_a_challenge(name: str, tmp_path: Path) -> None:
     (tmp_path / "stands.py").write_text("def controller(robot):\n    robot.sleep(1)\n")
     file = load(name)
-    found = score(file, str(tmp_path / "stands.py"), 1, file.challenge.seed)
-    assert file.challenge.passes(found.value) is False
+    file_score = score(file, str(tmp_path / "stands.py"), 1, file.challenge.seed)
+    assert file.challenge.passes(file_score.value) is False
 
 
 @pytest.mark.long
@@ -203,9 +203,11 @@ def test_in_the_maze_a_program_that_turns_to_one_side_finds_the_goal_in_half_of_
 ) -> None:
     (tmp_path / "turns.py").write_text(TURNS.format(angle=angle))
     file = load("maze")
-    found = score(file, str(tmp_path / "turns.py"), file.challenge.runs, file.challenge.seed)
-    assert tuple(run for run, value in enumerate(found.runs) if value < file.challenge.seconds) == found_in
-    assert file.challenge.passes(found.value) is False
+    file_score = score(file, str(tmp_path / "turns.py"), file.challenge.runs, file.challenge.seed)
+    assert (
+        tuple(run for run, value in enumerate(file_score.runs) if value < file.challenge.seconds) == found_in
+    )
+    assert file.challenge.passes(file_score.value) is False
 
 
 @pytest.mark.long
@@ -216,14 +218,14 @@ def test_tables_made_by_one_and_by_two_processes_are_the_same_bytes(
     folder.mkdir()
     for number in range(2):  # the first one ends last
         (folder / f"p{number}.py").write_text(f"import time\ntime.sleep({0.4 * (1 - number)})\n{CHANCE}")
-    made: list[tuple[str, str]] = []
+    outputs: list[tuple[str, str]] = []
     for jobs in (1, 2):
         monkeypatch.setenv("PYTHONHASHSEED", str(jobs))
         output = tmp_path / f"{jobs}.csv"
-        shown = good("challenge", "table", short, folder, "--jobs", jobs, "-o", output)
-        made.append((shown.partition("\ntable ")[0], output.read_text()))
-    assert made[0] == made[1]
-    row, _ = csv.DictReader(made[0][1].splitlines())
+        output_text = good("challenge", "table", short, folder, "--jobs", jobs, "-o", output)
+        outputs.append((output_text.partition("\ntable ")[0], output.read_text()))
+    assert outputs[0] == outputs[1]
+    row, _ = csv.DictReader(outputs[0][1].splitlines())
     assert float(row["run_1"]) != float(row["run_2"])
     assert float(row["score"]) == (float(row["run_1"]) + float(row["run_2"])) / 2
 
@@ -256,7 +258,7 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
     folder.mkdir()
     for name, text in {**{name: BROKEN[name][0] for name in broken}, **SCORED}.items():
         (folder / f"{name}.py").write_text(text)
-    shown = good("challenge", "table", short, folder, "-o", tmp_path / "class.csv")
+    output = good("challenge", "table", short, folder, "-o", tmp_path / "class.csv")
     rows = {
         row["participant"]: row for row in csv.DictReader((tmp_path / "class.csv").read_text().splitlines())
     }
@@ -266,7 +268,7 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
         assert rows[name]["note"].startswith(f"{folder}/{BROKEN[name][1]}")
         assert (rows[name]["rank"], rows[name]["score"]) == ("", "")
     assert rows["prints"]["note"].endswith("lines, the last: [31mhello")
-    assert len(shown.splitlines()) == len(rows) + 2
+    assert len(output.splitlines()) == len(rows) + 2
 
 
 @pytest.mark.parametrize(
@@ -282,9 +284,9 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
 )
 def test_a_file_that_hangs_is_ended_and_has_a_line(short: Path, tmp_path: Path, text: str) -> None:
     (tmp_path / "hangs.py").write_text(text)
-    found = score_file(load(str(short)), str(tmp_path / "hangs.py"), real_seconds=1)
-    assert found.score is None
-    assert "hangs.py: not finished after 1 s of real time; expected cycles that end" in found.reason
+    attempt = score_file(load(str(short)), str(tmp_path / "hangs.py"), real_seconds=1)
+    assert attempt.score is None
+    assert "hangs.py: not finished after 1 s of real time; expected cycles that end" in attempt.reason
 
 
 def test_what_a_file_starts_is_ended_with_it(short: Path, tmp_path: Path) -> None:
@@ -305,37 +307,39 @@ def test_what_a_file_starts_is_ended_with_it(short: Path, tmp_path: Path) -> Non
 def test_a_table_that_is_stopped_has_the_rows_that_are_done(
     short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(file: object, files: list[Path], *, done: Callable[[Attempt, float], None], **_: Any) -> None:
-        done(Attempt(str(files[0]), Score(0.5, (0.5,))), 0.5)
+    def stopped(
+        file: object, files: list[Path], *, on_result: Callable[[Attempt, float], None], **_: Any
+    ) -> None:
+        on_result(Attempt(str(files[0]), Score(0.5, (0.5,))), 0.5)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(results, "attempts", stopped)
+    monkeypatch.setattr(results, "score_files", stopped)
     for name in ("one", "two"):
         (tmp_path / f"{name}.py").touch()
-    shown = khep_twin("challenge", "table", short, tmp_path, "-o", tmp_path / "class.csv")
-    assert shown.returncode == 130
-    assert "one" in shown.stdout
+    completed = khep_twin("challenge", "table", short, tmp_path, "-o", tmp_path / "class.csv")
+    assert completed.returncode == 130
+    assert "one" in completed.stdout
     assert "one,0.5,yes" in (tmp_path / "class.csv").read_text()
 
 
 def test_no_more_is_shown_of_what_a_file_prints_than_a_terminal_takes(short: Path, tmp_path: Path) -> None:
     (tmp_path / "prints.py").write_text("print('x' * 1_000_000)\n" + SCORED["returns"])
-    done = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
-    assert done.returncode == 0
-    assert done.stdout.count("x") == 200_000
-    assert done.stderr == "khep-twin: 800001 more bytes that it printed are not shown\n"
+    completed = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
+    assert completed.returncode == 0
+    assert completed.stdout.count("x") == 200_000
+    assert completed.stderr == "khep-twin: 800001 more bytes that it printed are not shown\n"
 
 
 def test_run_prints_score_and_result_and_keeps_a_log(short: Path, tmp_path: Path) -> None:
     (tmp_path / "returns.py").write_text(SCORED["returns"])
     log = tmp_path / "run.mcap"
-    shown = good("challenge", "run", short, tmp_path / "returns.py", "--runs", 1, "--log", log)
-    assert shown.splitlines()[1].startswith("passed     at least 0.05 m")
+    output = good("challenge", "run", short, tmp_path / "returns.py", "--runs", 1, "--log", log)
+    assert output.splitlines()[1].startswith("passed     at least 0.05 m")
     assert good("repeat", log).startswith("identical: 2.")
     (tmp_path / "prints.py").write_text(SCORED["prints"])
-    done = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
-    assert done.returncode == 4
-    assert "failed     at least 0.05 m" in done.stdout
+    completed = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
+    assert completed.returncode == 4
+    assert "failed     at least 0.05 m" in completed.stdout
 
 
 def test_what_a_file_prints_is_shown_as_it_is_and_ends_its_line(short: Path, tmp_path: Path) -> None:
@@ -343,18 +347,18 @@ def test_what_a_file_prints_is_shown_as_it_is_and_ends_its_line(short: Path, tmp
         "printed = []\n\n\ndef controller(robot):\n    robot.set_speed(5, 5)\n    if not printed:\n"
         "        printed.append(print('x' + 99_999 * 'é', end=''))\n"
     )
-    done = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
-    printed, score, *_ = done.stdout.splitlines()
+    completed = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
+    printed, score, *_ = completed.stdout.splitlines()
     assert printed == "x" + 99_999 * "é"
     assert score.startswith("score ")
 
 
 def test_a_challenge_without_a_reference_solution_says_so(short: Path) -> None:
-    done = khep_twin("challenge", "run", short)
-    assert done.returncode == 2
+    completed = khep_twin("challenge", "run", short)
+    assert completed.returncode == 2
     solution = short.with_suffix(".py")
-    wanted = f"{short}: has no reference solution {solution}; expected a FILE.py to score"
-    assert done.stderr == f"khep-twin: {wanted}\n"
+    expected = f"{short}: has no reference solution {solution}; expected a FILE.py to score"
+    assert completed.stderr == f"khep-twin: {expected}\n"
 
 
 def test_penalties_and_goals_make_the_score(short: Path, tmp_path: Path) -> None:
@@ -363,10 +367,10 @@ def test_penalties_and_goals_make_the_score(short: Path, tmp_path: Path) -> None
     text = SHORT.replace('"distance_m"', '"goal_s"').replace("higher", "lower")
     short.write_text(text.replace("seconds = 2", "seconds = 9") + goal + penalty)
     (tmp_path / "ahead.py").write_text(SCORED["returns"])
-    found = score(load(str(short)), str(tmp_path / "ahead.py"), 1, 1)
-    assert found.metrics["collisions"] == 1
-    assert 0.5 < found.metrics["goal_s"] < 0.8  # 45 mm at 80 mm/s
-    assert found.value == found.metrics["goal_s"] + 2
+    file_score = score(load(str(short)), str(tmp_path / "ahead.py"), 1, 1)
+    assert file_score.metrics["collisions"] == 1
+    assert 0.5 < file_score.metrics["goal_s"] < 0.8  # 45 mm at 80 mm/s
+    assert file_score.value == file_score.metrics["goal_s"] + 2
 
 
 def test_a_run_that_begins_with_a_lamp_without_a_goal_has_no_score(tmp_path: Path) -> None:
@@ -423,7 +427,7 @@ def test_list_and_show_describe_the_shipped_challenges(tmp_path: Path) -> None:
     listed = khep_twin("challenge", "list").stdout.splitlines()
     assert [line.split()[0] for line in listed] == names()
     assert len(names()) >= 5
-    shown = khep_twin("challenge", "show", "square", "--picture", tmp_path / "square.png").stdout
-    assert "goal       within 15 mm of (300, 400)" in shown
+    output = khep_twin("challenge", "show", "square", "--picture", tmp_path / "square.png").stdout
+    assert "goal       within 15 mm of (300, 400)" in output
     assert (tmp_path / "square.png").read_bytes() == load("square").picture.read_bytes()
     assert json.dumps(load("square").challenge.model_dump())

@@ -122,8 +122,8 @@ def receive_by(twin: Twin, answer: Callable[[Receive, bytes], bytes]) -> None:
 
 def think(twin: Twin, delay_ns: Callable[[bytes], int]) -> None:
     """Delay each reply by a time that depends on it [ns]."""
-    send = twin.robot.uart.tx.put
-    twin.robot.uart.tx.put = (  # type: ignore[method-assign]
+    send = twin.robot.uart.tx.send
+    twin.robot.uart.tx.send = (  # type: ignore[method-assign]
         lambda data, time_ns: send(data, time_ns + delay_ns(data))
     )
 
@@ -136,13 +136,13 @@ def late(twin: Twin) -> None:
 def slow_line(twin: Twin) -> None:
     """Sends at a quarter of the line's speed."""
     tx = twin.robot.uart.tx
-    send = tx.put
+    send = tx.send
 
     def put_slowly(data: bytes, time_ns: int) -> int:
         tx.baud = 2400
         return send(data, time_ns)
 
-    tx.put = put_slowly  # type: ignore[method-assign]
+    tx.send = put_slowly  # type: ignore[method-assign]
 
 
 def deaf_to_cr(twin: Twin) -> None:

@@ -1,4 +1,4 @@
-"""Branches: a logged run is resumed at a moment, and is its parent's up to there."""
+"""Branches: a logged run is resumed at a branch point and equals its parent up to there."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ ARENA = Path("khep_twin/assets/playpens/obstacles.toml")
 
 @pytest.fixture(scope="module")
 def parent(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log of 13 seconds of a Braitenberg vehicle among things that can be pushed."""
+    """A log of 13 seconds of a Braitenberg vehicle among movable blocks."""
     folder = tmp_path_factory.mktemp("logs")
     arena = folder / "arena.toml"
     loose = "x_mm = 400\ny_mm = 510\nlength_mm = 30\nwidth_mm = 30\nheight_mm = 30\nmovable = true\n"
@@ -47,7 +47,7 @@ def parent(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return log
 
 
-def made(parent: Path, tmp_path: Path, **changes: object) -> Path:
+def branch_at(parent: Path, tmp_path: Path, **changes: object) -> Path:
     path = tmp_path / "new.mcap"
     branch(BranchPlan(parent, BranchPoint(AT_NS, **changes)), path)  # type: ignore[arg-type]
     return path
@@ -59,14 +59,16 @@ def test_a_share_of_the_search_finds_nothing(number: int, tmp_path: Path) -> Non
 
 
 def test_a_log_has_a_snapshot_every_ten_seconds_and_at_the_end(parent: Path) -> None:
-    found = [(time_ns, data) for topic, time_ns, data in messages(parent) if topic == "/snapshot"]
-    assert [time_ns for time_ns, _ in found] == [10 * SECOND, run_end_ns(parent)]
-    assert [read_snapshot(data, None).world.time_ns for _, data in found] == [time for time, _ in found]
-    assert all(len(data) < 4000 for _, data in found)
+    snapshots = [(time_ns, data) for topic, time_ns, data in messages(parent) if topic == "/snapshot"]
+    assert [time_ns for time_ns, _ in snapshots] == [10 * SECOND, run_end_ns(parent)]
+    assert [read_snapshot(data, None).world.time_ns for _, data in snapshots] == [
+        time for time, _ in snapshots
+    ]
+    assert all(len(data) < 4000 for _, data in snapshots)
 
 
 def test_without_a_change_the_parents_run_goes_on(parent: Path, tmp_path: Path) -> None:
-    path = made(parent, tmp_path)
+    path = branch_at(parent, tmp_path)
     assert messages(path) == messages(parent)
     label = read_label(path)
     assert label.metadata["parent"] == "run.mcap"
@@ -97,7 +99,7 @@ def test_without_a_change_the_parents_run_goes_on(parent: Path, tmp_path: Path) 
 def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(
     parent: Path, tmp_path: Path, changes: dict[str, object]
 ) -> None:
-    path = made(parent, tmp_path, **changes)
+    path = branch_at(parent, tmp_path, **changes)
     assert before(path, AT_NS) == before(parent, AT_NS)
     assert messages(path) != messages(parent)
     assert run_end_ns(path) == run_end_ns(parent)
@@ -146,8 +148,8 @@ def test_a_controller_takes_over_and_a_branch_has_branches(parent: Path, tmp_pat
 
 def test_a_log_without_snapshots_is_run_again_from_its_start(parent: Path, tmp_path: Path) -> None:
     old = rewritten(parent, tmp_path / "old.mcap", rename=lambda topic: topic.replace("/snapshot", "/other"))
-    resumed, known = resume_run(old, AT_NS), resume_run(parent, AT_NS)
-    assert resumed.twin.world.snapshot() == known.twin.world.snapshot()
+    resumed, restored = resume_run(old, AT_NS), resume_run(parent, AT_NS)
+    assert resumed.twin.world.snapshot() == restored.twin.world.snapshot()
 
 
 @pytest.mark.parametrize(
@@ -167,7 +169,7 @@ def test_a_change_that_cannot_be_made_is_one_line_and_leaves_no_log(
     parent: Path, tmp_path: Path, changes: dict[str, object], line: str
 ) -> None:
     with pytest.raises(PlaypenError if "surface" in line else KhepTwinError, match=line) as error:
-        made(parent, tmp_path, **changes)
+        branch_at(parent, tmp_path, **changes)
     assert len(str(error.value).splitlines()) == 1
     assert not list(tmp_path.iterdir())
 
@@ -178,7 +180,7 @@ def test_a_moment_outside_the_run_and_a_damaged_snapshot_are_one_line(parent: Pa
             branch(BranchPlan(parent, BranchPoint(at_ns)), tmp_path / "new.mcap")
     with open_twin("default", TwinOptions()) as twin:
         twin.record(tmp_path / "begun.mcap")
-    with pytest.raises(LogError, match="the run ends at 0 s; expected one that lasts longer"):
+    with pytest.raises(LogError, match="the run ends at 0 s; expected a longer run"):
         branch(BranchPlan(tmp_path / "begun.mcap", BranchPoint(AT_NS)), tmp_path / "new.mcap")
     with pytest.raises(LogError, match="this is the log that is resumed"):
         branch(BranchPlan(parent, BranchPoint(AT_NS)), parent)
@@ -212,7 +214,7 @@ def test_a_host_goes_on_from_a_log_and_its_log_is_a_branch(parent: Path, tmp_pat
         assert port.read_until(b"ROM") == b"ROM"  # it is due at once
         assert port.time_ns < 11_560_000_000
     for url, line in (
-        (f"khep://{parent}?at=11&noise=off", "noise is the log's own"),
+        (f"khep://{parent}?at=11&noise=off", "noise is set by the log"),
         (f"khep://{parent}?at=11&robot=2", "robot = 2: not in"),
         (f"khep://{parent}?at=soon", "expected a moment of the log's run in seconds"),
         ("khep://default?at=3", "at = 3 is for a log"),
@@ -252,13 +254,13 @@ def test_a_served_log_goes_on(parent: Path, tmp_path: Path) -> None:
 
 def test_the_command_writes_a_log_each_and_draws_their_fan(parent: Path, tmp_path: Path) -> None:
     words = ("branch", parent, "--at", 12.9, "-o", tmp_path / "fan.mcap", "--runs", 3, "--seconds", 1)
-    done = khep_twin(*words, "--controller", "braitenberg")
-    assert done.returncode == 0, done.stderr
-    assert "fan-001.mcap to fan-003.mcap" in done.stdout
+    completed = khep_twin(*words, "--controller", "braitenberg")
+    assert completed.returncode == 0, completed.stderr
+    assert "fan-001.mcap to fan-003.mcap" in completed.stdout
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"fan-001.mcap", "fan-002.mcap", "fan-003.mcap", "fan.png"}
-    found = [read_recorded_run(tmp_path / f"fan-00{number}.mcap").changes[0].seed for number in (1, 2, 3)]
-    assert found == [1, 2, 3]
+    seeds = [read_recorded_run(tmp_path / f"fan-00{number}.mcap").changes[0].seed for number in (1, 2, 3)]
+    assert seeds == [1, 2, 3]
     assert "is there already" in khep_twin(*words).stderr
     assert "expected --controller" in khep_twin(*words, "--force", "--cycles", 3).stderr
 
@@ -278,5 +280,5 @@ def test_each_branch_has_a_controller_of_its_own_that_is_stopped(parent: Path, t
         "        os.chdir('/')\n"
     )
     words = ("branch", parent, "--at", 12.9, "-o", tmp_path / "fan.mcap", "--runs", 2, "--cycles", 3)
-    done = khep_twin(*words, "--controller", "counts.py", folder=tmp_path)
-    assert done.stdout.count("stopped 1") == 2, done.stderr
+    completed = khep_twin(*words, "--controller", "counts.py", folder=tmp_path)
+    assert completed.stdout.count("stopped 1") == 2, completed.stderr

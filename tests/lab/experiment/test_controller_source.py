@@ -1,4 +1,4 @@
-"""The controller in the log: the very text that was run, and nothing of the machine."""
+"""The controller in the log: exactly the text that was run, without data of the machine."""
 
 import importlib.machinery
 import importlib.util
@@ -41,7 +41,7 @@ def test_a_users_file_is_attached_as_it_was_read_and_the_run_repeats(tmp_path: P
     label = read_label(logs[0])
     assert label.attachments["controller/mine.py"] == TEXT
     assert label.metadata["controller"] == "mine.py:controller"
-    # Wherever the file lies, the log is the same.
+    # The log does not depend on the file's folder.
     data = logs[0].read_bytes()
     assert data == logs[1].read_bytes()
     assert str(tmp_path).encode() not in data
@@ -68,9 +68,9 @@ def test_a_controller_in_a_log_is_never_run(tmp_path: Path) -> None:
 
 
 def test_a_built_in_controller_is_attached_with_its_module() -> None:
-    found = source_of(braitenberg)
-    assert found.facts == {"controller": "braitenberg"}
-    ((name, text),) = found.attachments.items()
+    source = source_of(braitenberg)
+    assert source.facts == {"controller": "braitenberg"}
+    ((name, text),) = source.attachments.items()
     assert name == "controller/controllers.py"
     assert text == Path(sys.modules[braitenberg.__module__].__file__ or "").read_text("utf-8")
     assert "def braitenberg(robot: Khepera)" in text
@@ -81,10 +81,10 @@ def test_what_is_changed_after_it_was_read_is_kept_as_it_was_run(tmp_path: Path)
     file.write_text("def first(robot): ...\n")
     controller = find_controller(f"{file}:first")
     file.write_text("def second(robot): ...\n")
-    found = source_of(controller)
-    assert found.attachments == {"controller/mine.py": "def first(robot): ...\n"}
-    assert found.facts == {"controller": "mine.py:first"}
-    # And the next one is not run from what was compiled before.
+    source = source_of(controller)
+    assert source.attachments == {"controller/mine.py": "def first(robot): ...\n"}
+    assert source.facts == {"controller": "mine.py:first"}
+    # The next one does not run from earlier bytecode.
     assert find_controller(str(file)).__name__ == "second"
 
 
@@ -93,8 +93,8 @@ def test_files_of_one_name_in_two_folders_are_kept_apart(tmp_path: Path) -> None
     for folder, text in zip("ab", texts, strict=True):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "ctl.py").write_text(text)
-    found = [find_controller(str(tmp_path / folder / "ctl.py")) for folder in "ab"]
-    assert [source_of(each).attachments["controller/ctl.py"] for each in found] == texts
+    controllers = [find_controller(str(tmp_path / folder / "ctl.py")) for folder in "ab"]
+    assert [source_of(controller).attachments["controller/ctl.py"] for controller in controllers] == texts
 
 
 def test_a_source_in_another_encoding_is_read_as_python_reads_it(tmp_path: Path) -> None:
@@ -107,17 +107,17 @@ def test_a_source_in_another_encoding_is_read_as_python_reads_it(tmp_path: Path)
 def test_a_very_long_source_is_left_out_and_that_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(controller_source, "MOST_BYTES", 50)
+    monkeypatch.setattr(controller_source, "MAX_BYTES", 50)
     file = tmp_path / "long.py"
-    for length, kept in ((50, True), (51, False)):
+    for length, is_stored in ((50, True), (51, False)):
         file.write_text("def controller(robot): ...\n".ljust(length, "#"))
-        found = source_of(find_controller(str(file)))
-        assert bool(found.attachments) is kept
-    assert found.facts["controller_source"] == "left out: 51 bytes, more than 50"
+        source = source_of(find_controller(str(file)))
+        assert bool(source.attachments) is is_stored
+    assert source.facts["controller_source"] == "left out: 51 bytes, more than 50"
 
 
 def test_a_source_that_cannot_be_read_is_left_out_and_that_is_said(tmp_path: Path) -> None:
-    # Loaded by somebody else, and gone since.
+    # Loaded by another loader, and removed since.
     file = tmp_path / "gone.py"
     file.write_text("def controller(robot): ...\n")
     spec = importlib.util.spec_from_file_location("gone", file)
@@ -127,16 +127,16 @@ def test_a_source_that_cannot_be_read_is_left_out_and_that_is_said(tmp_path: Pat
     spec.loader.exec_module(module)
     sys.modules["gone"] = module
     file.unlink()
-    found = source_of(module.controller)
+    source = source_of(module.controller)
     del sys.modules["gone"]
-    assert not found.attachments
-    assert found.facts["controller_source"] == "left out: cannot be read: No such file or directory"
+    assert not source.attachments
+    assert source.facts["controller_source"] == "left out: cannot be read: No such file or directory"
 
 
 def test_a_controller_typed_into_python_has_no_source_and_that_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # As in `python -c`, whose module comes out of no file.
+    # As in `python -c`, whose module has no file.
     monkeypatch.setattr(sys.modules["__main__"], "__loader__", importlib.machinery.BuiltinImporter)
     names: dict[str, Any] = {"__name__": "__main__"}
     exec("def controller(robot): pass", names)

@@ -111,9 +111,9 @@ def test_a_file_without_a_controller_says_what_is_in_it_and_what_two_lines_it_ne
     file.write_text("import math\nspeed = 5\nclass Avoider:\n    def cycle(self, robot): ...\n")
     with pytest.raises(ControllerError) as caught:
         find_controller(str(file))
-    told, *lines = str(caught.value).splitlines()
+    message, *lines = str(caught.value).splitlines()
     expected = "expected a class of khep_twin.Controller, or two lines such as"
-    assert told.endswith(f"in it: speed, class Avoider; {expected}")
+    assert message.endswith(f"in it: speed, class Avoider; {expected}")
     file.write_text("\n".join(lines))
     assert find_controller(str(file))
     with pytest.raises(ControllerError, match=r"takes \(robot\); .*for one of a robot: .* run "):
@@ -122,12 +122,12 @@ def test_a_file_without_a_controller_says_what_is_in_it_and_what_two_lines_it_ne
 
 def test_an_error_in_a_module_that_a_controller_imports_has_both_places(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("\nimport beside_it\n")
-    for text, told in (
+    for text, message in (
         ("x = 1\n\ndef go(robot:\n    pass\n", r"SyntaxError: .*\(beside_it.py, line 3\)$"),
         ("x = 1\ny = x.real.imagg\n", r"AttributeError: .*'imag'\? \(beside_it.py, line 2\)$"),
     ):
         (tmp_path / "beside_it.py").write_text(text)
-        with pytest.raises(ControllerError, match=rf"mine\.py:2: {told}"):
+        with pytest.raises(ControllerError, match=rf"mine\.py:2: {message}"):
             find_controller(str(tmp_path / "mine.py"))
 
 

@@ -1,4 +1,4 @@
-"""What docs/experiments.md shows runs as it stands."""
+"""Programs of docs/experiments.md run unchanged."""
 
 import re
 from pathlib import Path
@@ -20,9 +20,9 @@ def test_a_program_on_the_page_runs(number: int, tmp_path: Path, monkeypatch: py
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": "page"}
     exec(compile(PROGRAMS[number], "docs/experiments.md", "exec"), names)
-    for found in [*names.values()]:
-        if isinstance(found, type) and issubclass(found, Controller) and found is not Controller:
-            names["controller"] = found()
+    for value in [*names.values()]:
+        if isinstance(value, type) and issubclass(value, Controller) and value is not Controller:
+            names["controller"] = value()
     if "controller" in names:
         with Khepera("khep://default") as robot:
             assert run(names["controller"], robot, cycles=2).complete

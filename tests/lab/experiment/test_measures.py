@@ -1,4 +1,4 @@
-"""What runs are measured by, against what was worked out by hand."""
+"""Metrics of runs against values computed by hand."""
 
 import math
 from pathlib import Path
@@ -33,18 +33,18 @@ def test_the_fitness_is_floreanos_and_mondadas(left: int, right: int, nearest: f
 
 
 def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
-    heard = HostMetrics()
+    metrics = HostMetrics()
     for request, reply in [
         ("N", "n,0,0,0,0,0,0,0,1023"),
         ("D,20,20", "d"),
         ("O", "o,500,500,500,500,500,500,500,100"),
     ]:
-        heard(request, reply)
-    heard.end_cycle()
-    heard("N", "n,0,0,0,0,0,0,0,0")
-    heard("D,10,-10", "z,Protocol error")  # refused: the wheels go on
-    heard.end_cycle()
-    assert heard.metrics() == {
+        metrics(request, reply)
+    metrics.end_cycle()
+    metrics("N", "n,0,0,0,0,0,0,0,0")
+    metrics("D,10,-10", "z,Protocol error")  # refused: the wheels go on
+    metrics.end_cycle()
+    assert metrics.metrics() == {
         "fitness": 0.5,
         "near_share": 0.5,
         "proximity_max": 1023,
@@ -57,10 +57,10 @@ def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
 
 @pytest.mark.parametrize("reply", ["n,1,2,x,4,5,6,7,8", "n,1,2", "", "n", "\xff\xfe", "z,Protocol error"])
 def test_a_garbled_reply_counts_for_nothing(reply: str) -> None:
-    heard = HostMetrics()
-    heard("N", reply)
-    heard("D,1", "d")
-    assert heard.metrics() == {}
+    metrics = HostMetrics()
+    metrics("N", reply)
+    metrics("D,1", "d")
+    assert metrics.metrics() == {}
 
 
 def test_coverage_counts_cells_that_the_robot_can_stand_in() -> None:

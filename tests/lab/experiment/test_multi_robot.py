@@ -1,4 +1,4 @@
-"""Several hosts on one world, each blocking as it likes, and the same run each time."""
+"""Several blocking hosts on one world: the run is reproducible."""
 
 import pytest
 from scenes import arena, robot
@@ -14,18 +14,18 @@ TWO = playpens.parse(arena() + robot(150, 250) + robot(450, 250, 180, mode=3), "
 
 def chase(robot: Khepera) -> list[tuple[int, ...]]:
     robot.set_speed(8, 8)
-    seen = [robot.proximity() for _ in range(60)]
+    readings = [robot.proximity() for _ in range(60)]
     robot.set_speed(0, 0)
-    return seen
+    return readings
 
 
 def wander(robot: Khepera) -> list[tuple[int, ...]]:
-    seen = []
+    readings = []
     for turn in range(20):
         robot.set_speed(3 + turn % 3, 5)
         robot.sleep(0.13)
-        seen.append((*robot.position(), *robot.ambient()))
-    return seen
+        readings.append((*robot.position(), *robot.ambient()))
+    return readings
 
 
 def test_two_scripts_share_one_time_and_run_twice_the_same() -> None:
@@ -48,7 +48,7 @@ def test_the_turn_goes_to_the_earliest_and_then_to_the_lower_number() -> None:
         return script
 
     run_together(TWO, [sleeper(0, 0.3), sleeper(1, 0.2)], TwinOptions())  # type: ignore[list-item]
-    assert order == sorted(order, key=lambda each: (each[1], each[0]))
+    assert order == sorted(order, key=lambda entry: (entry[1], entry[0]))
     assert (0, 0.6) in order
     assert order.index((0, 0.6)) + 1 == order.index((1, 0.6))
 
@@ -59,8 +59,8 @@ def test_robots_meet_as_they_would_with_one_host() -> None:
             robot.sleep(0.05)
         return max(robot.proximity()[2:4])
 
-    seen = run_together(TWO, [chase_until_near, stand], TwinOptions(seed=1))
-    assert seen[1] >= 100
+    readings = run_together(TWO, [chase_until_near, stand], TwinOptions(seed=1))
+    assert readings[1] >= 100
 
 
 def chase_until_near(robot: Khepera) -> None:

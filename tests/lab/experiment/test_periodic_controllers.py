@@ -1,4 +1,4 @@
-"""Networks as controllers of a robot on a line: what they ask, decide and wait for."""
+"""Networks as controllers of a robot on a serial line: requests, decisions and waits."""
 
 import math
 from itertools import pairwise
@@ -55,28 +55,33 @@ def test_a_cycle_asks_decides_drives_and_waits_for_its_end(network: Network, bau
     network = Network(
         network.hidden, network.recurrent, network.ambient, genes=genes, period_ns=network.period_ns
     )
-    asked: list[tuple[str, str]] = []
+    messages: list[tuple[str, str]] = []
     ends: list[tuple[int, int]] = []
     mode = {9600: 1, 38400: 3}[baud]
     with Khepera(f"{PLAYPEN}&mode={mode}", baudrate=baud) as robot:
-        robot.listen(lambda request, reply: asked.append((request, reply)))
-        begun = to_ns(robot.time)
+        robot.listen(lambda request, reply: messages.append((request, reply)))
+        start_ns = to_ns(robot.time)
         controller = NetworkController(network)
-        # The second run begins without the memory of the first.
+        # The second run starts without the memory of the first.
         for _ in range(2):
-            run(controller, robot, cycles=8, after_cycle=lambda: ends.append((to_ns(robot.time), len(asked))))
+            run(
+                controller,
+                robot,
+                cycles=8,
+                after_cycle=lambda: ends.append((to_ns(robot.time), len(messages))),
+            )
     memory, cycle = np.zeros(network.sizes[1]), 3 if network.ambient else 2
     at = 0
     for number in range(16):
         if number == 8:
             memory[:], at = 0, at + 1  # the motors were stopped
-        exchanges, at = asked[at : at + cycle], at + cycle
+        exchanges, at = messages[at : at + cycle], at + cycle
         letters = [request[0] for request, _ in exchanges]
         assert letters == (["N", "O", "D"] if network.ambient else ["N", "D"])
         counts = [[int(word) for word in reply.split(",")[1:]] for _, reply in exchanges[:-1]]
         left, right = expected_speeds(network, memory, counts[0], counts[-1])
         assert exchanges[-1][0] == f"D,{left},{right}"
-    durations = [later - earlier for earlier, later in pairwise([begun, *(end for end, _ in ends[:8])])]
+    durations = [later - earlier for earlier, later in pairwise([start_ns, *(end for end, _ in ends[:8])])]
     if baud == 38400 or network.period_ns == 100_000_000:
         assert durations[1:] == [network.period_ns] * 7  # to the nanosecond
     else:
@@ -84,7 +89,7 @@ def test_a_cycle_asks_decides_drives_and_waits_for_its_end(network: Network, bau
 
 
 def test_a_network_that_is_given_the_board_decides_as_in_a_rollout() -> None:
-    """Without a line, the speeds are those of the stepping core, bit for bit."""
+    """Speeds without a serial line equal those of the stepping core, bit for bit."""
     from khep_twin.episodes.episode import Episode
     from khep_twin.episodes.episode_options import EpisodeOptions
     from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -124,9 +129,9 @@ def test_a_network_without_its_genes_or_with_endless_ones_is_refused() -> None:
 
 def test_a_file_of_a_network_is_a_controller_with_its_name_and_content(tmp_path: Path) -> None:
     Network(seed=5).save(tmp_path / "best.npz", np.arange(18.0))
-    found = find_controller(str(tmp_path / "best.npz"))
-    assert isinstance(found, NetworkController)
-    source = source_of(found)
+    controller = find_controller(str(tmp_path / "best.npz"))
+    assert isinstance(controller, NetworkController)
+    source = source_of(controller)
     assert source.facts["controller"] == "best.npz"
     ((name, text),) = source.attachments.items()
     assert name == "controller/best.json"
@@ -134,7 +139,7 @@ def test_a_file_of_a_network_is_a_controller_with_its_name_and_content(tmp_path:
     Network(seed=5).save(tmp_path / "best.npz", np.arange(1.0, 19.0))
     assert source_of(find_controller(str(tmp_path / "best.npz"))).identity != source.identity
     (tmp_path / "data.npz").write_bytes(b"PK")
-    for name, told in (("bets.npz", "did you mean '.*best.npz'"), ("data.npz", "no whole NPZ file")):
-        with pytest.raises(ControllerError, match=rf"{name}: cannot be read: .*{told}"):
+    for name, message in (("bets.npz", "did you mean '.*best.npz'"), ("data.npz", "no whole NPZ file")):
+        with pytest.raises(ControllerError, match=rf"{name}: cannot be read: .*{message}"):
             find_controller(str(tmp_path / name))
     assert network_file.read(tmp_path / "best.npz").seed == 5

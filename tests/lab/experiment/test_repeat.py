@@ -1,4 +1,4 @@
-"""Repeating: a run is the same again from its log alone, and any other is found out, with its time."""
+"""Repetition: a log alone reproduces its run, and a different run is detected, with its time."""
 
 import json
 import os
@@ -22,7 +22,7 @@ from khep_twin.host import Gripper, Khepera
 from khep_twin.interventions.move_robot import scan
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.multi_robot import run_together
-from khep_twin.lab.experiment.repeat import Divergence, version_differences, repeat
+from khep_twin.lab.experiment.repeat import Divergence, repeat, version_differences
 from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.decoding import read_line
 from khep_twin.log.host_events import events_message, read_events
@@ -78,9 +78,9 @@ def test_a_run_with_noise_spread_and_faults_is_the_same_in_another_process(
     good("run", program, *options, "--seconds", seconds, "--log", path, *words)
     command = [sys.executable, "-m", "khep_twin", "repeat", str(path)]
     environment = {**os.environ, "PYTHONHASHSEED": "12"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    assert (done.returncode, done.stderr) == (0, ""), done
-    assert done.stdout.startswith(f"identical: {seconds}.")
+    completed = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert (completed.returncode, completed.stderr) == (0, ""), completed
+    assert completed.stdout.startswith(f"identical: {seconds}.")
 
 
 @pytest.mark.parametrize(
@@ -140,13 +140,13 @@ def test_a_gripper_repeats(tmp_path: Path) -> None:
 def test_two_robots_repeat(tmp_path: Path) -> None:
     text = playpen.dump(Playpen.load("default"))
     second = "\n[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 45\n"
-    both = playpen.parse(text + second, "both")
+    two_robots = playpen.parse(text + second, "both")
 
     def drive(robot: Khepera) -> None:
         for _ in range(100):
             braitenberg(robot)
 
-    run_together(both, [drive, drive], TwinOptions(seed=4, log=str(tmp_path / "run.mcap")))
+    run_together(two_robots, [drive, drive], TwinOptions(seed=4, log=str(tmp_path / "run.mcap")))
     recorded = read_recorded_run(tmp_path / "run.mcap")
     assert {index for _, index, _ in recorded.events} == {0, 1}
     assert repeat(recorded) is None
@@ -173,7 +173,7 @@ def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path:
         HostEventKind.SEND,
         HostEventKind.DISCONNECT,
         HostEventKind.FLUSH,
-        HostEventKind.SET,
+        HostEventKind.LINE_SETTINGS,
         HostEventKind.NOTE,
     }
     assert repeat(recorded) is None
@@ -208,14 +208,14 @@ def test_one_altered_byte_of_a_reply_is_found(tmp_path: Path, driven: Path) -> N
         return line_message(TextLine(line.time_ns, line.level, line.name, text))
 
     path = rewritten(driven, tmp_path / "altered.mcap", alter)
-    found = again(path)
-    assert found is not None
+    difference = again(path)
+    assert difference is not None
     ((time_ns, text),) = altered
-    assert (found.time_ns, found.channel) == (time_ns, "/khepera0/serial")
-    assert text in found.repeated
-    done = khep_twin("repeat", path)
-    assert done.returncode == 3
-    first, *_ = done.stdout.splitlines()
+    assert (difference.time_ns, difference.channel) == (time_ns, "/khepera0/serial")
+    assert text in difference.repeated
+    completed = khep_twin("repeat", path)
+    assert completed.returncode == 3
+    first, *_ = completed.stdout.splitlines()
     assert first == f"different from {time_ns / 1e9:.4f} s on, /khepera0/serial"
 
 
@@ -227,10 +227,10 @@ def test_a_wheel_larger_by_a_thousandth_is_found(tmp_path: Path, driven: Path) -
         changed = f"[wheels]\nradius_mm = {radius * 1.001}\n"
         return data + changed.encode()
 
-    found = again(rewritten(driven, tmp_path / "run.mcap", attachment=enlarge))
-    assert found is not None
-    assert found.channel == "/state"
-    assert found.time_ns < SECOND
+    difference = again(rewritten(driven, tmp_path / "run.mcap", attachment=enlarge))
+    assert difference is not None
+    assert difference.channel == "/state"
+    assert difference.time_ns < SECOND
 
 
 def test_an_altered_byte_of_a_host_is_found(tmp_path: Path, driven: Path) -> None:
@@ -242,23 +242,25 @@ def test_an_altered_byte_of_a_host_is_found(tmp_path: Path, driven: Path) -> Non
     def altered(event: HostEvent) -> HostEvent:
         return event._replace(data=b"H\n") if 5 * SECOND < event.at_ns < 5.05 * SECOND else event
 
-    found = again(rewritten(driven, tmp_path / "run.mcap", alter))
-    assert found is not None
-    assert 5 * SECOND < found.time_ns < 5.1 * SECOND
+    difference = again(rewritten(driven, tmp_path / "run.mcap", alter))
+    assert difference is not None
+    assert 5 * SECOND < difference.time_ns < 5.1 * SECOND
 
 
 def test_a_calibration_by_path_comes_from_the_log(tmp_path: Path) -> None:
-    own = tmp_path / "own.toml"
-    own.write_text(calibration.read("khepera1")[1])
+    calibration_path = tmp_path / "separate.toml"
+    calibration_path.write_text(calibration.read("khepera1")[1])
     text = playpen.dump(Playpen.load("obstacles"))
     assert "[[robot]]\n" in text
-    found = playpen.parse(text, "own")
-    robots = tuple(each.model_copy(update={"calibration": str(own)}) for each in found.robots)
-    found = found.model_copy(update={"robots": robots})
-    with open_twin(found, TwinOptions(log=str(tmp_path / "run.mcap"))) as twin:
+    obstacles = playpen.parse(text, "own")
+    robots = tuple(
+        robot.model_copy(update={"calibration": str(calibration_path)}) for robot in obstacles.robots
+    )
+    obstacles = obstacles.model_copy(update={"robots": robots})
+    with open_twin(obstacles, TwinOptions(log=str(tmp_path / "run.mcap"))) as twin:
         twin.robot.send(b"D,5,5\n")
         twin.advance_to(2 * SECOND)
-    own.unlink()
+    calibration_path.unlink()
     assert again(tmp_path / "run.mcap") is None
 
 
@@ -273,16 +275,16 @@ def test_a_rescued_log_repeats_as_far_as_it_goes(tmp_path: Path, driven: Path) -
 def test_what_differs_from_here_is_said_before_it_starts(tmp_path: Path, driven: Path) -> None:
     assert version_differences(read_recorded_run(driven)) == []
     path = rewritten(driven, tmp_path / "run.mcap", facts={"mujoco": "3.0.0", "machine": "Plan9 pdp11"})
-    done = khep_twin("repeat", path)
-    assert done.returncode == 0
-    first, second = done.stderr.splitlines()
+    completed = khep_twin("repeat", path)
+    assert completed.returncode == 0
+    first, second = completed.stderr.splitlines()
     assert "made with mujoco 3.0.0, here is " in first
     assert "made with machine Plan9 pdp11, here is " in second
 
 
 def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> None:
     def without(name: str) -> Callable[[str, bytes], bytes | None]:
-        return lambda each, data: None if each == name else data
+        return lambda attachment, data: None if attachment == name else data
 
     def with_log(name: str, data: bytes) -> bytes:
         if name != "configuration.json":
@@ -298,9 +300,9 @@ def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> No
     (tmp_path / "text.mcap").write_text("no log")
     robot = relayed(tmp_path / "robot.mcap", [(0, True, b"N\n")])
     for path in (*paths, tmp_path / "text.mcap", robot, tmp_path / "none.mcap", tmp_path):
-        done = khep_twin("repeat", path)
-        assert (done.returncode, done.stdout) == (1, ""), done
-        assert len(done.stderr.splitlines()) == 1, done
+        completed = khep_twin("repeat", path)
+        assert (completed.returncode, completed.stdout) == (1, ""), completed
+        assert len(completed.stderr.splitlines()) == 1, completed
     with pytest.raises(LogError, match="made at a real robot; expected --port"):
         again(robot)
     assert not (tmp_path / "trap.mcap").exists()
@@ -312,7 +314,7 @@ def test_an_act_survives_its_message() -> None:
             12_345_678_902,
             HostEvent(HostEventKind.SEND, 12_345_678_901, LineSettings(9600, 2), bytes(range(256))),
         ),
-        (12_345_678_903, HostEvent(HostEventKind.SET, 0, None)),
+        (12_345_678_903, HostEvent(HostEventKind.LINE_SETTINGS, 0, None)),
         (12_345_678_904, HostEvent(HostEventKind.FLUSH, 5, LineSettings(0, 1))),
     ]
     assert list(read_events(events_message(events))) == events

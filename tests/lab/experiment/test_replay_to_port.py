@@ -1,4 +1,4 @@
-"""Sending a log's bytes to another port: the same twin answers the same, another one differs in numbers."""
+"""Replay of a log's bytes to another port: the same twin replies equally, another twin differs."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ URL = "khep://obstacles?seed=5"
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log of three seconds of a host that asks this and that."""
+    """A log of three seconds of a host that sends several commands."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
     with Khepera(f"{URL}&log={path}") as robot:
         robot.set_speed(5, 3)
@@ -30,50 +30,54 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_same_twin_answers_the_same(driven: Path) -> None:
-    found = replay_to_port(read_recorded_run(driven), URL)
-    assert found.is_identical
-    assert {letter for letter, each in found.letters.items() if each.compared > 10} == {"n", "e", "h"}
+    comparison = replay_to_port(read_recorded_run(driven), URL)
+    assert comparison.is_identical
+    assert {letter for letter, replies in comparison.letters.items() if replies.compared > 10} == {
+        "n",
+        "e",
+        "h",
+    }
 
 
 def test_another_twin_differs_in_numbers(driven: Path) -> None:
-    found = replay_to_port(read_recorded_run(driven), "khep://default?seed=5&noise=off")
-    assert not found.is_identical
-    assert found.letters["d"].different == 0
-    near = found.letters["n"]
+    comparison = replay_to_port(read_recorded_run(driven), "khep://default?seed=5&noise=off")
+    assert not comparison.is_identical
+    assert comparison.letters["d"].different == 0
+    near = comparison.letters["n"]
     assert near.differences.shape == (near.compared, 8)
-    lines = found.text().splitlines()
+    lines = comparison.text().splitlines()
     assert lines[0].startswith("khepera0: ")
     assert lines[-1].startswith("first difference at 0.0")
 
 
 def test_lost_bytes_do_not_bring_the_rest_out_of_step(driven: Path) -> None:
-    found = replay_to_port(read_recorded_run(driven), f"{URL}&fault=drop:0.003")
-    assert 0 < found.letters["h"].different < found.letters["h"].compared
-    assert found.missing + found.additional < 20
+    comparison = replay_to_port(read_recorded_run(driven), f"{URL}&fault=drop:0.003")
+    assert 0 < comparison.letters["h"].different < comparison.letters["h"].compared
+    assert comparison.missing + comparison.additional < 20
 
 
 def test_a_line_that_is_silent_leaves_all_missing(driven: Path) -> None:
     recorded = read_recorded_run(driven)
-    found = replay_to_port(recorded, f"{URL}&fault=drop:1")
-    assert found.missing == sum(line.name == "robot" for line in recorded.lines[0])
-    assert not found.is_identical
+    comparison = replay_to_port(recorded, f"{URL}&fault=drop:1")
+    assert comparison.missing == sum(line.name == "robot" for line in recorded.lines[0])
+    assert not comparison.is_identical
 
 
 def test_what_was_sent_to_a_real_robot_can_be_sent_to_a_twin(tmp_path: Path) -> None:
     driven = (0, True, b"D,5,5\n"), (20, False, b"d\r\n")
     read = (500, True, b"H\n"), (520, False, b"h,10,20\r\n")
     log = relayed(tmp_path / "robot.mcap", [*driven, *read], baud=9600)
-    found = replay_to_port(read_recorded_run(log), "khep://default")
-    assert found.letters["d"].different == 0
-    assert found.letters["h"].differences.shape == (1, 2)
+    comparison = replay_to_port(read_recorded_run(log), "khep://default")
+    assert comparison.letters["d"].different == 0
+    assert comparison.letters["h"].differences.shape == (1, 2)
 
 
 def test_a_served_twin_answers_over_its_terminal(driven: Path) -> None:
     with served("obstacles", "--seed", "5") as (_, port):
-        found = replay_to_port(read_recorded_run(driven), port)
-    assert (found.missing, found.additional) == (0, 0)
-    # Of 1500 pulses on the left; on a busy machine the first command may be late by half a second.
-    assert abs(found.letters["h"].differences).max() < 250
+        comparison = replay_to_port(read_recorded_run(driven), port)
+    assert (comparison.missing, comparison.additional) == (0, 0)
+    # Of 1500 pulses on the left; on a busy machine the first command may be half a second late.
+    assert abs(comparison.letters["h"].differences).max() < 250
 
 
 def test_what_cannot_be_sent_is_one_line(tmp_path: Path, driven: Path) -> None:

@@ -1,4 +1,4 @@
-"""Runs in numbers, against ways whose numbers are known, and the twin against its own playpen."""
+"""Statistics of runs, against paths with known values, and of the twin against its playpen."""
 
 import math
 from pathlib import Path
@@ -41,11 +41,11 @@ def ramp(end: float, count: int = 101) -> np.ndarray:
 
 def test_a_straight_path_has_its_length() -> None:
     pose = np.column_stack([ramp(0.3), ramp(0.4), np.full(101, math.atan2(4, 3))])
-    found = statistics.motion(ramp(10), pose)
-    assert found.distance == pytest.approx(0.5)
-    assert (found.duration_s, found.mean_speed) == (10, pytest.approx(0.05))
-    assert found.top_speed == pytest.approx(0.05)
-    assert (found.left_turn, found.right_turn) == (0, 0)
+    motion = statistics.motion(ramp(10), pose)
+    assert motion.distance == pytest.approx(0.5)
+    assert (motion.duration_s, motion.mean_speed) == (10, pytest.approx(0.05))
+    assert motion.top_speed == pytest.approx(0.05)
+    assert (motion.left_turn, motion.right_turn) == (0, 0)
 
 
 def test_a_spin_turns_and_goes_nowhere() -> None:
@@ -53,10 +53,10 @@ def test_a_spin_turns_and_goes_nowhere() -> None:
     wrapped = (heading + math.pi) % (2 * math.pi) - math.pi
     trembling = 2e-4 * np.sin(np.arange(len(heading)))
     pose = np.column_stack([trembling, -trembling, wrapped])
-    found = statistics.motion(ramp(20, 201), pose)
-    assert found.distance == 0
-    assert found.left_turn == pytest.approx(6 * math.pi)
-    assert found.right_turn == pytest.approx(math.pi)
+    motion = statistics.motion(ramp(20, 201), pose)
+    assert motion.distance == 0
+    assert motion.left_turn == pytest.approx(6 * math.pi)
+    assert motion.right_turn == pytest.approx(math.pi)
 
 
 def test_a_circle_has_its_circumference() -> None:
@@ -66,19 +66,19 @@ def test_a_circle_has_its_circumference() -> None:
 
 
 def test_no_time_and_one_sample_give_nothing() -> None:
-    found = statistics.motion(np.zeros(1), np.zeros((1, 3)))
-    assert (found.duration_s, found.distance, found.mean_speed, found.top_speed) == (0, 0, 0, 0)
+    motion = statistics.motion(np.zeros(1), np.zeros((1, 3)))
+    assert (motion.duration_s, motion.distance, motion.mean_speed, motion.top_speed) == (0, 0, 0, 0)
     for count in (0, 1):
         near = statistics.near(np.zeros(count), np.full((count, 8), 500))
         assert (len(near.times_s), near.total_s, near.share, near.longest_s) == (0, 0, 0, 0)
     assert statistics.path_length(np.zeros((0, 2))) == 0
 
 
-def test_stretches_have_begin_end_and_share() -> None:
+def test_intervals_have_start_end_and_share() -> None:
     holds = np.array([1, 1, 0, 0, 1, 0, 0, 0, 1, 1, 1], bool)
-    found = statistics.find_intervals(np.arange(11.0), holds)
-    assert found.times_s.tolist() == [[0, 2], [4, 5], [8, 10]]
-    assert (found.total_s, found.share, found.longest_s) == (5, 0.5, 2)
+    intervals = statistics.find_intervals(np.arange(11.0), holds)
+    assert intervals.times_s.tolist() == [[0, 2], [4, 5], [8, 10]]
+    assert (intervals.total_s, intervals.share, intervals.longest_s) == (5, 0.5, 2)
     joined = statistics.find_intervals(np.arange(11.0), holds, gap_s=2.5)
     assert joined.times_s.tolist() == [[0, 5], [8, 10]]
     assert joined.total_s == 5
@@ -88,17 +88,17 @@ def test_near_is_above_100_counts() -> None:
     counts = np.zeros((11, 8), np.int64)
     counts[2:4, 5], counts[3:7, 0] = 101, 400
     counts[8:, 1] = 100
-    found = statistics.near(np.arange(11.0), counts)
-    assert found.times_s.tolist() == [[2, 7]]
-    assert found.share == 0.5
+    near = statistics.near(np.arange(11.0), counts)
+    assert near.times_s.tolist() == [[2, 7]]
+    assert near.share == 0.5
 
 
 def test_light_is_the_depth_below_the_dark_level() -> None:
     counts = np.full((5, 8), 500)
     counts[3, 6] = 100
-    found = statistics.light(np.arange(5.0), counts, np.full(8, 500.0))
-    assert (found.brightest, found.sensor, found.time_s) == (400, 6, 3)
-    assert found.mean == pytest.approx(400 / 40)
+    light = statistics.light(np.arange(5.0), counts, np.full(8, 500.0))
+    assert (light.brightest, light.sensor, light.time_s) == (400, 6, 3)
+    assert light.mean == pytest.approx(400 / 40)
 
 
 def test_clearance_is_measured_to_walls_and_fixed_objects(room: Playpen) -> None:
@@ -121,31 +121,31 @@ def test_contacts_shortly_after_each_other_are_one_collision(room: Playpen) -> N
     x = np.full(500, 0.2)
     x[100:150] = x[152:200] = x[400:420] = 0.4 - BODY_RADIUS - 0.0005
     pose = np.column_stack([x, np.full(500, 0.05), np.zeros(500)])
-    found = statistics.collisions(np.arange(500) * 0.02, pose, room, BODY_RADIUS)
-    assert found.times_s == pytest.approx(np.array([[2, 4], [8, 8.4]]))
-    assert found.total_s == pytest.approx(2.36)
+    collisions = statistics.collisions(np.arange(500) * 0.02, pose, room, BODY_RADIUS)
+    assert collisions.times_s == pytest.approx(np.array([[2, 4], [8, 8.4]]))
+    assert collisions.total_s == pytest.approx(2.36)
 
 
 def test_counters_reckon_straight_ways_and_turns() -> None:
     straight = np.column_stack([np.arange(1001), np.arange(1001)])
-    told = statistics.odometry(straight, np.array([1.0, 2.0, math.pi / 2]))
-    assert told[-1].tolist() == pytest.approx([1, 2 + 1000 * PULSE_LENGTH, math.pi / 2])
+    poses = statistics.odometry(straight, np.array([1.0, 2.0, math.pi / 2]))
+    assert poses[-1].tolist() == pytest.approx([1, 2 + 1000 * PULSE_LENGTH, math.pi / 2])
     spin = np.column_stack([-np.arange(1001), np.arange(1001)])
-    told = statistics.odometry(spin, np.zeros(3))
-    assert told[-1].tolist() == pytest.approx([0, 0, 2000 * PULSE_LENGTH / WHEEL_BASE])
+    poses = statistics.odometry(spin, np.zeros(3))
+    assert poses[-1].tolist() == pytest.approx([0, 0, 2000 * PULSE_LENGTH / WHEEL_BASE])
 
 
 def test_slip_is_what_the_counters_say_too_much() -> None:
     pulses = np.column_stack([np.arange(1001), np.arange(1001)])
     pose = np.zeros((1001, 3))
-    found = statistics.slip(ramp(10, 1001), pose, pulses)
-    assert found.distance == pytest.approx(0.08, abs=0.001)
-    assert found.end == pytest.approx(0.08)
-    assert found.heading == 0
+    slip = statistics.slip(ramp(10, 1001), pose, pulses)
+    assert slip.distance == pytest.approx(0.08, abs=0.001)
+    assert slip.end == pytest.approx(0.08)
+    assert slip.heading == 0
     turning = np.column_stack([-np.arange(1001), np.arange(1001)])
-    found = statistics.slip(ramp(10, 1001), pose, turning)
-    assert (found.heading, found.heading_s) == (pytest.approx(2000 * PULSE_LENGTH / WHEEL_BASE), 10)
-    assert found.distance == 0
+    slip = statistics.slip(ramp(10, 1001), pose, turning)
+    assert (slip.heading, slip.heading_s) == (pytest.approx(2000 * PULSE_LENGTH / WHEEL_BASE), 10)
+    assert slip.distance == 0
 
 
 def test_a_twin_pushed_against_a_wall_collides_once_and_slips(room: Playpen, tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def line(time_ms: int, name: str, text: str) -> TextLine:
 
 
 def test_replies_belong_to_the_oldest_command_of_their_letter() -> None:
-    found = wire(
+    transcript = wire(
         [
             line(0, "host", "N"),
             line(20, "robot", "n,1,2,3,4,5,6,7,8"),
@@ -197,12 +197,12 @@ def test_replies_belong_to_the_oldest_command_of_their_letter() -> None:
             line(120, "host", "E"),
         ]
     )
-    assert found.commands == {"D": 2, "N": 2, "E": 1, "run": 1}
-    assert list(found.commands) == ["D", "N", "E", "run"]
-    assert (found.count, found.replies, found.refused, found.unanswered) == (6, 3, 1, 2)
-    assert (found.mean_s, found.longest_s) == (pytest.approx(0.02), pytest.approx(0.03))
+    assert transcript.commands == {"D": 2, "N": 2, "E": 1, "run": 1}
+    assert list(transcript.commands) == ["D", "N", "E", "run"]
+    assert (transcript.count, transcript.replies, transcript.refused, transcript.unanswered) == (6, 3, 1, 2)
+    assert (transcript.mean_s, transcript.longest_s) == (pytest.approx(0.02), pytest.approx(0.03))
 
 
 def test_a_silent_line_has_no_statistics() -> None:
-    found = wire([])
-    assert (found.count, found.replies, found.unanswered, found.mean_s) == (0, 0, 0, 0)
+    line = wire([])
+    assert (line.count, line.replies, line.unanswered, line.mean_s) == (0, 0, 0, 0)

@@ -19,7 +19,7 @@ DEFAULT, OBSTACLES = Playpen.load("default"), Playpen.load("obstacles")
 
 
 class Places(Controller):
-    """Notes when each of its places is called."""
+    """Records when each of its methods is called."""
 
     def __init__(self) -> None:
         self.runs = 0
@@ -44,10 +44,10 @@ class Places(Controller):
 def test_a_controllers_methods_are_called_in_their_order_and_it_keeps_what_it_learned() -> None:
     places = Places()
     with Khepera("khep://default") as robot:
-        found = list(run_series(places, OneRobot(robot), Plan(2, cycles=2)))
+        runs = list(run_series(places, OneRobot(robot), Plan(2, cycles=2)))
     assert places._calls == ["start", "cycle", "cycle", "end"] * 2 + ["stop"]
-    assert [run.variables for run in found] == [{"runs": 1}, {"runs": 2}]
-    assert [run.number for run in found] == [1, 2]
+    assert [run.variables for run in runs] == [{"runs": 1}, {"runs": 2}]
+    assert [run.number for run in runs] == [1, 2]
 
 
 def test_one_robot_goes_on_and_new_twins_begin_anew() -> None:
@@ -79,7 +79,9 @@ def test_the_pause_lies_between_runs_only() -> None:
     times: list[float] = []
     with Khepera("khep://default") as robot:
         plan = Plan(3, cycles=1, pause=2.05)
-        list(run_series(braitenberg, OneRobot(robot), plan, before_run=lambda number: times.append(robot.time)))
+        list(
+            run_series(braitenberg, OneRobot(robot), plan, before_run=lambda number: times.append(robot.time))
+        )
     assert times[0] < 0.01
     assert [round(later - before, 1) for before, later in pairwise(times)] == [2.1, 2.1]
 
@@ -93,9 +95,9 @@ def test_a_series_that_is_stopped_leaves_a_robot_that_stands_and_no_broken_run()
 
         broken: list[SeriesRun] = []
         series = run_series(places, OneRobot(robot), Plan(4, cycles=3), stop=stop, on_abort=broken.append)
-        found = list(series)
+        runs = list(series)
         assert robot.port.twin.robot.registers[SETPOINTS].tolist() == [0, 0]
-    assert len(found) == 1
+    assert len(runs) == 1
     assert [(run.number, run.cycles) for run in broken] == [(2, 2)]
     assert broken[0].duration > 0
     assert places._calls[-2:] == ["end", "stop"]
@@ -105,9 +107,9 @@ def test_a_stop_in_the_pause_begins_no_run() -> None:
     places = Places()
     with Khepera("khep://default") as robot:
         plan = Plan(2, cycles=2, pause=1000)
-        found = list(run_series(places, OneRobot(robot), plan, stop=lambda: robot.time > 1))
+        runs = list(run_series(places, OneRobot(robot), plan, stop=lambda: robot.time > 1))
         assert robot.time < 2
-    assert [run.number for run in found] == [1]
+    assert [run.number for run in runs] == [1]
     assert places._calls == ["start", "cycle", "cycle", "end", "stop"]
 
 
@@ -137,13 +139,13 @@ def test_where_a_series_goes_on() -> None:
     new = FreshTwins(DEFAULT, TwinOptions(), [StartPose(300, 250, 0)])
     with Khepera("khep://default") as robot:
         assert OneRobot(robot).first_run(3, braitenberg) == 1
-    # A function is taken by its word; the last run is done again to see that it keeps it.
-    assert [new.first_run(kept, braitenberg) for kept in (0, 1, 3)] == [1, 1, 3]
+    # A function is assumed to be repeatable; the last run is repeated as a check.
+    assert [new.first_run(n_saved, braitenberg) for n_saved in (0, 1, 3)] == [1, 1, 3]
     assert new.first_run(3, Places()) == 1
 
 
 @pytest.mark.parametrize(
-    ("given", "line"),
+    ("values", "line"),
     [
         ({"runs": 0, "cycles": 1}, "0 runs of 1 cycles; expected numbers above 0"),
         ({"cycles": 0}, "expected numbers above 0"),
@@ -153,9 +155,9 @@ def test_where_a_series_goes_on() -> None:
         ({"seconds": 1, "pause": float("inf")}, "a pause of inf s"),
     ],
 )
-def test_what_is_no_series_is_refused(given: dict[str, float], line: str) -> None:
+def test_what_is_no_series_is_refused(values: dict[str, float], line: str) -> None:
     with pytest.raises(ControllerError, match=line):
-        Plan(**given)  # type: ignore[arg-type]
+        Plan(**values)  # type: ignore[arg-type]
 
 
 def test_a_series_needs_a_start() -> None:

@@ -28,30 +28,30 @@ class Mood(IntEnum):
 
 
 class Held(Controller):
-    """Holds a bit of everything."""
+    """Controller with variables of many types."""
 
     def __init__(self) -> None:
-        self.whole, self.half, self.told, self.true = 7, 0.5, "a,b\n\ud800", True
+        self.width, self.half, self.text, self.true = 7, 0.5, "a,b\n\ud800", True
         self.mood, self.huge, self.far = Mood.GOOD, 2**70, np.float64(0.1)
         self.map = np.arange(6).reshape(2, 3)
         self.way = [(1, 2.5), (3, 4)]
-        self._own, self.robot, self.ragged = 1, object(), [[1], [2, 3]]
+        self._hidden, self.robot, self.ragged = 1, object(), [[1], [2, 3]]
 
 
-def run(number: int, **given: Any) -> SeriesRun:
-    return SeriesRun(number, StartPose(100, 200, 90), 5, 0.25 * number, {"fitness": 0.1 * number}, given)
+def run(number: int, **variables: Any) -> SeriesRun:
+    return SeriesRun(number, StartPose(100, 200, 90), 5, 0.25 * number, {"fitness": 0.1 * number}, variables)
 
 
 def test_what_a_controller_holds_is_kept_as_plain_values() -> None:
-    held = copy_variables(Held())
-    assert sorted(held) == ["far", "half", "huge", "map", "mood", "told", "true", "way", "whole"]
-    assert {name: type(held[name]) for name in ("mood", "huge", "far")} == {
+    copies = copy_variables(Held())
+    assert sorted(copies) == ["far", "half", "huge", "map", "mood", "text", "true", "way", "width"]
+    assert {name: type(copies[name]) for name in ("mood", "huge", "far")} == {
         "mood": int,
         "huge": float,
         "far": float,
     }
-    assert held["told"] == "a,b\n\\ud800"
-    assert held["way"].tolist() == [[1, 2.5], [3, 4]]
+    assert copies["text"] == "a,b\n\\ud800"
+    assert copies["way"].tolist() == [[1, 2.5], [3, 4]]
 
 
 def test_what_a_function_returns_is_its_variables() -> None:
@@ -68,14 +68,14 @@ def test_what_a_function_returns_is_its_variables() -> None:
 
 def test_single_variables_are_in_the_tables_and_arrays_in_mat_files(tmp_path: Path) -> None:
     folder = SeriesFolder(tmp_path / "deep" / "series", SETTINGS)
-    held = copy_variables(Held())
-    assert folder.save(run(1, **held))
+    copies = copy_variables(Held())
+    assert folder.save(run(1, **copies))
     assert folder.save(run(2, cycles=9, late=1.5))
     with (folder.path / "runs.csv").open(newline="") as file:
         one, two = csv.DictReader(file)
     assert one["start_heading_deg"] == "90"
-    assert (one["whole"], one["told"], one["true"], one["mood"]) == ("7", "a,b\n\\ud800", "True", "3")
-    assert (two["cycles"], two["controller_cycles"], two["late"], two["whole"]) == ("5", "9", "1.5", "")
+    assert (one["width"], one["text"], one["true"], one["mood"]) == ("7", "a,b\n\\ud800", "True", "3")
+    assert (two["cycles"], two["controller_cycles"], two["late"], two["width"]) == ("5", "9", "1.5", "")
     table: Any = parquet.read_table(folder.path / "runs.parquet")
     assert table.column("late").to_pylist() == [None, 1.5]
     assert table.schema.field("duration_s").metadata == {b"unit": b"s"}
@@ -90,19 +90,19 @@ def test_single_variables_are_in_the_tables_and_arrays_in_mat_files(tmp_path: Pa
 def test_long_names_stay_apart_in_mat_files(tmp_path: Path) -> None:
     folder = SeriesFolder(tmp_path, SETTINGS)
     folder.save(run(1, **{"n" * 70 + "a": 1, "n" * 70 + "b": 2, "ä": 3, "_": 4}))
-    found = {
+    arrays = {
         name: value.item() for name, value in loadmat(tmp_path / "run-001.mat").items() if name[0] != "_"
     }
-    assert found == {"n" * 63: 1, "n" * 55 + "_2": 2, "v_": 3, "v__2": 4}
+    assert arrays == {"n" * 63: 1, "n" * 55 + "_2": 2, "v_": 3, "v__2": 4}
 
 
 def test_a_mixed_column_becomes_text_in_parquet(tmp_path: Path) -> None:
     folder = SeriesFolder(tmp_path, SETTINGS)
-    folder.save(run(1, mixed=1, whole=1))
-    folder.save(run(2, mixed="a", whole=1.5))
+    folder.save(run(1, mixed=1, width=1))
+    folder.save(run(2, mixed="a", width=1.5))
     table: Any = parquet.read_table(tmp_path / "runs.parquet")
     assert table.column("mixed").to_pylist() == ["1", "a"]
-    assert table.column("whole").to_pylist() == [1.0, 1.5]
+    assert table.column("width").to_pylist() == [1.0, 1.5]
 
 
 def test_the_same_series_gives_the_same_bytes(tmp_path: Path) -> None:

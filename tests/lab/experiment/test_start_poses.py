@@ -1,4 +1,4 @@
-"""Where runs start, and by which light."""
+"""Start poses and lighting of runs."""
 
 import pytest
 from scenes import arena, robot, table
@@ -7,60 +7,60 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.lab.experiment.start_poses import (
     StartPose,
-    with_lighting,
     numbers,
     starts,
+    with_lighting,
     without_nearest_lamp,
 )
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.starts import at_start, own_starts
+from khep_twin.playpen.starts import at_start, defined_starts
 
 DEFAULT, OBSTACLES, TWO_LAMPS = (Playpen.load(name) for name in ("default", "obstacles", "two-lamps"))
 
 
 def test_starts_are_listed_in_their_order() -> None:
-    found = starts(["100,200,90", "playpen", "300.5,250,-45"], DEFAULT, 0, 5, 1)
-    own = DEFAULT.robots[0]
-    assert found == [
+    poses = starts(["100,200,90", "playpen", "300.5,250,-45"], DEFAULT, 0, 5, 1)
+    robot = DEFAULT.robots[0]
+    assert poses == [
         StartPose(100, 200, 90),
-        StartPose(own.x_mm, own.y_mm, own.heading_deg),
+        StartPose(robot.x_mm, robot.y_mm, robot.heading_deg),
         StartPose(300.5, 250, -45),
     ]
-    assert str(found[2]) == "300.5,250,-45"
+    assert str(poses[2]) == "300.5,250,-45"
 
 
 def test_a_grid_is_the_middles_of_its_cells() -> None:
-    found = starts(["grid:3x2@90"], DEFAULT, 0, 1, 0)
-    assert found == [StartPose(x, y, 90) for y in (125, 375) for x in (100, 300, 500)]
+    poses = starts(["grid:3x2@90"], DEFAULT, 0, 1, 0)
+    assert poses == [StartPose(x, y, 90) for y in (125, 375) for x in (100, 300, 500)]
 
 
 def test_a_grid_leaves_out_places_without_room() -> None:
-    found = starts(["grid:10x10"], OBSTACLES, 0, 1, 0)
-    assert 30 < len(found) < 100
-    assert not [start for start in found if (start.x_mm - 455) ** 2 + (start.y_mm - 300) ** 2 < 42**2]
+    poses = starts(["grid:10x10"], OBSTACLES, 0, 1, 0)
+    assert 30 < len(poses) < 100
+    assert not [start for start in poses if (start.x_mm - 455) ** 2 + (start.y_mm - 300) ** 2 < 42**2]
 
 
 def test_random_starts_are_the_seeds_and_have_room() -> None:
-    found = starts(["random"], OBSTACLES, 0, 20, 3)
-    assert len({*found}) == 20
-    assert found == starts(["random"], OBSTACLES, 0, 20, 3)
-    assert found[:5] == starts(["random"], OBSTACLES, 0, 5, 3)
-    assert found != starts(["random"], OBSTACLES, 0, 20, 4)
-    for start in found:
+    poses = starts(["random"], OBSTACLES, 0, 20, 3)
+    assert len({*poses}) == 20
+    assert poses == starts(["random"], OBSTACLES, 0, 20, 3)
+    assert poses[:5] == starts(["random"], OBSTACLES, 0, 5, 3)
+    assert poses != starts(["random"], OBSTACLES, 0, 20, 4)
+    for start in poses:
         assert starts([str(start)], OBSTACLES, 0, 1, 0) == [start]
 
 
 def test_random_starts_take_their_turn_among_others() -> None:
     drawn, typed = starts(["random"], DEFAULT, 0, 3, 3), StartPose(300, 250, 90)
-    found = starts(["random", str(typed)], DEFAULT, 0, 5, 3)
-    assert found == [drawn[0], typed, drawn[1], typed, drawn[2]]
+    poses = starts(["random", str(typed)], DEFAULT, 0, 5, 3)
+    assert poses == [drawn[0], typed, drawn[1], typed, drawn[2]]
 
 
 def test_a_robot_with_spots_starts_at_each() -> None:
     spots = table("spot", name="left", x_mm=100, y_mm=250, heading_deg=10)
     spots += table("spot", name="right", x_mm=500, y_mm=250, heading_deg=20)
     playpen = playpens.parse(arena() + spots + table("robot", spots=["right", "left"]), "spots")
-    assert own_starts(playpen, 0) == [StartPose(500, 250, 20), StartPose(100, 250, 10)]
+    assert defined_starts(playpen, 0) == [StartPose(500, 250, 20), StartPose(100, 250, 10)]
     assert at_start(playpen, 0, StartPose(300, 200, 0)).robots[0].spots == ()
 
 

@@ -1,4 +1,4 @@
-"""Policies of a task as controllers: they observe and act as in the environment that they were trained in."""
+"""Policies of a task as controllers: observations and actions as in the training environment."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 
 
 class BoardOf:
-    """The robot of an environment, as a host would hear it on a line without delay."""
+    """The robot of an environment, as seen by a host on a serial line without delay."""
 
     def __init__(self, environment: KheperaEnvironment) -> None:
         self.environment, self.time = environment, 0.0
@@ -48,21 +48,21 @@ class BoardOf:
 def test_a_policy_observes_and_acts_as_in_the_environment(normalize: bool) -> None:
     environment = KheperaEnvironment("LightSeeking", planar=True, compiled=False, normalize=normalize)
     robot: Any = BoardOf(environment)
-    seen: list[NDArray[np.float32]] = []
+    observations: list[NDArray[np.float32]] = []
     rng, limit = np.random.default_rng(1), 1.0 if normalize else 20.0
     actions = rng.uniform(-1.2 * limit, 1.2 * limit, (20, 2)).astype(np.float32)
 
     def policy(observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        seen.append(observation)
-        return actions[len(seen) - 1]
+        observations.append(observation)
+        return actions[len(observations) - 1]
 
     controller = TaskController("LightSeeking", policy, normalize=normalize)
     observation, _ = environment.reset(seed=1)
     controller.start(robot)
     for action in actions:
         speeds = controller.decide(robot)
-        np.testing.assert_array_equal(seen[-1], observation)
-        assert seen[-1].dtype == observation.dtype
+        np.testing.assert_array_equal(observations[-1], observation)
+        assert observations[-1].dtype == observation.dtype
         assert speeds == tuple(TaskSetup("LightSeeking", normalize=normalize).speeds(action))
         observation, *_ = environment.step(action)
         robot.time += 0.05
@@ -74,26 +74,26 @@ def test_a_policy_on_a_line_observes_what_it_does_in_the_environment_with_that_l
     environment = KheperaEnvironment("LightSeeking", line=38400, compiled=False)
     expected = [environment.reset(options={"seed": 5, "start": start})[0]]
     expected += [environment.step(action)[0] for action in actions[:-1]]
-    seen: list[NDArray[np.float32]] = []
+    observations: list[NDArray[np.float32]] = []
 
     def policy(observation: NDArray[np.float32]) -> NDArray[np.float64]:
-        seen.append(observation)
-        return actions[len(seen) - 1]
+        observations.append(observation)
+        return actions[len(observations) - 1]
 
     playpen = at_start(Playpen.load("light-seeking"), 0, start)
     with Khepera(Serial.of(open_twin(playpen, TwinOptions(seed=5, mode=3)))) as robot:
         run(TaskController("LightSeeking", policy), robot, cycles=30)
-    np.testing.assert_array_equal(seen, expected)
+    np.testing.assert_array_equal(observations, expected)
 
 
 def test_a_robot_is_asked_for_what_the_task_observes_once_a_period() -> None:
-    asked: list[str] = []
+    requests: list[str] = []
     ends: list[int] = []
     with Khepera("khep://light-seeking?mode=3", baudrate=38400) as robot:
-        robot.listen(lambda request, reply: asked.append(request))
+        robot.listen(lambda request, reply: requests.append(request))
         controller = TaskController("LightSeeking", lambda observation: (0.5, -0.25))
         run(controller, robot, cycles=4, after_cycle=lambda: ends.append(to_ns(robot.time)))
-    assert asked == [*["N", "O", "H", "D,10,-5"] * 4, "D,0,0"]
+    assert requests == [*["N", "O", "H", "D,10,-5"] * 4, "D,0,0"]
     assert np.diff(ends).tolist() == [50_000_000] * 3
 
 
@@ -108,7 +108,7 @@ class Box:
 
 
 class Model:
-    """A model with the face of stable-baselines3's."""
+    """A model with the interface of stable-baselines3."""
 
     def __init__(self, observation_space: object, action_space: object) -> None:
         self.observation_space, self.action_space = observation_space, action_space
@@ -129,12 +129,12 @@ def test_a_model_is_asked_without_chance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("task", "policy", "told"),
+    ("task", "policy", "message"),
     [
         (
             "Homing",
             len,
-            "task Homing: no robot tells its charge; expected a task that observes proximity, light, speed",
+            "task Homing: no robot reports its charge; expected a task that observes proximity, light, speed",
         ),
         (
             "LightSeeking",
@@ -155,14 +155,14 @@ def test_a_model_is_asked_without_chance() -> None:
     ],
     ids=["charge", "shape", "scale", "actions"],
 )
-def test_a_policy_for_something_else_is_refused_at_once(task: str, policy: Any, told: str) -> None:
-    with pytest.raises(ControllerError, match=told) as caught:
+def test_a_policy_for_something_else_is_refused_at_once(task: str, policy: Any, message: str) -> None:
+    with pytest.raises(ControllerError, match=message) as caught:
         TaskController(task, policy)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("returned", "told"),
+    ("returned", "message"),
     [
         ("None", "the policy returned None; expected two finite numbers, left and right, from -1 to 1"),
         ("(0.5, float('nan'))", r"the policy returned \(0.5, nan\); expected two finite"),
@@ -175,7 +175,7 @@ def test_a_policy_for_something_else_is_refused_at_once(task: str, policy: Any, 
     ids=["nothing", "no number", "a batch", "other numbers"],
 )
 def test_a_policy_that_returns_no_speeds_is_told_with_its_file(
-    returned: str, told: str, tmp_path: Path
+    returned: str, message: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "mine.py"
     file.write_text(f"""
@@ -194,7 +194,7 @@ avoid = TaskController("ObstacleAvoidance", policy)
     assert source.attachments == {"controller/mine.py": file.read_text()}
     with (
         Khepera("khep://obstacles") as robot,
-        pytest.raises(ControllerError, match=f"mine.py.*{told}") as caught,
+        pytest.raises(ControllerError, match=f"mine.py.*{message}") as caught,
     ):
         run(controller, robot, cycles=1)
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Driving by hand: the dead-man's switch, what is sent, and what is to be seen."""
+"""Teleoperation: the dead-man's switch, the commands, and the screen."""
 
 import pytest
 
@@ -25,12 +25,12 @@ def test_a_press_drives_for_a_moment_and_a_key_that_is_held_drives_on() -> None:
     switch.press(Direction.FORWARD, 1.0)
     assert switch.direction(1.0 + FIRST_HOLD - 0.01) is Direction.FORWARD
     assert switch.direction(1.0 + FIRST_HOLD) is Direction.STOP
-    # Held: the keyboard repeats it, and the switch falls soon after the last one.
+    # Held: the keyboard repeats the key, and the switch releases soon after the last repetition.
     for tick in range(20):
         switch.press(Direction.FORWARD, 10 + 0.1 * tick)
     assert switch.direction(10 + 1.9 + REPEAT_HOLD - 0.01) is Direction.FORWARD
     assert switch.direction(10 + 1.9 + REPEAT_HOLD) is Direction.STOP
-    # Another way is a first press again, and space stops at once.
+    # Another direction counts as a first press, and space stops immediately.
     switch.press(Direction.LEFT, 20.0)
     assert switch.direction(20.0 + REPEAT_HOLD) is Direction.LEFT
     switch.press(Direction.STOP, 20.1)
@@ -92,7 +92,7 @@ def test_one_lost_reply_is_lived_with_and_a_lost_line_is_not() -> None:
         del fake.answers["D"]
         fake.requests.clear()
         operation.cycle()
-        # What has been carried out before is not known: all is sent again.
+        # It is unknown which commands were executed, so all are sent again.
         assert fake.requests[0] == "D,0,0"
         fake.silent = True
         operation.cycle()
@@ -116,8 +116,8 @@ def test_the_end_stops_the_motors_even_when_the_line_has_gone() -> None:
     with FakeRobot() as fake, Khepera(fake.url) as robot:
         operation = Teleoperation(robot, 5)
         operation.press(Direction.FORWARD)
-        asked = iter([False, False, True])
-        operation.run(lambda: next(asked))
+        stops = iter([False, False, True])
+        operation.run(lambda: next(stops))
         assert fake.requests.count("D,5,5") == 1
         assert fake.requests[-1] == "D,0,0"
 

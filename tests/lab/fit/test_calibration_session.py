@@ -1,4 +1,4 @@
-"""Calibration sessions: placed and measured by a person, kept from step to step, ended without a loss."""
+"""Calibration sessions: placing and measuring by a person, saved steps, and aborts without loss."""
 
 import math
 from collections.abc import Callable
@@ -37,56 +37,56 @@ def simulated(robot: Khepera, ruler: Ruler | None = None) -> SimulatedPerson:
 
 
 def answering(*answers: str) -> tuple[PersonAtTerminal, list[str]]:
-    """A person at a terminal with these answers, and what was shown."""
-    shown: list[str] = []
+    """Return a person at a terminal with these answers, and the shown lines."""
+    lines: list[str] = []
     rest = iter(answers)
 
     def ask(question: str) -> str:
-        shown.append(question)
+        lines.append(question)
         return next(rest)
 
-    return PersonAtTerminal(shown.append, ask), shown
+    return PersonAtTerminal(lines.append, ask), lines
 
 
 def test_a_session_goes_on_after_the_last_step_that_was_done(tmp_path: Path) -> None:
-    folder, shown = tmp_path / "session", list[str]()
+    folder, lines = tmp_path / "session", list[str]()
     with bench() as robot:
-        assert CalibrationSession(folder).run([STRAIGHT], robot, simulated(robot), shown.append, never)
+        assert CalibrationSession(folder).run([STRAIGHT], robot, simulated(robot), lines.append, never)
         before = (folder / "straight.mcap").read_bytes()
-        asked = iter([False] * 40)
+        stops = iter([False] * 40)
         again = CalibrationSession(folder)
         assert not again.run(
-            [STRAIGHT, WALL, DUTY], robot, simulated(robot), shown.append, lambda: next(asked, True)
+            [STRAIGHT, WALL, DUTY], robot, simulated(robot), lines.append, lambda: next(stops, True)
         )
-        # The motors stand, and nothing is half there.
+        # The motors are stopped, and no partial recording exists.
         robot.sleep(0.5)
         assert robot.speed() == (0, 0)
-        assert sorted(each.name for each in folder.iterdir()) == ["straight.mcap", TESTS]
-        assert any("done before: straight.mcap=" in line for line in shown)
+        assert sorted(path.name for path in folder.iterdir()) == ["straight.mcap", TESTS]
+        assert any("done before: straight.mcap=" in line for line in lines)
         third = CalibrationSession(folder)
-        assert third.run([STRAIGHT, DUTY], robot, simulated(robot), shown.append, never)
+        assert third.run([STRAIGHT, DUTY], robot, simulated(robot), lines.append, never)
     assert (folder / "straight.mcap").read_bytes() == before
     assert (folder / TESTS).read_text().splitlines() == third.words
-    found = fit_inputs(third.paths)
-    assert (len(found.wheels), len(found.motors)) == (1, 1)
-    assert found.wheels[0].distance == pytest.approx(0.6, abs=0.001)
+    inputs = fit_inputs(third.paths)
+    assert (len(inputs.wheels), len(inputs.motors)) == (1, 1)
+    assert inputs.wheels[0].distance == pytest.approx(0.6, abs=0.001)
 
 
 def test_a_recording_that_is_asked_to_stop_leaves_no_file(tmp_path: Path) -> None:
     with bench() as robot:
         for step in (STRAIGHT, DUTY, WALL):
-            asked = iter([False] * 10)
-            assert not record(robot, step, tmp_path / step.file, lambda asked=asked: next(asked, True))
+            stops = iter([False] * 10)
+            assert not record(robot, step, tmp_path / step.file, lambda stops=stops: next(stops, True))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_host_s_recording_has_the_times_of_the_twin_s_own_log(tmp_path: Path) -> None:
-    with bench(tmp_path / "own.mcap") as robot:
+    with bench(tmp_path / "twin.mcap") as robot:
         assert record(robot, DUTY, tmp_path / "host.mcap", never)
-    own, host = (read_drive(tmp_path / name) for name in ("own.mcap", "host.mcap"))
+    twin_drive, host = (read_drive(tmp_path / name) for name in ("twin.mcap", "host.mcap"))
     assert len(host.times_ns) > 300
-    np.testing.assert_allclose(host.times_ns, own.times_ns[: len(host.times_ns)], atol=10)
-    np.testing.assert_array_equal(host.values, own.values[: len(host.values)])
+    np.testing.assert_allclose(host.times_ns, twin_drive.times_ns[: len(host.times_ns)], atol=10)
+    np.testing.assert_array_equal(host.values, twin_drive.values[: len(host.values)])
 
 
 def test_a_simulated_person_puts_the_robot_where_the_step_wants_it_within_the_ruler_s_errors() -> None:
@@ -97,9 +97,9 @@ def test_a_simulated_person_puts_the_robot_where_the_step_wants_it_within_the_ru
         assert twin.robot.pose[0] == pytest.approx(1.0 - 0.0275 - 0.015, abs=1e-6)
         lamp = Step("lamp", 60.0, power_w=2.0, height_mm=30.0)
         exact.place(lamp)
-        (found,) = twin.world.playpen.lamps
-        assert found.x_mm - twin.robot.pose[0] * 1e3 == pytest.approx(27.5 + 60 + 10, abs=0.01)
-        assert (found.z_mm, found.power_w) == (30.0, 2.0)
+        (bulb,) = twin.world.playpen.lamps
+        assert bulb.x_mm - twin.robot.pose[0] * 1e3 == pytest.approx(27.5 + 60 + 10, abs=0.01)
+        assert (bulb.z_mm, bulb.power_w) == (30.0, 2.0)
         person, errors = simulated(robot, Ruler(0.5, 1.5)), list[tuple[float, float]]()
         for _ in range(60):
             person.place(WALL)
@@ -137,7 +137,7 @@ def test_a_playpen_without_room_is_refused(change: tuple[str, str], problem: str
 
 
 @pytest.mark.parametrize(
-    ("step", "answers", "told"),
+    ("step", "answers", "expected"),
     [
         (WALL, [""], 15.0),
         (WALL, ["14.5"], 14.5),
@@ -146,16 +146,16 @@ def test_a_playpen_without_room_is_refused(change: tuple[str, str], problem: str
     ],
 )
 def test_a_place_is_confirmed_corrected_or_skipped(
-    step: Step, answers: list[str], told: float | None
+    step: Step, answers: list[str], expected: float | None
 ) -> None:
-    person, shown = answering(*answers)
-    assert person.place(step) == told
-    assert shown[0] == step.text
-    assert sum("expected Enter" in line for line in shown) == len(answers) - 1
+    person, lines = answering(*answers)
+    assert person.place(step) == expected
+    assert lines[0] == step.text
+    assert sum("expected Enter" in line for line in lines) == len(answers) - 1
 
 
 @pytest.mark.parametrize(
-    ("step", "answers", "told"),
+    ("step", "answers", "expected"),
     [
         (STRAIGHT, ["598.5"], 598.5),
         (STRAIGHT, ["60", "598 mm", "601"], 601.0),
@@ -166,10 +166,10 @@ def test_a_place_is_confirmed_corrected_or_skipped(
     ],
 )
 def test_a_measurement_is_asked_for_until_it_is_a_number(
-    step: Step, answers: list[str], told: float | None
+    step: Step, answers: list[str], expected: float | None
 ) -> None:
     person, _ = answering(*answers)
-    assert person.measure(step) == told
+    assert person.measure(step) == expected
 
 
 def test_a_person_who_has_put_everything_up_is_not_waited_for() -> None:
@@ -215,13 +215,13 @@ def test_objects_that_no_one_has_are_refused(make: Callable[[], object]) -> None
 
 
 def test_every_step_has_a_file_and_a_word_of_its_own() -> None:
-    found = steps([6.0, 12.0], 27.0, 2.0, 15.0)
-    assert len({step.file for step in found}) == len(found) == 10
-    assert [step.word(12.5) for step in found if step.kind in ("cylinder", "lamp")][::3] == [
+    session_steps = steps([6.0, 12.0], 27.0, 2.0, 15.0)
+    assert len({step.file for step in session_steps}) == len(session_steps) == 10
+    assert [step.word(12.5) for step in session_steps if step.kind in ("cylinder", "lamp")][::3] == [
         "cylinder-6.csv=cylinder:27mm@12.5mm",
         "lamp-60.csv=lamp:2W:15mm@12.5mm",
     ]
-    assert {step.sign for step in found if step.kind == "wall"} == {1, -1}
+    assert {step.sign for step in session_steps if step.kind == "wall"} == {1, -1}
 
 
 def test_a_session_takes_no_folder_of_others(tmp_path: Path) -> None:

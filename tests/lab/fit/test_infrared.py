@@ -1,4 +1,4 @@
-"""The optics in the plane: the scene's own, and as a real robot has measured them."""
+"""The optics of the 2-D model, against those of a scene, and against measurements of a real robot."""
 
 from pathlib import Path
 
@@ -41,7 +41,7 @@ def optics(sensor: int) -> tuple[float, Optics]:
 
 
 def bench(radius: float) -> MeasuredTable:
-    """The sampled robot's places, with nothing measured there."""
+    """Poses of the sampled robot, without measurements."""
     bearings = SET_UP_BEARING - np.radians(np.arange(-180, 180, 2))
     grid = np.repeat(DISTANCES, len(bearings)), np.tile(bearings, len(DISTANCES))
     return MeasuredTable(*grid, np.zeros((len(grid[0]), 8)), radius)
@@ -110,19 +110,19 @@ def test_each_sensor_has_the_derived_figures_of_the_real_one(sensor: int) -> Non
 def test_the_sampled_robot_is_met_at_every_bearing_and_on_axis(reference: Path) -> None:
     everywhere = []
     for measured, on_axis in zip(sampled(reference), (20, 12), strict=True):
-        found = [compare(measured, sensor, *optics(sensor)) for sensor in SENSORS]
-        everywhere += [each.everywhere for each in found]
-        assert rms([each.on_axis for each in found]) <= on_axis
-        assert max(rms([each.on_axis]) for each in found) <= 35
-        assert max(abs(each.half) for each in found) <= 1.5e-3
-        assert max(abs(np.degrees(each.peak)) for each in found) <= 2
+        comparisons = [compare(measured, sensor, *optics(sensor)) for sensor in SENSORS]
+        everywhere += [comparison.everywhere for comparison in comparisons]
+        assert rms([comparison.on_axis for comparison in comparisons]) <= on_axis
+        assert max(rms([comparison.on_axis]) for comparison in comparisons) <= 35
+        assert max(abs(comparison.half) for comparison in comparisons) <= 1.5e-3
+        assert max(abs(np.degrees(comparison.peak)) for comparison in comparisons) <= 2
     assert rms(everywhere) <= 25
 
 
 def thinned(table: MeasuredTable) -> MeasuredTable:
     """Every third bearing."""
-    kept = np.arange(len(table.distances)) % 3 == 0
-    return MeasuredTable(table.distances[kept], table.bearings[kept], table.counts[kept], table.radius)
+    subset = np.arange(len(table.distances)) % 3 == 0
+    return MeasuredTable(table.distances[subset], table.bearings[subset], table.counts[subset], table.radius)
 
 
 @pytest.mark.parametrize(("fitted", "unseen"), [(0, 1), (1, 0)], ids=["to the wall", "to the cylinder"])
@@ -139,7 +139,9 @@ def test_a_sensor_fitted_to_one_object_meets_the_other_with_the_same_reflectance
 
 def test_one_calibration_meets_all_of_the_manuals_figures_of_proximity(reference: Path) -> None:
     manual = calibration.read("khepera1-manual")[0].proximity
-    reflectances = {name: BUILT_IN_SURFACES[own].reflectance for name, own in MANUAL_SURFACES.items()}
+    reflectances = {
+        name: BUILT_IN_SURFACES[built_in].reflectance for name, built_in in MANUAL_SURFACES.items()
+    }
     reflectances |= {"wood 1": OTHER_WOOD, "obstacle": OBSTACLE_REFLECTANCE}
     eleven, twelve, thirteen = manual_residuals(
         reference, [Optics.of(manual, sensor) for sensor in range(6)], reflectances
@@ -147,7 +149,7 @@ def test_one_calibration_meets_all_of_the_manuals_figures_of_proximity(reference
     assert rms(eleven) <= 12
     assert rms([twelve]) <= 40
     assert rms(thirteen) <= 8
-    # And so they are in a scene, where sensors have a range.
+    # The same holds in a scene, where sensors have a limited range.
     assert figure_11(reference).figure <= 12
     assert figure_12(reference).figure <= 40
     assert figure_13(reference).figure <= 8
@@ -176,7 +178,7 @@ def test_a_khepera_2_reads_paper_and_another_robot_as_in_the_report(
     for curve in curves:
         read = []
         for distance in curve.distances.tolist():
-            # The other one is put before the first, or the only one before the right wall.
+            # The second robot stands in front of the first, or a single one in front of the right wall.
             world.data.qpos[moved] = 1 + face + distance + body.radius if is_robot else 2 - face - distance
             world.scan()
             read.append(int(world.robots[0].registers[PROXIMITY][curve.sensor]))

@@ -1,4 +1,4 @@
-"""Sensors from readings: gains that a twin was made with are found, and data that cannot tell is refused."""
+"""Fit of sensors: a hidden twin's gains are recovered, and data that do not determine them are refused."""
 
 import math
 from dataclasses import replace
@@ -11,7 +11,7 @@ from scenes import arena, hosted
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
-from khep_twin.lab.fit.infrared_fit import fit_infrared, apply_fit, levels
+from khep_twin.lab.fit.infrared_fit import apply_fit, fit_infrared, levels
 from khep_twin.lab.fit.least_squares import expected_readings
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Placement, Readings, Ruler
 from khep_twin.sensing import calibration
@@ -23,13 +23,13 @@ FACTORS = np.array([1.2, 0.85, 0.9, 1.1, 1.0, 1.15, 0.8, 0.95])
 
 def hidden_calibration() -> calibration.Calibration:
     gains = tuple(float(gain) for gain in np.array(KHEPERA1.proximity.gain_counts_mm2) * FACTORS)
-    thresholds = tuple(float(each) for each in np.array(KHEPERA1.proximity.threshold_counts) + 40)
+    thresholds = tuple(float(counts) for counts in np.array(KHEPERA1.proximity.threshold_counts) + 40)
     update = {"gain_counts_mm2": gains, "threshold_counts": thresholds}
     return KHEPERA1.model_copy(update={"proximity": KHEPERA1.proximity.model_copy(update=update)})
 
 
 def turn(path: str, distance_mm: float, seed: int) -> tuple[Readings, float]:
-    """A robot turns slowly once in front of a wall, by its own counters; its readings and its time [s]."""
+    """A robot turns slowly once in front of a wall, by its counters; its readings and its time [s]."""
     x_mm = 1000 - BODY_RADIUS * 1000 - distance_mm
     text = arena(1000, 1000) + scenes.robot(x_mm, 500, calibration=path)
     bearings: list[float] = []
@@ -66,28 +66,28 @@ def test_hidden_gains_are_found_within_three_minutes_of_robot_time(
     turns = [turn(str(path), distance_mm, seed) for seed, distance_mm in enumerate((14, 18, 22, 26, 30))]
     assert sum(time for _, time in turns) < 180
     found_all = fit_infrared([test for test, _ in turns], KHEPERA1)
-    fits, found = found_all.sensors, apply_fit(KHEPERA1, found_all).proximity
-    gains = np.array(found.gain_counts_mm2) / hidden_calibration().proximity.gain_counts_mm2
+    fits, proximity = found_all.sensors, apply_fit(KHEPERA1, found_all).proximity
+    gains = np.array(proximity.gain_counts_mm2) / hidden_calibration().proximity.gain_counts_mm2
     np.testing.assert_allclose(gains, 1, atol=0.03)
     assert max(fit.gain_interval for fit in fits) < 0.07
-    # Most readings are cut off at 0, where noise of 22 counts hardly shows.
+    # Most readings are clipped to 0, so that noise of 22 counts is hardly visible.
     assert all(5 < fit.rms < 14 for fit in fits)
 
 
 def bench(distances_mm: list[float], moved: Misplacement = IN_PLACE) -> list[Readings]:
-    """Quiet readings of the hidden robot, worked out, before walls that stand elsewhere than told."""
+    """Computed readings of the hidden robot without noise, in front of misplaced walls."""
     bearings = np.radians(np.arange(-180, 180, 4.0))
     tests = [readings(distance_mm, bearings, np.empty(0)) for distance_mm in distances_mm]
     counts = [np.clip(levels(test.placement, hidden_calibration(), moved), 0, 1023) for test in tests]
-    return [replace(test, counts=each) for test, each in zip(tests, counts, strict=True)]
+    return [replace(test, counts=readings) for test, readings in zip(tests, counts, strict=True)]
 
 
 QUIET = KHEPERA1.model_copy(update={"proximity": KHEPERA1.proximity.model_copy(update={"noise_counts": 0.0})})
 
 
 def test_without_noise_and_with_an_exact_ruler_the_gains_are_exact() -> None:
-    found = fit_infrared(bench([15, 20, 25]), QUIET, Ruler(0, 0, 0))
-    for sensor, fit in enumerate(found.sensors):
+    infrared = fit_infrared(bench([15, 20, 25]), QUIET, Ruler(0, 0, 0))
+    for sensor, fit in enumerate(infrared.sensors):
         assert fit.optics.gain_counts_mm2 == pytest.approx(
             hidden_calibration().proximity.gain_counts_mm2[sensor], rel=1e-2
         )
@@ -98,7 +98,7 @@ def test_a_wall_that_stood_elsewhere_is_found_there_as_far_as_the_others_tell() 
     tests = bench([15, 20, 25, 30])
     (wrong,) = bench([22], Misplacement(0.002, math.radians(4)))
     moved = fit_infrared([*tests, wrong], QUIET).misplacements
-    # What all have in common is a distance and heading of the robot's own.
+    # An error common to all tests is equivalent to a distance and heading of the robot.
     assert moved[-1].distance - moved[0].distance == pytest.approx(0.002, abs=0.0003)
     assert moved[-1].bearing - moved[0].bearing == pytest.approx(math.radians(4), abs=math.radians(0.4))
 
@@ -109,7 +109,7 @@ def test_a_ruler_widens_the_intervals_by_what_its_error_does() -> None:
     exact, usual = (fit_infrared(tests, KHEPERA1, Ruler(mm, deg, 0)) for mm, deg in ((0, 0), (0.5, 1.5)))
     for narrow, wide in zip(exact.sensors, usual.sensors, strict=True):
         assert wide.gain_interval > 1.15 * narrow.gain_interval
-        # About the mean of five bearings, each to 1.5 degrees.
+        # About the mean of five bearings, each with an error of 1.5 degrees.
         assert wide.heading_interval is not None
         assert 0.5 < wide.heading_interval / (1.96 * 1.5 / math.sqrt(5)) < 2.5
 
@@ -117,8 +117,8 @@ def test_a_ruler_widens_the_intervals_by_what_its_error_does() -> None:
 @pytest.mark.parametrize("distances_mm", [[4.0], [200.0]])
 def test_readings_that_are_all_saturated_or_0_are_refused_by_sensor(distances_mm: list[float]) -> None:
     (test,) = bench(distances_mm)
-    ahead = np.abs(test.placement.poses[:, 2]) < 0.3
-    part = readings(distances_mm[0], -test.placement.poses[ahead, 2], test.counts[ahead])
+    is_ahead = np.abs(test.placement.poses[:, 2]) < 0.3
+    part = readings(distances_mm[0], -test.placement.poses[is_ahead, 2], test.counts[is_ahead])
     with pytest.raises(FitError, match=r"left 90: the gain cannot be determined: \d+ readings"):
         fit_infrared([part], KHEPERA1)
 
@@ -126,4 +126,6 @@ def test_readings_that_are_all_saturated_or_0_are_refused_by_sensor(distances_mm
 def test_the_mean_of_noisy_readings_that_are_cut_off() -> None:
     levels = np.array([-500.0, -20.0, 0.0, 30.0, 500.0, 1000.0, 1023.0, 2000.0])
     noisy = levels + 40 * np.random.default_rng(1).standard_normal((400_000, 1))
-    np.testing.assert_allclose(expected_readings(levels, 40, 1023), np.clip(noisy, 0, 1023).mean(axis=0), atol=0.3)
+    np.testing.assert_allclose(
+        expected_readings(levels, 40, 1023), np.clip(noisy, 0, 1023).mean(axis=0), atol=0.3
+    )

@@ -1,4 +1,4 @@
-"""The law of lamps: as the sampled robot's, the scene's own, and found from readings."""
+"""Readings of lamps: the model against the sampled robot and against a scene, and its fit."""
 
 import math
 from pathlib import Path
@@ -32,7 +32,7 @@ DISTANCES = np.arange(0.073, 0.534, 0.02)
 
 
 def turned(distance: float, power: float = 2.0) -> Readings:
-    """A robot turned in a lamp's light, with nothing read."""
+    """Poses of a robot that turns in a lamp's light, without readings."""
     return readings(np.full(180, distance), SET_UP_BEARING + BEARINGS, np.zeros((180, 8)), power)
 
 
@@ -48,7 +48,7 @@ def test_each_receiver_has_the_derived_figures_of_the_real_one(sensor: int) -> N
     assert (best - BEST_DEG[sensor] + 180) % 360 - 180 == pytest.approx(0, abs=5)
     assert 2 * (depths > depths.max() / 2).sum() == pytest.approx(WIDTH_DEG[sensor], abs=18)
     near = np.abs(np.angle(np.exp(1j * (BEARINGS - np.radians(BEST_DEG[sensor]))))) <= np.radians(10)
-    means = [ambient_counts(lamp(each), sensor, KHEPERA1.ambient)[near].mean() for each in DISTANCES]
+    means = [ambient_counts(lamp(distance), sensor, KHEPERA1.ambient)[near].mean() for distance in DISTANCES]
     assert np.interp(250, means, DISTANCES) * 1e3 == pytest.approx(AT_250_MM[sensor], abs=8)
     assert np.interp(0.213, DISTANCES, means) == pytest.approx(AT_213_COUNTS[sensor], abs=9)
 
@@ -73,7 +73,7 @@ def read_in_scene(forward: float, left: float, height: float) -> np.ndarray:
 def test_the_law_for_many_positions_gives_what_the_scene_gives(position: tuple[float, float, float]) -> None:
     table = LampTable(np.array([position]), 2.0)
     expected = [ambient_counts(table, sensor, KHEPERA1.ambient)[0] for sensor in SENSORS]
-    # Its own wheels may hide a lamp behind it from a sensor that sees it by its diffuse part only.
+    # The wheels may hide a lamp behind the robot from a sensor that sees it only by its diffuse part.
     np.testing.assert_allclose(read_in_scene(*position), expected, atol=1.5)
 
 
@@ -89,7 +89,7 @@ HIDDEN = KHEPERA1.ambient.model_copy(
 
 
 def recorded(*distances: float, seed: int = 1, moved: Misplacement = IN_PLACE) -> list[Readings]:
-    """A hidden robot's noisy readings in full turns, of lamps that stood elsewhere than told."""
+    """A hidden robot's noisy readings in full turns, of misplaced lamps."""
     rng = np.random.default_rng(seed)
     tests: list[Readings] = []
     for distance in distances:
@@ -132,7 +132,10 @@ def test_the_intervals_contain_what_a_ruler_s_error_does() -> None:
 
 
 def test_a_lamp_that_was_only_passed_on_one_side_does_not_tell_the_other_sensors() -> None:
-    (whole,) = recorded(0.15)
-    ahead = np.abs(np.angle(np.exp(1j * BEARINGS))) < 0.6
+    (full_turn,) = recorded(0.15)
+    is_ahead = np.abs(np.angle(np.exp(1j * BEARINGS))) < 0.6
     with pytest.raises(FitError, match=r"^(back right|left 90|right 90|back left)"):
-        fit_lamps([readings(np.full(ahead.sum(), 0.15), BEARINGS[ahead], whole.counts[ahead], 2.0)], KHEPERA1)
+        fit_lamps(
+            [readings(np.full(is_ahead.sum(), 0.15), BEARINGS[is_ahead], full_turn.counts[is_ahead], 2.0)],
+            KHEPERA1,
+        )

@@ -1,4 +1,4 @@
-"""Objects that a person has put before a robot: where they are seen from, also if they stand elsewhere."""
+"""Objects in front of a robot: distances and bearings from its poses, also with misplacements."""
 
 import math
 

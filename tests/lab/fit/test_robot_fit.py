@@ -1,4 +1,4 @@
-"""A whole robot from recorded tests: what a twin was made with is found, what cannot be told is refused."""
+"""Fit of a robot from recorded tests: a hidden twin's values are recovered, undetermined ones refused."""
 
 import math
 from pathlib import Path
@@ -38,7 +38,7 @@ HIDDEN = KHEPERA1.model_copy(
         "proximity": KHEPERA1.proximity.model_copy(
             update={
                 "gain_counts_mm2": times(KHEPERA1.proximity.gain_counts_mm2, FACTORS),
-                "threshold_counts": tuple(each + 40 for each in KHEPERA1.proximity.threshold_counts),
+                "threshold_counts": tuple(counts + 40 for counts in KHEPERA1.proximity.threshold_counts),
             }
         ),
         "ambient": KHEPERA1.ambient.model_copy(
@@ -52,22 +52,22 @@ HIDDEN = KHEPERA1.model_copy(
 
 
 class Bench:
-    """A table with the hidden robot on it, and what was recorded of it."""
+    """A bench with the hidden robot, and its recordings."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.robot_time = 0.0
         (folder / "hidden.toml").write_text(dump(HIDDEN))
 
-    def robot(self, x_mm: float, more: str = "", log: str = "", seed: int = 0) -> Khepera:
-        own = scenes.robot(x_mm, 500, calibration=str(self.folder / "hidden.toml"))
-        scene = playpen.parse(arena(1000, 1000) + own + more, "bench")
+    def robot(self, x_mm: float, options: str = "", log: str = "", seed: int = 0) -> Khepera:
+        table = scenes.robot(x_mm, 500, calibration=str(self.folder / "hidden.toml"))
+        scene = playpen.parse(arena(1000, 1000) + table + options, "bench")
         robot = hosted(scene, seed=seed, log=str(self.folder / log) if log else None)
         robot.port.twin.world.code.switch_if_ready()
         return robot
 
     def drive(self, log: str, left: int, right: int) -> tuple[float, float]:
-        """By position control; the true way [m] and turning [rad], as a ruler and patience find them."""
+        """Drive by position control; return the true distance [m] and turn [rad], as a ruler finds them."""
         with self.robot(100, log=log) as robot:
             body = robot.port.twin.robot
             start, turned, heading = body.pose, 0.0, body.pose[2]
@@ -99,7 +99,7 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[str], Path]:
-    """Words for the command line: tests of less than three minutes, and others to check with."""
+    """Words for the command line: tests of less than three minutes, and tests for a check."""
     bench = Bench(tmp_path_factory.mktemp("recorded"))
     path = bench.folder
     way, _ = bench.drive("straight.mcap", 10_000, 10_000)
@@ -110,11 +110,11 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[
         f"{path}/spin.mcap={turned / 2 / math.pi:.3f}turns",
         f"{path}/steps.mcap=duty",
     ]
-    around = SensorTest("proximity", rotate_deg=360, speed=4)
+    full_turn = SensorTest("proximity", rotate_deg=360, speed=4)
     light = SensorTest("light", rotate_deg=360, speed=5)
     for seed, distance_mm in enumerate((12, 17, 23, 29)):
         robot = bench.robot(1000 - 27.5 - distance_mm, seed=seed)
-        words.append(f"{bench.turn(f'wall{seed}.csv', robot, around)}=wall@{distance_mm}mm")
+        words.append(f"{bench.turn(f'wall{seed}.csv', robot, full_turn)}=wall@{distance_mm}mm")
     for seed, distance_mm in enumerate((60, 150)):
         lamp = table("lamp", x_mm=300 + 27.5 + 10 + distance_mm, y_mm=500, power_w=2)
         robot = bench.robot(300, lamp, seed=seed)
@@ -124,7 +124,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[
     can = table("cylinder", x_mm=300 + 27.5 + 15 + 12.5, y_mm=500, radius_mm=12.5, height_mm=50)
     unused = [
         f"{path}/other.mcap={other * 1e3:.1f}mm",
-        f"{bench.turn('can.mcap', bench.robot(300, can), around)}=cylinder:12.5mm@15mm",
+        f"{bench.turn('can.mcap', bench.robot(300, can), full_turn)}=cylinder:12.5mm@15mm",
     ]
     return words, unused, path
 
@@ -136,36 +136,36 @@ def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
     words, unused, folder = recorded
     checks = [part for word in unused for part in ("--check", word)]
     target = folder / "mine.toml"
-    shown = good("fit", *words, *checks, "-o", target)
-    found = calibration.read(str(target))[0]
-    assert found.name == "mine"
-    assert found.wheels.radius_mm == pytest.approx(HIDDEN.wheels.radius_mm, rel=0.002)
-    assert found.wheels.base_mm == pytest.approx(HIDDEN.wheels.base_mm, rel=0.005)
-    assert found.motors.no_load_speed_rad_s == pytest.approx(HIDDEN.motors.no_load_speed_rad_s, rel=0.01)
-    assert found.motors.stall_torque_n_m == pytest.approx(HIDDEN.motors.stall_torque_n_m, rel=0.03)
-    assert found.motors.friction_torque_n_m == pytest.approx(HIDDEN.motors.friction_torque_n_m, rel=0.05)
+    output = good("fit", *words, *checks, "-o", target)
+    fit = calibration.read(str(target))[0]
+    assert fit.name == "mine"
+    assert fit.wheels.radius_mm == pytest.approx(HIDDEN.wheels.radius_mm, rel=0.002)
+    assert fit.wheels.base_mm == pytest.approx(HIDDEN.wheels.base_mm, rel=0.005)
+    assert fit.motors.no_load_speed_rad_s == pytest.approx(HIDDEN.motors.no_load_speed_rad_s, rel=0.01)
+    assert fit.motors.stall_torque_n_m == pytest.approx(HIDDEN.motors.stall_torque_n_m, rel=0.03)
+    assert fit.motors.friction_torque_n_m == pytest.approx(HIDDEN.motors.friction_torque_n_m, rel=0.05)
     for part, key in (("proximity", "gain_counts_mm2"), ("ambient", "gain_counts_mm2_per_w")):
-        gains = np.array(getattr(getattr(found, part), key)) / getattr(getattr(HIDDEN, part), key)
+        gains = np.array(getattr(getattr(fit, part), key)) / getattr(getattr(HIDDEN, part), key)
         np.testing.assert_allclose(gains, 1, atol=0.03)
-    assert found.ambient.dark_counts == pytest.approx(470, abs=1)
-    lines = shown.splitlines()
-    assert "check the object" not in shown
+    assert fit.ambient.dark_counts == pytest.approx(470, abs=1)
+    lines = output.splitlines()
+    assert "check the object" not in output
     drive, can = (line for line in lines if line.endswith("off, not used for the fit"))
     assert abs(float(drive.split(": ")[1].split(" mm")[0])) < 1
     assert float(can.split(": ")[1].split(" counts")[0]) < 30
 
 
 @pytest.mark.parametrize(
-    ("kept", "message"),
+    ("unchanged", "message"),
     [
         (["spin.mcap"], "the wheels' radius cannot be determined"),
         (["straight.mcap"], "the wheel base cannot be determined"),
     ],
 )
 def test_without_a_ruler_wheels_are_refused(
-    recorded: tuple[list[str], list[str], Path], kept: list[str], message: str
+    recorded: tuple[list[str], list[str], Path], unchanged: list[str], message: str
 ) -> None:
-    words = [word for word in recorded[0] if any(name in word for name in kept)]
+    words = [word for word in recorded[0] if any(name in word for name in unchanged)]
     assert message in refusal("fit", *words)
 
 
@@ -218,7 +218,9 @@ def test_in_a_straight_approach_the_wall_comes_nearer_and_stays_ahead() -> None:
     dv = np.zeros((3, 10), np.int64)
     dv[:, :2] = [[0, 0], [100, 100], [250, 250]]
     run = SensorRun(SensorTest(linear_cm=5), dv, np.array([0.0, 1e6, 2e6]))
-    distances, bearings = SensorData("approach", run, 0.03).readings(KHEPERA1.wheels).placement.object_positions()
+    distances, bearings = (
+        SensorData("approach", run, 0.03).readings(KHEPERA1.wheels).placement.object_positions()
+    )
     np.testing.assert_allclose(distances, [0.03, 0.022, 0.01], atol=1e-5)
     np.testing.assert_allclose(bearings, 0, atol=1e-12)
 
@@ -245,17 +247,17 @@ def test_a_test_is_given_once_and_no_output_takes_its_place(
     file = Path(wall.split("=")[0])
     before = file.read_bytes()
     assert "this is a recorded test" in refusal("fit", wall, "-o", file)
-    both = refusal("fit", wall, "-o", folder / "x.png", "--picture", folder / "x.png")
-    assert "this is the calibration" in both
+    message = refusal("fit", wall, "-o", folder / "x.png", "--picture", folder / "x.png")
+    assert "this is the calibration" in message
     assert file.read_bytes() == before
     assert not (folder / "x.png").exists()
 
 
 def test_a_wrong_distance_is_asked_about(recorded: tuple[list[str], list[str], Path]) -> None:
     walls = [word for word in recorded[0] if "wall" in word]
-    shown = good("fit", *walls[:2], walls[2].replace("23mm", "18mm"), walls[3])
-    asked = [line for line in shown.splitlines() if "check the object and its distance" in line]
-    assert any("wall@18mm" in line for line in asked)
+    output = good("fit", *walls[:2], walls[2].replace("23mm", "18mm"), walls[3])
+    questions = [line for line in output.splitlines() if "check the object and its distance" in line]
+    assert any("wall@18mm" in line for line in questions)
 
 
 @pytest.mark.parametrize(

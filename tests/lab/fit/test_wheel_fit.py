@@ -1,4 +1,4 @@
-"""Wheels from drives and a ruler: what a twin with other wheels was made with is found."""
+"""Fit of wheels from drives and a ruler: the hidden values of a twin are recovered."""
 
 import math
 from pathlib import Path
@@ -8,7 +8,7 @@ from command_line import good
 from test_robot_fit import Bench
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels, residual, read_pulses
+from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels, read_pulses, residual
 from khep_twin.sensing import calibration
 
 
@@ -20,17 +20,17 @@ def test_hidden_wheels_are_found_an_unused_drive_is_met_and_a_twin_can_use_the_c
     distance, _ = bench.drive(straight.name, 10_000, 10_000)
     _, turned = bench.drive(spin.name, -10_000, 10_000)
     other, _ = bench.drive(arc.name, 6_000, 6_000)
-    # As a person reads them: whole millimetres, tenths of a turn.
-    found = fit_wheels(
+    # A person reads full millimetres and tenths of a turn.
+    fit = fit_wheels(
         [
             Drive("straight", *read_pulses(straight), distance=round(distance, 3)),
             Drive("spin", *read_pulses(spin), turn=turned),
         ]
     )
-    assert found.radius == pytest.approx(7.83e-3, rel=0.002)
-    assert found.base == pytest.approx(53.4e-3, rel=0.005)
-    assert abs(found.radius - 7.83e-3) < found.radius_interval + 7.83e-3 * 0.001
-    left = residual(Drive("other", *read_pulses(arc), distance=other), found.radius, found.base)
+    assert fit.radius == pytest.approx(7.83e-3, rel=0.002)
+    assert fit.base == pytest.approx(53.4e-3, rel=0.005)
+    assert abs(fit.radius - 7.83e-3) < fit.radius_interval + 7.83e-3 * 0.001
+    left = residual(Drive("other", *read_pulses(arc), distance=other), fit.radius, fit.base)
     assert abs(left) < 0.002
     words = [f"{straight}={distance * 1000:.0f}mm", f"{spin}={turned / 2 / math.pi:.3f}turns"]
     assert "not used for the fit" in good("fit", *words, "--check", words[0], "-o", target)

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from khep_twin.board import kernel
 from khep_twin.board.kernel import LEFT, RESET_VALUES, RIGHT, Board, Mode, Wheel
-from khep_twin.board.protocol import COMMAND_NOT_FOUND, MOVING, Request, Tool
+from khep_twin.board.protocol import COMMAND_NOT_FOUND, MOTION_COMMANDS, Request, Tool
 from khep_twin.board.rom import Rom
-from khep_twin.board.turrets import Turret, TurretKind, installed
+from khep_twin.board.turrets import Turret, TurretKind, installed_turrets
 from khep_twin.clock import NS_PER_S
 from khep_twin.firmware import Firmware, parse
 from khep_twin.log.decoding import printable
@@ -195,7 +195,7 @@ class BoardModel:
             self._has_known_gains = is_answered
         elif exchange.letter == "J":
             self._is_sure = self._is_sure and is_answered
-        elif exchange.letter in MOVING:
+        elif exchange.letter in MOTION_COMMANDS:
             self._is_sure = is_answered
         if exchange.letter in ("C", "G"):
             targets = wheel_pair(firmware.register_view, Wheel.TARGET)
@@ -219,7 +219,7 @@ class BoardModel:
 
 def _guess_turrets(exchanges: Sequence[TimedExchange]) -> tuple[TurretKind, ...]:
     """Return the installed turrets whose numbers have replies."""
-    numbers = {kind.number: kind for kind in reversed(tuple(installed().values()))}
+    numbers = {kind.number: kind for kind in reversed(tuple(installed_turrets().values()))}
     replies = [timed.exchange.reply or b"" for timed in exchanges]
     return tuple(
         numbers[number]

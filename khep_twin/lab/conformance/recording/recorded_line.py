@@ -12,7 +12,7 @@ from pathlib import Path
 
 from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
-from khep_twin.board.turrets import find
+from khep_twin.board.turrets import find_turrets
 from khep_twin.board.uart import HostEvent, HostEventKind, SerialLine
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -85,7 +85,7 @@ def recorded_lines(path: Path) -> list[RecordedLine]:
         pieces = decode_messages(path, topic, messages, lambda data: list(read_events(data)))
         events[name] = [event for _, piece in pieces for _, event in piece]
     all_events = [event for robot_events in events.values() for event in robot_events]
-    changes_ns = sorted(event.at_ns for event in all_events if event.kind > HostEventKind.SET)
+    changes_ns = sorted(event.at_ns for event in all_events if event.kind > HostEventKind.LINE_SETTINGS)
     notes = [line for _, line in decode_messages(path, "/events", messages, read_line)]
     lines: list[RecordedLine] = []
     for index, name in enumerate(label.robots):
@@ -97,7 +97,7 @@ def recorded_lines(path: Path) -> list[RecordedLine]:
             exchanges = _twin_exchanges(transcript, events[name])
         else:
             exchanges = _relay_exchanges(transcript, events[name], _bauds(label, notes))
-        moves = (event for event in events[name] if event.kind == HostEventKind.PUT)
+        moves = (event for event in events[name] if event.kind == HostEventKind.MOVE_ROBOT)
         resets_ns = [event.at_ns for event in moves if len(event.data) > 24]
         lines.append(_make_line(name, label, robot, exchanges, changes_ns, resets_ns))
     if not lines:
@@ -115,7 +115,7 @@ def _known_robots(label: Label, path: Path) -> list[KnownRobot]:
         raise DecodeError(
             f"{len(label.robots)} robots", f"{len(entries)}, those of its playpen.toml"
         ).to_log_error(path, "metadata")
-    return [KnownRobot(entry.rom, entry.mode, tuple(find(entry.turrets))) for entry in entries]
+    return [KnownRobot(entry.rom, entry.mode, tuple(find_turrets(entry.turrets))) for entry in entries]
 
 
 def _twin_exchanges(transcript: Sequence[TextLine], events: Sequence[HostEvent]) -> list[TimedExchange]:
@@ -183,7 +183,7 @@ def _relay_exchanges(
             line.baud = speeds.popleft()[1]
         dialogue.byte_ns = line.byte_ns
         if to_robot:
-            arrived_ns = line.put(data, time_ns)
+            arrived_ns = line.send(data, time_ns)
             line.read(time_ns)
             if data[-1:] in b"\r\n" and data.strip(b"\r\n"):
                 arrivals[time_ns].append(arrived_ns)

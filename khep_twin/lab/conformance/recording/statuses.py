@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 from khep_twin.board.kernel import TARGET_TOLERANCE_PULSES, Mode, wrap
-from khep_twin.board.protocol import SETTING
+from khep_twin.board.protocol import SETPOINT_COMMANDS
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import NS_PER_S
 from khep_twin.lab.conformance.recording.board_model import MotorSettings, RecordedStep
@@ -108,7 +108,7 @@ def _between_status(line: RecordedLine) -> Iterator[tuple[Reading, Reading, Read
         moved = bool(changes) and changes[0] <= step.exchange.sent_ns
         while changes and changes[0] <= step.exchange.sent_ns:
             changes.pop(0)
-        if moved or step.restarts or letter in ("", *SETTING):
+        if moved or step.restarts or letter in ("", *SETPOINT_COMMANDS):
             last, counters = None, []
         elif letter == "H" and values is not None and len(values) == 2:
             counters.append((step, values))
@@ -134,7 +134,7 @@ def arrival_in_time(line: RecordedLine) -> Verdict:
         for previous, step in pairwise(line.steps):
             motion, values, letter = step.motion, step.exchange.values, step.exchange.letter
             is_positioning = motion is not None and motion.modes[wheel] == Mode.POSITION
-            if motion is None or not is_positioning or letter in ("", *SETTING) or previous.motion != motion:
+            if motion is None or not is_positioning or letter in ("", *SETPOINT_COMMANDS) or previous.motion != motion:
                 on_target = []
             elif letter == "H" and values is not None and len(values) == 2:
                 is_near = motion.targets is not None and (
