@@ -1,12 +1,11 @@
-"""Runs of random logs resumed at random moments: unchanged they equal the parent, changed ones up to there.
+"""Random logs resumed at random moments: equal to their parent if unchanged, else equal before the change.
 
     python -m checks branches 200
 
-Each log depends on its number alone, so that findings are reproducible: `--first NUMBER` begins there.
-Playpens, robots, faults and hosts are drawn; hosts do all that they may, at any time, and users move robots
-and change lamps. It is a finding if a branch without a change has other messages than its parent, or in
-another order; if one with a change differs in anything before the moment; or if `repeat` finds a difference
-in that one.
+Each log depends on its number alone, so that findings are reproducible: `--first NUMBER` starts there.
+Playpens, robots, faults and hosts are random. Hosts send any command at any time, and users move robots and
+change lamps. A finding is a branch without a change whose messages or their order differ from its parent's; a
+branch with a change that differs before the change; or a difference that `repeat` finds in that branch.
 """
 
 import tempfile
@@ -73,15 +72,15 @@ PUSHED = "".join(
 )
 
 
-def arena(more: str = "", **changes: object) -> Playpen:
-    """Return the shipped obstacles, with more, and with changes of the first robot."""
-    found = playpen.parse(playpen.dump(Playpen.load("obstacles")) + more, "arena")
-    robots = (found.robots[0].model_copy(update=changes), *found.robots[1:])
-    return found.model_copy(update={"robots": robots})
+def arena(extra: str = "", **changes: object) -> Playpen:
+    """Return the shipped obstacles with additional TOML text, and with changes of the first robot."""
+    base = playpen.parse(playpen.dump(Playpen.load("obstacles")) + extra, "arena")
+    robots = (base.robots[0].model_copy(update=changes), *base.robots[1:])
+    return base.model_copy(update={"robots": robots})
 
 
 def drive(world: World, seed: int, end_ns: int) -> None:
-    """Let hosts and users do at random what they may, up to a time; the same for the same state and seed."""
+    """Let hosts and users act at random up to a time, reproducibly for the same state and seed."""
     while world.time_ns < end_ns:
         rng = np.random.default_rng([seed, world.time_ns])
         for robot in world.robots:
@@ -125,7 +124,7 @@ def make(number: int, path: Path) -> float:
     rng = np.random.default_rng([number, 1])
     scenes = [
         *(lambda name=name: Playpen.load(name) for name in playpen.names()),
-        *(lambda more=more: arena(more) for more in ("", LAMPS, ROBOTS, PUSHED, LAMPS + PUSHED + ROBOTS)),
+        *(lambda extra=extra: arena(extra) for extra in ("", LAMPS, ROBOTS, PUSHED, LAMPS + PUSHED + ROBOTS)),
         lambda: arena(battery_used_min=41.0),
         lambda: arena(PUSHED, turrets=("gripper",)),
         lambda: Playpen.load("two-lamps").model_copy(update={"lighting": Lighting(mode="random")}),
@@ -145,7 +144,7 @@ def make(number: int, path: Path) -> float:
         # Some worlds change over to compiled code amid the run.
         twin.world.code.switch_at = int(rng.integers(0, 8000))
         twin.record(path)
-        with suppress(KhepTwinError):  # a run that has diverged is a log, too
+        with suppress(KhepTwinError):  # a run that has diverged is also a log
             drive(twin.world, number, round(end_s * NS_PER_S))
         return twin.world.time_ns / NS_PER_S
 
@@ -168,26 +167,26 @@ def change_of(number: int, at_ns: int, playpen_of: Playpen) -> tuple[BranchPoint
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
     """Return topic, time and bytes of a log's messages in the order of the file."""
     with path.open("rb") as file:
-        found = make_reader(file).iter_messages(log_time_order=False)
-        return [(channel.topic, message.log_time, message.data) for _, channel, message in found]
+        entries = make_reader(file).iter_messages(log_time_order=False)
+        return [(channel.topic, message.log_time, message.data) for _, channel, message in entries]
 
 
-def before(path: Path, at_ns: int) -> Counter[tuple[str, int, object]]:
-    """Return what a log has from before a moment, events of hosts and states one by one.
+def content_before(path: Path, at_ns: int) -> Counter[tuple[str, int, object]]:
+    """Return the messages of a log before a moment, with events of hosts and states one by one.
 
-    An event has the time at which its step began, in which its cause may come after the moment.
+    The time of an event is the start of its step; its cause may come after the moment within that step.
     """
-    found: Counter[tuple[str, int, object]] = Counter()
+    contents: Counter[tuple[str, int, object]] = Counter()
     for topic, time_ns, data in messages(path):
         if topic == "/events" and time_ns >= at_ns - at_ns % STEP_NS:
             continue
-        each: list[tuple[int, object]] = [(time_ns, data)]
+        entries: list[tuple[int, object]] = [(time_ns, data)]
         if topic == "/state":
-            each = [(time_ns + SAMPLE_NS * place, state) for place, state in enumerate(read_states(data))]
+            entries = [(time_ns + SAMPLE_NS * place, state) for place, state in enumerate(read_states(data))]
         elif topic.endswith("/host_events"):
-            each = list(read_events(data))
-        found.update((topic, at, content) for at, content in each if at < at_ns)
-    return found
+            entries = list(read_events(data))
+        contents.update((topic, at, content) for at, content in entries if at < at_ns)
+    return contents
 
 
 def check(number: int, folder: Path) -> list[str]:
@@ -215,7 +214,7 @@ def check(number: int, folder: Path) -> list[str]:
         return findings  # no room, or a lamp that is no longer there
     except KhepTwinError as error:
         return [*findings, f"with {change.text or 'a controller'}: {error}"]
-    if before(other, at_ns) != before(parent, at_ns):
+    if content_before(other, at_ns) != content_before(parent, at_ns):
         findings.append(f"with {change.text or 'a controller'} it differs before {at_ns / NS_PER_S} s")
     if number % 4 == 0 and (difference := repeat(read_recorded_run(other))) is not None:
         findings.append(f"with {change.text or 'a controller'} it is not repeated: {difference}")
@@ -233,11 +232,11 @@ def main() -> int:
     parser.add_argument("count", type=int, nargs="?", default=200, help="number of logs")
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     typed = parser.parse_args()
-    found = 0
+    n_findings = 0
     for number in range(typed.first, typed.first + typed.count):
         with tempfile.TemporaryDirectory() as folder:
             for finding in check(number, Path(folder)):
-                found += 1
+                n_findings += 1
                 print(f"log {number}: {finding}", flush=True)
-    print(f"{typed.count} logs from {typed.first} on, {found} findings")
-    return min(found, 1)
+    print(f"{typed.count} logs from {typed.first} on, {n_findings} findings")
+    return min(n_findings, 1)

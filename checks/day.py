@@ -2,9 +2,9 @@
 
     python -m checks day 24 --log day.mcap
 
-The server's own loop runs on the wire clock over a pseudo-terminal, its host is a separate process: 23
+The server's loop runs on the wire clock over a pseudo-terminal. Its host is a separate process that sends 23
 commands in each simulated second, as on the robot's line. The log is flushed each half of a simulated
-second, as `serve` does each half second of wall time, so that it has as many pieces as in real time. The
+second, as `serve` does each half second of wall time, so that it has as many chunks as in real time. The
 exit status is 1 if the server's memory has grown beyond the limit.
 """
 
@@ -50,7 +50,7 @@ def ask(path: str) -> None:
 def day(hours: float, log: Path, seed: int) -> float:
     """Serve for so many simulated hours; return the growth of memory [MB]."""
     end_ns = round(hours * HOUR_NS)
-    begun, first, next_ns = time.monotonic(), 0.0, WARM_NS
+    start_s, first, next_ns = time.monotonic(), 0.0, WARM_NS
     with ExitStack() as stack:
         compile_all(["world"])
         twin = stack.enter_context(open_twin("obstacles", TwinOptions(seed=seed, log=str(log))))
@@ -66,7 +66,10 @@ def day(hours: float, log: Path, seed: int) -> float:
             if world.time_ns >= next_ns:
                 now = memory()
                 first = first or now
-                size, wall = log.with_name(f"{log.name}.part").stat().st_size / 1e6, time.monotonic() - begun
+                size, wall = (
+                    log.with_name(f"{log.name}.part").stat().st_size / 1e6,
+                    time.monotonic() - start_s,
+                )
                 print(
                     f"{world.time_ns / HOUR_NS:6.2f} h  {now:7.1f} MB  grown by {now - first:6.2f} MB  "
                     f"log {size:7.1f} MB  after {wall:5.0f} s",
@@ -79,8 +82,8 @@ def day(hours: float, log: Path, seed: int) -> float:
         serve.time = SimpleNamespace(monotonic_ns=lambda: world.time_ns)  # pyright: ignore
         serve.serve(twin, [port], serve.WIRE, stop=stop, notify=print)
         grown = memory() - first
-        begun = time.monotonic()
-    took, size = time.monotonic() - begun, log.stat().st_size / 1e6
+        start_s = time.monotonic()
+    took, size = time.monotonic() - start_s, log.stat().st_size / 1e6
     print(f"closed in {took:.1f} s, {memory():.1f} MB then, log {size:.1f} MB")
     return grown
 

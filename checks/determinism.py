@@ -16,7 +16,7 @@ import khep_twin.envs.gymnasium  # noqa: F401
 from tools.command_table import command_line
 
 STEPS = 100_000
-MANY = 4
+N_ENVIRONMENTS = 4
 
 
 def single(task: str, seed: int) -> str:
@@ -34,18 +34,22 @@ def single(task: str, seed: int) -> str:
 
 def together(task: str, seed: int, threads: int) -> str:
     """Return a hash of all results of MANY environments, STEPS in total."""
-    environments = gymnasium.make_vec(f"khep_twin/{task}-v0", num_envs=MANY, vary=True, threads=threads)
+    environments = gymnasium.make_vec(
+        f"khep_twin/{task}-v0", num_envs=N_ENVIRONMENTS, vary=True, threads=threads
+    )
     rng, digest = np.random.default_rng(seed), hashlib.sha256()
     digest.update(environments.reset(seed=seed)[0].tobytes())
-    for _ in range(STEPS // MANY):
-        observations, rewards, *_ = environments.step(rng.uniform(-0.25, 1, (MANY, 2)).astype(np.float32))
+    for _ in range(STEPS // N_ENVIRONMENTS):
+        observations, rewards, *_ = environments.step(
+            rng.uniform(-0.25, 1, (N_ENVIRONMENTS, 2)).astype(np.float32)
+        )
         digest.update(observations.tobytes() + rewards.tobytes())
     environments.close()
     return digest.hexdigest()
 
 
 RUNS = (0, 0, 1, 2)
-"""Threads of the runs, each in its own process; 0: one environment alone."""
+"""Threads of the runs, each in a separate process; 0: one environment alone."""
 
 
 def run(threads: int) -> str:
@@ -65,7 +69,7 @@ def main() -> int:
         print(together("ObstacleAvoidance", 1, threads) if threads else single("Homing", 1))
         return 0
     with ThreadPoolExecutor(2) as pool:
-        one, other, few, more = pool.map(run, RUNS)
-    same = one == other and few == more
+        first_single, second_single, by_one_thread, by_two_threads = pool.map(run, RUNS)
+    same = first_single == second_single and by_one_thread == by_two_threads
     print("the same" if same else "NOT the same")
     return 0 if same else 1

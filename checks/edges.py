@@ -2,11 +2,11 @@
 
     python -m checks edges 2000
 
-Each playpen depends on its number alone, so that findings are reproducible: `--first NUMBER` begins there. It
-is a finding if the simulation diverges, or if a robot leaves the arena, exceeds 1.1 m/s (full speed is 1.02),
-comes 15 mm off the floor or tilts by 30 degrees, or if a movable object leaves the arena through a wall. A
-robot with a gripper is top-heavy and has an arm that pushes: if it falls over, its drive ends without a
-finding; nor is it one where there are movable objects, as a robot may climb on a loose board.
+Each playpen depends on its number alone, so that findings are reproducible: `--first NUMBER` starts there.
+Findings are a simulation that diverges, a robot that leaves the arena, exceeds 1.1 m/s (full speed is 1.02),
+rises 15 mm above the floor or tilts by 30 degrees, and a movable object that leaves the arena through a wall.
+A robot with a gripper is top-heavy and has an arm that pushes: its fall ends the drive without a finding. The
+same holds in playpens with movable objects, as a robot may climb on a loose board.
 """
 
 import math
@@ -92,21 +92,21 @@ def playpens(first: int, count: int) -> Iterator[tuple[int, Playpen]]:
     number = first
     while count:
         try:
-            made = playpen.parse(text_of(number), "edge.toml")
+            candidate = playpen.parse(text_of(number), "edge.toml")
         except PlaypenError:
             pass
         else:
-            yield number, made
+            yield number, candidate
             count -= 1
         number += 1
 
 
-def trouble(number: int, made: Playpen, seconds: float = 10.0) -> str | None:
+def find_fault(number: int, candidate: Playpen, seconds: float = 10.0) -> str | None:
     """Drive around in a playpen; return the finding, None without one."""
     rng = random.Random(-1 - number)
-    world = World(made, noise=False, unpaced=True)
+    world = World(candidate, noise=False, unpaced=True)
     due_ns = [0] * len(world.robots)
-    gone: set[str] = set()
+    ejected: set[str] = set()
     try:
         while world.time_ns < seconds * NS_PER_S:
             for index, robot in enumerate(world.robots):
@@ -116,20 +116,20 @@ def trouble(number: int, made: Playpen, seconds: float = 10.0) -> str | None:
                     robot.send(b"T,1,D,%d\n" % rng.randrange(2))
                     due_ns[index] = world.time_ns + rng.randrange(5, 150) * units.TICK_NS
             world.advance_to(world.time_ns + units.TICK_NS)
-            if found := next(_broken(world, gone), None):
-                return f"{found} at {world.time_ns / NS_PER_S:g} s" if found != TOPPLED else None
+            if finding := next(_find_faults(world, ejected), None):
+                return f"{finding} at {world.time_ns / NS_PER_S:g} s" if finding != TOPPLED else None
     except DivergedError as error:
         return str(error)
     return None
 
 
-def _broken(world: World, gone: set[str]) -> Iterator[str]:
-    """Yield current findings; `gone` holds objects that hopped over a lower wall, which are none."""
+def _find_faults(world: World, ejected: set[str]) -> Iterator[str]:
+    """Yield current findings; `ejected` holds objects that hopped over a lower wall, which are none."""
     arena, data = world.playpen.arena, world.data
     for index in range(1, world.model.nbody):
         name = str(world.model.body(index).name)
         robot, _, part = name.partition("/")
-        if part not in ("", "base") or name in gone:
+        if part not in ("", "base") or name in ejected:
             continue
         x, y, z = data.xpos[index].tolist()
         if not contains(arena.corners, x * 1000, y * 1000):
@@ -137,7 +137,7 @@ def _broken(world: World, gone: set[str]) -> Iterator[str]:
                 continue
             if part or z * 1000 < arena.wall_height_mm:
                 yield f"{name} is outside the arena, at ({x:.3f}, {y:.3f}, {z:.3f}),"
-            gone.add(name)
+            ejected.add(name)
         elif part:
             yield from _off_its_wheels(world, index, int(robot.removeprefix("khepera")))
         elif not -0.01 < z < 1.5:
@@ -181,11 +181,11 @@ def main() -> int:
     parser = command_line(__doc__)
     parser.add_argument("count", type=int, nargs="?", default=2000, help="playpens that pass the check")
     parser.add_argument("--first", type=int, default=0, help="number to begin at")
-    given = parser.parse_args()
+    options = parser.parse_args()
     finds = 0
-    for number, made in playpens(given.first, given.count):
-        if found := trouble(number, made):
+    for number, candidate in playpens(options.first, options.count):
+        if finding := find_fault(number, candidate):
             finds += 1
-            print(f"playpen {number}: {found}", flush=True)
-    print(f"{given.count} playpens from {given.first} on: {finds} broke")
+            print(f"playpen {number}: {finding}", flush=True)
+    print(f"{options.count} playpens from {options.first} on: {finds} broke")
     return 1 if finds else 0

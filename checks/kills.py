@@ -3,11 +3,11 @@
     python -m checks kills serve 200 --jobs 3
     python -m checks kills run 40 --jobs 3
 
-`serve` is polled for its sensors by a host, in real time, until it is killed; the loss is the wall time
-before the kill that is missing in the recovered log, by its last sample and by its last reply. `run` goes in
+`serve` is polled for its sensors by a host, in real time, until it is killed. The loss is the wall time
+before the kill that is missing in the recovered log, by its last sample and by its last reply. `run` is in
 lock-step and prints its simulated time after each cycle; the loss is the missing simulated time.
-Each log must be recovered by `khep-twin recover`, be opened by mcap's own reader, and hold the same replies
-that the host has seen. The exit status is 1 if one did not, or lost more than the limit.
+Each log must be recovered by `khep-twin recover`, be opened by mcap's reader, and hold the replies that the
+host has received. The exit status is 1 if a log fails to, or lost more than the limit.
 """
 
 import os
@@ -62,7 +62,7 @@ class Kill:
     lost: float
     lost_replies: float
     stall: float
-    whole: bool
+    is_complete: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Recovered:
 
     last_sample: float
     replies: Sequence[TextLine]
-    whole: bool
+    is_complete: bool
 
 
 def kill_serve(folder: Path, after: float) -> Kill:
@@ -79,39 +79,43 @@ def kill_serve(folder: Path, after: float) -> Kill:
     log = folder / "run.mcap"
     with served("serve", "obstacles", "--log", str(log)) as (server, path):
         start = time.monotonic()
-        heard = _poll(path, start + after)
+        host_replies = _poll(path, start + after)
         killed = time.monotonic()
         server.kill()
-    found = _recover(log)
-    times = [start, *(at for at, _ in heard)]
-    recorded = [line.text for line in found.replies]
-    known = min(len(recorded), len(heard))
+    recovered = _recover(log)
+    times = [start, *(at for at, _ in host_replies)]
+    recorded = [line.text for line in recovered.replies]
+    n_common = min(len(recorded), len(host_replies))
     # The last reply may still have been on the line when the host was asked for the last time.
-    assert recorded[:known] == [text for _, text in heard][:known], "other replies than the host's"
+    assert recorded[:n_common] == [text for _, text in host_replies][:n_common], (
+        "other replies than the host's"
+    )
     # The last reply in both relates simulated time to wall time; without one, the start does.
     at, simulated = (
-        (heard[known - 1][0], found.replies[known - 1].time_ns / NS_PER_S) if known else (start, 0)
+        (host_replies[n_common - 1][0], recovered.replies[n_common - 1].time_ns / NS_PER_S)
+        if n_common
+        else (start, 0)
     )
-    by_sample = killed - at - (found.last_sample - simulated)
-    by_reply = killed - times[known] if known < len(heard) else 0.0
+    by_sample = killed - at - (recovered.last_sample - simulated)
+    by_reply = killed - times[n_common] if n_common < len(host_replies) else 0.0
     stall = max(after - before for before, after in zip(times, [*times[1:], killed], strict=True))
-    return Kill(by_sample, by_reply, stall, found.whole)
+    return Kill(by_sample, by_reply, stall, recovered.is_complete)
 
 
-def _poll(path: str, until: float) -> list[tuple[float, str]]:
+def _poll(path: str, end_s: float) -> list[tuple[float, str]]:
     """Poll the sensors repeatedly; return the time of completion and the text of each reply."""
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    heard: list[tuple[float, str]] = []
+    replies: list[tuple[float, str]] = []
     try:
-        while time.monotonic() < until:
+        while time.monotonic() < end_s:
             os.write(port, b"N\n")
             reply = b""
             while not reply.endswith(b"\n"):
-                if not select.select([port], [], [], max(until - time.monotonic(), 0))[0]:
-                    return heard
+                if not select.select([port], [], [], max(end_s - time.monotonic(), 0))[0]:
+                    return replies
                 reply += os.read(port, 4096)
-            heard.append((time.monotonic(), reply.decode("ascii").rstrip()))
-        return heard
+            replies.append((time.monotonic(), reply.decode("ascii").rstrip()))
+        return replies
     finally:
         # Closing after the kill would be the same; a host that disconnects first loses nothing.
         os.close(port)
@@ -125,28 +129,28 @@ def kill_run(folder: Path, after: float) -> Kill:
     command += ["--seconds", "9999", "--log", str(log)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None
-        told = b""
+        output = b""
         try:
             assert select.select([process.stdout], [], [], TIMEOUT_S)[0], "nothing was run"
-            until = time.monotonic() + after
-            while (rest := until - time.monotonic()) > 0:
+            end_s = time.monotonic() + after
+            while (rest := end_s - time.monotonic()) > 0:
                 if select.select([process.stdout], [], [], rest)[0]:
-                    told = (told + os.read(process.stdout.fileno(), 65536))[-100:]
+                    output = (output + os.read(process.stdout.fileno(), 65536))[-100:]
         finally:
             process.kill()
-        told = (told + process.stdout.read())[-100:]
-    found = _recover(log)
-    reached = float(told.splitlines()[-1])
-    last_reply = found.replies[-1].time_ns / NS_PER_S if found.replies else 0.0
-    return Kill(reached - found.last_sample, reached - last_reply, 0.0, found.whole)
+        output = (output + process.stdout.read())[-100:]
+    recovered = _recover(log)
+    reached = float(output.splitlines()[-1])
+    last_reply = recovered.replies[-1].time_ns / NS_PER_S if recovered.replies else 0.0
+    return Kill(reached - recovered.last_sample, reached - last_reply, 0.0, recovered.is_complete)
 
 
 def _recover(log: Path) -> Recovered:
-    """Recover a killed run's log by the command and read it by mcap's own reader."""
+    """Recover a killed run's log by the command and read it by mcap's reader."""
     part = log.with_name(log.name + ".part")
     command = [sys.executable, "-m", "khep_twin", "recover", str(part)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode in (0, 3), done
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert process.returncode in (0, 3), process
     last_ns, replies = 0, []
     with log.open("rb") as file:
         for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -155,16 +159,16 @@ def _recover(log: Path) -> Recovered:
             elif channel.topic.endswith("/serial"):
                 line = read_line(message.data)
                 replies += [line] if line.name == "robot" else []
-    return Recovered(last_ns / NS_PER_S, replies, done.returncode == 0)
+    return Recovered(last_ns / NS_PER_S, replies, process.returncode == 0)
 
 
 KILLS = {"serve": kill_serve, "run": kill_run}
 
 
-def kill(what: str, seed: int, latest: float = LATEST_KILL) -> Kill:
-    """Kill one run, in its own folder, at a time drawn from the seed."""
+def kill(kind: str, seed: int, latest: float = LATEST_KILL) -> Kill:
+    """Kill one run, in a separate folder, at a time drawn from the seed."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-kills-") as folder:
-        return KILLS[what](Path(folder), random.Random(seed).uniform(0, latest))
+        return KILLS[kind](Path(folder), random.Random(seed).uniform(0, latest))
 
 
 def main() -> int:
@@ -178,17 +182,17 @@ def main() -> int:
     seeds = range(wish.seed, wish.seed + wish.count)
     with ThreadPoolExecutor(wish.jobs) as pool:
         kills = list(pool.map(lambda seed: kill(wish.what, seed), seeds))
-    lost = [max(each.lost, 0.0) for each in kills]
-    replies = [max(each.lost_replies, 0.0) for each in kills]
+    lost = [max(record.lost, 0.0) for record in kills]
+    replies = [max(record.lost_replies, 0.0) for record in kills]
     late = sum(max(pair) > MOST_LOST[wish.what] for pair in zip(lost, replies, strict=True))
-    whole = sum(each.whole for each in kills)
-    print(f"{wish.what} killed {len(kills)} times, all recovered, {whole} as a whole")
+    n_complete = sum(record.is_complete for record in kills)
+    print(f"{wish.what} killed {len(kills)} times, all recovered, {n_complete} as a whole")
     for name, values in (("samples", lost), ("replies", replies)):
         print(
             f"lost by {name} [s]: min {min(values):.3f}  mean {statistics.mean(values):.3f}  "
             f"median {statistics.median(values):.3f}  max {max(values):.3f}"
         )
     if wish.what == "serve":
-        print(f"longest pause between two replies {max(each.stall for each in kills):.3f} s")
+        print(f"longest pause between two replies {max(record.stall for record in kills):.3f} s")
     print(f"{late} lost more than {MOST_LOST[wish.what]:.1f} s")
     return 1 if late else 0

@@ -1,12 +1,12 @@
-"""pyserial's own test scripts that open a port, run on a looped-back line of the twin.
+"""pyserial's test scripts that open a port, run on a looped-back line of the twin.
 
     python -m checks pyserial
 
-The scripts come out of pyserial's source archive, whose hash is pinned; they expect a plug that joins TX
-with RX, RTS with CTS and DTR with DSR. `khep-twin serve --relay` a terminal that echoes its input is
-that plug for the data wires.
-Tests that no pseudo-terminal can pass are listed in KNOWN; any other failure is an error, and so is a success
-of one in KNOWN.
+The scripts come from pyserial's source archive, whose hash is pinned. They expect a plug that joins TX with
+RX, RTS with CTS and DTR with DSR. `khep-twin serve --relay` to a terminal that echoes its input takes the
+place of that plug for the data wires.
+Tests that no pseudo-terminal can pass are listed in EXPECTED_FAILURES. Any other failure is an error, and so
+is a success of a listed test.
 """
 
 import importlib.util
@@ -36,7 +36,7 @@ SCRIPTS = [
 ]
 """Scripts that open the given port; found with strace."""
 
-KNOWN = {
+EXPECTED_FAILURES = {
     "test.Test0_DataWires.test1_RTS": "a pseudo-terminal has no modem lines",
     "test.Test0_DataWires.test2_DTR": "a pseudo-terminal has no modem lines",
     "test.Test0_DataWires.test3_RI": "a pseudo-terminal has no modem lines",
@@ -82,9 +82,9 @@ def main() -> int:
                 count += tests
                 failed |= bad
                 print(f"{name:16} {tests} tests, {len(bad)} failed", flush=True)
-    for name in sorted(failed - set(KNOWN)):
+    for name in sorted(failed - set(EXPECTED_FAILURES)):
         print(f"FAILED  {name}")
-    for name in sorted(set(KNOWN) - failed):
+    for name in sorted(set(EXPECTED_FAILURES) - failed):
         print(f"PASSED, though known to fail  {name}")
-    print(f"{count} tests, {len(failed)} failed, {len(KNOWN)} known to")
-    return int(failed != set(KNOWN))
+    print(f"{count} tests, {len(failed)} failed, {len(EXPECTED_FAILURES)} known to")
+    return int(failed != set(EXPECTED_FAILURES))

@@ -38,11 +38,11 @@ TOOLS = "help;list;net;k-team;memory;process;sfill;help D;run test;restart;resta
 
 
 class Host:
-    """A host of a twin that does what comes by chance.
+    """Host of a twin that acts at random.
 
     Args:
-        twin: Its twin.
-        rng: Chance.
+        twin: Twin.
+        rng: Random generator.
 
     Attributes:
         left: True if the host has left meanwhile, the robot was lifted or its line has another speed.
@@ -67,7 +67,7 @@ class Host:
             deeds[self._rng.integers(len(deeds))]()
 
     def say(self, *commands: str, pause_ms: float | None = None, replies: bool = True) -> None:
-        """Send commands at once, wait for their replies, and pause; by chance where no pause is given."""
+        """Send commands together, wait for their replies, and pause; the default pause is random."""
         robot, world = self._twin.robot, self._twin.world
         robot.send("".join(f"{command}{self._end}" for command in commands).encode("latin-1"))
         while replies and (robot.uart.rx.next_ns is not None or robot.uart.tx.next_ns is not None):
@@ -77,8 +77,8 @@ class Host:
         self._twin.advance_to(world.time_ns + max(int(pause_ns) // STEP_NS, 1) * STEP_NS)
         robot.uart.tx.read(world.time_ns)
 
-    def _some(self, *most: int) -> list[int]:
-        return [int(self._rng.integers(-each, each + 1)) for each in most]
+    def _random_integers(self, *limits: int) -> list[int]:
+        return [int(self._rng.integers(-limit, limit + 1)) for limit in limits]
 
     def _ask(self) -> None:
         self.say(str(self._rng.choice(READS)))
@@ -89,18 +89,26 @@ class Host:
     def _poll(self) -> None:
         for _ in range(40):
             self.say("N")
-            self.say("D,{},{}".format(*self._some(15, 15)))
+            self.say("D,{},{}".format(*self._random_integers(15, 15)))
 
     def _drive(self) -> None:
-        speeds = self._some(127, 127) if self._rng.random() < 0.3 else self._some(20, 20)
+        speeds = (
+            self._random_integers(127, 127) if self._rng.random() < 0.3 else self._random_integers(20, 20)
+        )
         self.say("D,{},{}".format(*speeds))
         letters = ["EH", "HE", "H", "E", "EHK", "N", "NO", "NN", "HK"][self._rng.integers(9)]
         for _ in range(self._rng.integers(10, 80)):
             self.say(*letters)
 
     def _move(self) -> None:
-        counts = self._some(2000, 2000) if self._rng.random() < 0.8 else self._some(2**24, 2**24)
-        self.say("G,{},{}".format(*self._some(2**31 - 1, 1000)) if self._rng.random() < 0.3 else "G,0,0")
+        counts = (
+            self._random_integers(2000, 2000)
+            if self._rng.random() < 0.8
+            else self._random_integers(2**24, 2**24)
+        )
+        self.say(
+            "G,{},{}".format(*self._random_integers(2**31 - 1, 1000)) if self._rng.random() < 0.3 else "G,0,0"
+        )
         self.say("C,{},{}".format(*counts))
         for _ in range(self._rng.integers(10, 80)):
             self.say("K", "H")
@@ -109,8 +117,18 @@ class Host:
         v, a = int(self._rng.integers(1, 40)), int(self._rng.integers(8, 200))
         settings = [
             *("A,3800,800,100", "A,7600,800,100", "F,3000,20,4000", f"J,{v},{a},{v},{a}", "J,20,64,20,64"),
-            *("L,0,2", "L,1,1", "W,7,3", "T,1,D,0", "T,1,E,200", "P,{},{}".format(*self._some(300, 300))),
-            *("G,{},{}".format(*self._some(2**31, 9)), "C,{},{}".format(*self._some(500, 500))),
+            *(
+                "L,0,2",
+                "L,1,1",
+                "W,7,3",
+                "T,1,D,0",
+                "T,1,E,200",
+                "P,{},{}".format(*self._random_integers(300, 300)),
+            ),
+            *(
+                "G,{},{}".format(*self._random_integers(2**31, 9)),
+                "C,{},{}".format(*self._random_integers(500, 500)),
+            ),
         ]
         self.say(str(self._rng.choice(settings)))
 
@@ -136,7 +154,7 @@ class Host:
     def _lift(self) -> None:
         world: Any = self._twin.world
         if self._rng.random() < 0.3:
-            x, y, heading = (float(each) for each in world.robots[0].pose)
+            x, y, heading = (float(value) for value in world.robots[0].pose)
             self.left = True
             with suppress(PlaypenError):
                 place_robot(world, 0, x * 1e3, y * 1e3, heading * 57 + 90, reset=self._rng.random() < 0.5)
@@ -167,16 +185,16 @@ def tour(twin: Twin) -> None:
 
 
 class Relay(Observer):
-    """What a relay at the robot would record of a twin's line.
+    """Record of a twin's line as by a relay at the robot.
 
     Args:
-        twin: Its twin, from whose start on it listens.
+        twin: Twin, recorded from its start.
         robot: Number of the robot.
     """
 
     def __init__(self, twin: Twin, robot: int = 0) -> None:
         self._robot, self._baud = robot, twin.robots[robot].firmware.baud
-        self._heard: list[tuple[int, bool, bytes]] = []
+        self._pieces: list[tuple[int, bool, bytes]] = []
         twin.world.add_observer(self)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
@@ -185,19 +203,19 @@ class Relay(Observer):
             rest = len(data)
             for line in data.splitlines(keepends=True):
                 rest -= len(line)
-                self._heard.append((time_ns - rest * BITS_PER_BYTE * NS_PER_S // self._baud, False, line))
+                self._pieces.append((time_ns - rest * BITS_PER_BYTE * NS_PER_S // self._baud, False, line))
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Hear its host."""
         if event.kind == HostEventKind.SEND and robot == self._robot:
-            self._heard.append((event.at_ns, True, event.data))
+            self._pieces.append((event.at_ns, True, event.data))
 
     def write(self, path: Path) -> None:
         """Write the log."""
         now_ns = 0
         settings = {"relay": "/dev/ttyUSB0", "baud": self._baud}
         recorder = LineRecorder(path, settings, lambda: now_ns)
-        for time_ns, to_robot, data in sorted(self._heard, key=lambda heard: heard[0]):
+        for time_ns, to_robot, data in sorted(self._pieces, key=lambda piece: piece[0]):
             now_ns = time_ns
             recorder.on_bytes(to_robot, data)
         recorder.close()
@@ -220,7 +238,7 @@ def options(rng: np.random.Generator) -> TwinOptions:
 
 
 def findings(seed: int, folder: Path, seconds: float = 30.0) -> list[str]:
-    """Return what the checks of a random log, as a twin's and as a relay's, find."""
+    """Return the findings in a random log, as a twin's and as a relay's."""
     rng = np.random.default_rng(seed)
     chosen, playpens = options(rng), [name for name in names("playpens") if "arena4" not in name]
     log, relayed = folder / f"{seed}.mcap", folder / f"{seed}_relay.mcap"
@@ -230,8 +248,8 @@ def findings(seed: int, folder: Path, seconds: float = 30.0) -> list[str]:
         host.live(seconds)
     relay.write(relayed)
     # A relay does not know of these, nor of the demonstration of mode 0.
-    known = [log] if chosen.unpaced or host.left or chosen.mode == 0 else [log, relayed]
-    reports = [conform_recording(path) for path in known]
+    logs = [log] if chosen.unpaced or host.left or chosen.mode == 0 else [log, relayed]
+    reports = [conform_recording(path) for path in logs]
     for path in (log, relayed):
         path.unlink()
     return [f"{seed}: {chosen}\n{report.text()}" for report in reports if not report.passed]
@@ -242,11 +260,11 @@ def main() -> int:
     parser = command_line(__doc__)
     parser.add_argument("count", type=int, nargs="?", default=300, help="number of logs")
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
-    wish, found = parser.parse_args(), 0
+    wish, n_reports = parser.parse_args(), 0
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(wish.first, wish.first + wish.count):
             for text in findings(seed, Path(folder)):
-                found += 1
+                n_reports += 1
                 print(f"{text}\n", flush=True)
-    print(f"{wish.count} logs, {found} reports with findings")
-    return min(found, 1)
+    print(f"{wish.count} logs, {n_reports} reports with findings")
+    return min(n_reports, 1)

@@ -3,9 +3,10 @@
     python -m checks signals 1000 --jobs 2
 
 Each command is started and sent SIGINT, SIGTERM or SIGHUP: in one half of the cases within LATEST of its
-start, in the other within LATEST of its first output. It has to end within LONGEST, by itself or by the
-signal, with the corresponding exit status, without a traceback; a log has to be whole, and no unfinished
-file, link, note of a server, temporary file or process may be left. Otherwise the exit status is 1.
+start, in the other within LATEST of its first output. It has to end within LONGEST, normally or by the
+signal, with the corresponding exit status and without a traceback. A log has to be complete, and no
+unfinished file, link, note of a server, temporary file or process may be left. Otherwise the exit status
+is 1.
 """
 
 import os
@@ -63,7 +64,7 @@ class Kind:
 
     Attributes:
         words: Words of the command line.
-        life: File that exists once it has begun; empty for the first line of its output.
+        life: File that exists once it has started; empty for the first line of its output.
         good: Valid exit status after a signal, besides that of the signal.
     """
 
@@ -98,7 +99,7 @@ class End:
     Attributes:
         took: Time from the signal to the end [s].
         faults: Faults found.
-        early: True if it ended during Python's own start, by Python's traceback.
+        early: True if it ended during the start of the interpreter, by Python's traceback.
     """
 
     took: float
@@ -106,17 +107,17 @@ class End:
     early: bool = False
 
 
-def end(name: str, seed: int, *, begun: bool | None = None) -> End:
+def end_command(name: str, seed: int, *, has_started: bool | None = None) -> End:
     """Start a command, send it a signal and check the remains.
 
     Args:
         name: Name of the kind.
         seed: Seed of signal and moment.
-        begun: True if the signal waits for the first output; None for a random choice.
+        has_started: True if the signal waits for the first output; None for a random choice.
     """
     rng = random.Random(seed)
     number = rng.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-    begun = rng.random() < 0.5 if begun is None else begun
+    has_started = rng.random() < 0.5 if has_started is None else has_started
     after = rng.uniform(0, LATEST)
     kind = KINDS[name]
     with tempfile.TemporaryDirectory(prefix="khep-twin-signals-") as top:
@@ -125,7 +126,7 @@ def end(name: str, seed: int, *, begun: bool | None = None) -> End:
         private.mkdir(mode=0o700)
         (folder / "hangs.py").write_text(HANGS)
         (folder / "study.toml").write_text(STUDY)
-        given = {path.name for path in folder.iterdir()}
+        initial_names = {path.name for path in folder.iterdir()}
         environment = os.environ | {"XDG_RUNTIME_DIR": str(private), "TMPDIR": str(private)}
         with subprocess.Popen(
             [sys.executable, "-m", "khep_twin", *kind.words],
@@ -137,7 +138,7 @@ def end(name: str, seed: int, *, begun: bool | None = None) -> End:
             preexec_fn=_hear,
         ) as process:
             try:
-                if begun:
+                if has_started:
                     _await(process, folder, kind.life)
                 time.sleep(after)
                 process.send_signal(number)
@@ -146,19 +147,21 @@ def end(name: str, seed: int, *, begun: bool | None = None) -> End:
                 took = time.monotonic() - sent
             finally:
                 process.kill()
-        told = errors.decode("utf-8", "replace")
-        # Python's own start is not the program's fault.
-        early = "Traceback" in told and "khep_twin/__main__" not in told and "cli" not in told
+        error_text = errors.decode("utf-8", "replace")
+        # A failure while the interpreter starts is not the program's fault.
+        early = (
+            "Traceback" in error_text and "khep_twin/__main__" not in error_text and "cli" not in error_text
+        )
         faults: list[str] = []
         if took > LONGEST:
             faults.append(f"took {took:.2f} s")
         if not early and process.returncode not in (128 + number, -number, kind.good):
-            faults.append(f"status {process.returncode} of signal {number}: {told}")
-        if not early and any(word in told for word in ("Traceback", "Exception", "Error")):
-            faults.append(told)
-        faults += _left(folder, private, given) + _logs(folder)
-        faults += [f"process {line}" for line in _processes(process.pid)]
-        if begun and kind.life == "run.mcap.part" and not (folder / "run.mcap").exists():
+            faults.append(f"status {process.returncode} of signal {number}: {error_text}")
+        if not early and any(word in error_text for word in ("Traceback", "Exception", "Error")):
+            faults.append(error_text)
+        faults += _find_remains(folder, private, initial_names) + _check_logs(folder)
+        faults += [f"process {line}" for line in _find_processes(process.pid)]
+        if has_started and kind.life == "run.mcap.part" and not (folder / "run.mcap").exists():
             faults.append("no log")
     return End(took, faults, early)
 
@@ -171,26 +174,26 @@ def _hear() -> None:
 
 def _await(process: "subprocess.Popen[bytes]", folder: Path, life: str) -> None:
     """Wait for the first output."""
-    until = time.monotonic() + TIMEOUT_S
+    deadline_s = time.monotonic() + TIMEOUT_S
     if not life:
         assert process.stdout is not None
         process.stdout.read(1)
     while life and not (folder / life).exists():
-        assert time.monotonic() < until, "it has not begun"
+        assert time.monotonic() < deadline_s, "it has not started"
         assert process.poll() is None, "it has ended"
         time.sleep(0.01)
 
 
-def _left(folder: Path, private: Path, given: set[str]) -> list[str]:
+def _find_remains(folder: Path, private: Path, initial_names: set[str]) -> list[str]:
     """Return the names of forbidden remains."""
-    found = [path for path in folder.rglob("*") if path.name not in given]
-    left = [path for path in found if path.name.startswith(".") or ".part" in path.name or path.is_symlink()]
+    paths = [path for path in folder.rglob("*") if path.name not in initial_names]
+    left = [path for path in paths if path.name.startswith(".") or ".part" in path.name or path.is_symlink()]
     left += [path for path in private.rglob("*") if path != private / "khep_twin"]
     return [f"left {path.name}" for path in left]
 
 
-def _logs(folder: Path) -> list[str]:
-    """Return the faults of logs, by mcap's own reader."""
+def _check_logs(folder: Path) -> list[str]:
+    """Return the faults of logs, by mcap's reader."""
     faults: list[str] = []
     for path in folder.glob("*.mcap"):
         with path.open("rb") as file:
@@ -201,23 +204,25 @@ def _logs(folder: Path) -> list[str]:
                 if summary is None or summary.statistics is None:
                     faults.append(f"{path.name}: has no summary")
                 elif summary.statistics.message_count != count:
-                    faults.append(f"{path.name}: {count} messages, {summary.statistics.message_count} told")
+                    faults.append(
+                        f"{path.name}: {count} messages, {summary.statistics.message_count} in its summary"
+                    )
             except Exception as error:  # any fault of the log
                 faults.append(f"{path.name}: {error!r}")
     return faults
 
 
-def _processes(session: int) -> list[str]:
+def _find_processes(session: int) -> list[str]:
     """Return the names of the remaining processes of a session."""
-    found: list[str] = []
+    commands: list[str] = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             state, _, _, its_session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
             if int(its_session) == session and state != "Z":
-                found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode())
+                commands.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode())
         except (OSError, ValueError):
             continue
-    return found
+    return commands
 
 
 def main() -> int:
@@ -232,7 +237,7 @@ def main() -> int:
     cases = [(names[i % len(names)], wish.seed + i) for i in range(wish.count)]
 
     def one(case: tuple[str, int]) -> End:
-        ended = end(*case)
+        ended = end_command(*case)
         for fault in ended.faults:
             print(f"{case[0]}, seed {case[1]}: {fault}", flush=True)
         return ended
@@ -240,11 +245,11 @@ def main() -> int:
     with ThreadPoolExecutor(wish.jobs) as pool:
         ends = list(pool.map(one, cases))
     for name in dict.fromkeys(name for name, _ in cases):
-        took = [each.took for each, case in zip(ends, cases, strict=True) if case[0] == name]
+        took = [record.took for record, case in zip(ends, cases, strict=True) if case[0] == name]
         print(
             f"{name}: {len(took)} signals, ended after [s]: median {statistics.median(took):.2f}  "
             f"max {max(took):.2f}"
         )
-    faulty, early = sum(bool(each.faults) for each in ends), sum(each.early for each in ends)
-    print(f"{len(ends)} signals, {faulty} with faults, {early} amid Python's own start")
+    faulty, early = sum(bool(record.faults) for record in ends), sum(record.early for record in ends)
+    print(f"{len(ends)} signals, {faulty} with faults, {early} during the start of the interpreter")
     return 1 if faulty else 0

@@ -61,14 +61,14 @@ def descendants(parent: int) -> dict[int, bytes]:
         except OSError:
             continue
         parents[int(entry.name)] = int(status.rpartition(")")[2].split()[1])
-    found: dict[int, bytes] = {}
+    command_lines: dict[int, bytes] = {}
     for process, name in names.items():
         above = process
         while above not in (0, parent):
             above = parents.get(above, 0)
         if above == parent:
-            found[process] = name
-    return found
+            command_lines[process] = name
+    return command_lines
 
 
 def workers_of(parent: int) -> list[int]:
@@ -85,13 +85,15 @@ def listening(parent: int) -> set[str]:
             fields = line.split()
             if fields[3] == "0A":  # listening
                 sockets[f"socket:[{fields[9]}]"] = fields[1].partition(":")[0]
-    found: set[str] = set()
+    addresses: set[str] = set()
     for process in descendants(parent):
         try:
-            found |= {sockets.get(os.readlink(each), "") for each in Path(f"/proc/{process}/fd").iterdir()}
+            addresses |= {
+                sockets.get(os.readlink(link), "") for link in Path(f"/proc/{process}/fd").iterdir()
+            }
         except OSError:
             continue
-    return found - {""}
+    return addresses - {""}
 
 
 def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kills: int, seed: int) -> int:
@@ -105,12 +107,12 @@ def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kill
             assert time.monotonic() - last < TIMEOUT_S, f"nothing happened after {len(killed)} kills"
             if sweep.poll() is not None:
                 return len(killed)
-            there = len(list(parts.glob("task-*.parquet")))
-            if there >= threshold:
+            n_parts = len(list(parts.glob("task-*.parquet")))
+            if n_parts >= threshold:
                 break
             time.sleep(0.05)
         time.sleep(rng.uniform(0, 0.7))
-        # Ray may end idle workers by itself.
+        # Ray may also end idle workers.
         while not (alive := [pid for pid in workers_of(sweep.pid) if pid not in killed]):
             if sweep.poll() is not None:
                 return len(killed)
@@ -142,8 +144,8 @@ def trial(folder: Path, tasks: int, kills: int, seconds: int, seed: int) -> int:
         finally:
             sweep.terminate()
     tables = [folder / name / "results.parquet" for name in ("quiet", "disturbed")]
-    found = pq.read_table(tables[1])["episode"].to_pylist()
-    assert found == list(range(4 * tasks)), "an episode is missing, or there twice"
+    episodes = pq.read_table(tables[1])["episode"].to_pylist()
+    assert episodes == list(range(4 * tasks)), "an episode is missing, or there twice"
     assert tables[0].read_bytes() == tables[1].read_bytes(), "other results than without kills"
     return killed
 

@@ -232,7 +232,9 @@ class Firmware:
                 return self._use(request)
 
     def _use(self, tool: Tool) -> bytes:
-        outcome = bios.run_tool(tool, bios.ToolContext(self._rom, self.running, tuple(self.turrets), DESCRIPTIONS))
+        outcome = bios.run_tool(
+            tool, bios.ToolContext(self._rom, self.running, tuple(self.turrets), DESCRIPTIONS)
+        )
         if outcome.restart:
             return self.reset()
         self.baud = outcome.baud or self.baud

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-Target = TypeVar("Target", bound=Callable[..., Any])
+Target = TypeVar("Target", bound=Callable[..., object])
 
 
 def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
@@ -17,20 +17,19 @@ def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
 
     def decorate(target: Target) -> Target:
         owner: Any = target
-        function: Callable[..., Any] = owner.__init__ if isinstance(target, type) else owner
+        function: Callable[..., object] = owner.__init__ if isinstance(target, type) else target
 
         @functools.wraps(function)
-        def call(*args: Any, **kwargs: Any) -> Any:
+        def call(*args: object, **kwargs: object) -> object:
             for old, new in new_names.items():
                 if old in kwargs:
                     _warn(old, new)
                     kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
 
-        if not isinstance(target, type):
-            return cast(Target, call)
-        owner.__init__ = call
-        return cast(Target, owner)
+        if isinstance(target, type):
+            owner.__init__ = call
+        return cast(Target, owner if isinstance(target, type) else call)
 
     return decorate
 
@@ -38,7 +37,7 @@ def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
 def renamed_attribute(old: str, new: str) -> Any:
     """Return a property that reads an attribute by its old name."""
 
-    def read(instance: object) -> Any:
+    def read(instance: object) -> object:
         _warn(old, new)
         return getattr(instance, new)
 

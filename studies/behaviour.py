@@ -57,7 +57,7 @@ class Row:
 
 def tables(folder: Path) -> dict[Thing, Samples]:
     """Return the tables of the sampled robot."""
-    wall, cylinder = (Samples(each.distances, each.bearings, each.counts) for each in sampled(folder))
+    wall, cylinder = (Samples(table.distances, table.bearings, table.counts) for table in sampled(folder))
     distances, lamp = sampled_lamp(folder)
     _, bearings = lamp.placement.object_positions()
     # Light falls off too steeply from one distance to the next to be smoothed along it.
@@ -90,11 +90,11 @@ def judge(
             return away(SampledWorld(thing, readings, kinematics))
 
         quiet = sampled_track(table_readings(thing, table))
-        first, again = (sampled_track(table_readings(thing, table, 2 * seed + each)) for each in (0, 1))
+        noisy_track, repeat_track = (sampled_track(table_readings(thing, table, 2 * seed + offset)) for offset in (0, 1))
         still, shaken = (away(twins[thing, noise]) for noise in noises)
         moved = away(TwinWorld(thing, readings=table_readings(thing, table)))
         peers = {name: sampled_track(readings) for name, readings in peer_readings(thing, table).items()}
-        pairs = (still, quiet), (moved, quiet), (shaken, first), (again, first)
+        pairs = (still, quiet), (moved, quiet), (shaken, noisy_track), (repeat_track, noisy_track)
         for name, measure in trial.measures.items():
             rows.append(
                 Row(
@@ -102,8 +102,8 @@ def judge(
                     name,
                     trial.controller.name,
                     len(trial.starts),
-                    *(_both(measure(*pair)) for pair in pairs),
-                    {peer: _both(measure(track, quiet)) for peer, track in peers.items()},
+                    *(_rms_and_worst(measure(*pair)) for pair in pairs),
+                    {peer: _rms_and_worst(measure(track, quiet)) for peer, track in peers.items()},
                 )
             )
     return rows
@@ -129,7 +129,7 @@ def pooled(rows: Sequence[Row]) -> list[Row]:
     for row in rows:
         groups.setdefault((row.thing, row.measure, row.controller.startswith("network")), []).append(row)
 
-    def over(group: Sequence[Row], values: Callable[[Row], tuple[float, float]]) -> tuple[float, float]:
+    def combine(group: Sequence[Row], values: Callable[[Row], tuple[float, float]]) -> tuple[float, float]:
         count = sum(row.count for row in group)
         square = sum(values(row)[0] ** 2 * row.count for row in group) / count
         return math.sqrt(square), max((values(row)[1] for row in group), key=abs)
@@ -140,11 +140,11 @@ def pooled(rows: Sequence[Row]) -> list[Row]:
             measure,
             f"{len(group)} {'networks' if random else 'vehicles'}" if len(group) > 1 else group[0].controller,
             sum(row.count for row in group),
-            over(group, lambda row: row.quiet),
-            over(group, lambda row: row.motion),
-            over(group, lambda row: row.noisy),
-            over(group, lambda row: row.floor),
-            {peer: over(group, lambda row, peer=peer: row.peers[peer]) for peer in group[0].peers},
+            combine(group, lambda row: row.quiet),
+            combine(group, lambda row: row.motion),
+            combine(group, lambda row: row.noisy),
+            combine(group, lambda row: row.floor),
+            {peer: combine(group, lambda row, peer=peer: row.peers[peer]) for peer in group[0].peers},
         )
         for (thing, measure, random), group in groups.items()
     ]
@@ -162,7 +162,7 @@ def text(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def _both(deviations: Floats) -> tuple[float, float]:
+def _rms_and_worst(deviations: Floats) -> tuple[float, float]:
     """Return root mean square and worst."""
     return float(np.sqrt(np.mean(deviations**2))), float(deviations[np.abs(deviations).argmax()])
 
@@ -171,13 +171,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=0, help="seed of all noise")
     parser.add_argument("--odometry", action="store_true", help="move by the twin's own pulse and wheel base")
-    given = parser.parse_args(arguments)
-    folder, begun = reference(), time.perf_counter()
+    options = parser.parse_args(arguments)
+    folder, start_s = reference(), time.perf_counter()
     rows = judge(
-        tables(folder), Kinematics() if given.odometry else motor_table(folder), trials(), given.seed
+        tables(folder), Kinematics() if options.odometry else motor_table(folder), trials(), options.seed
     )
     print("deviations from the world of sampled tables, rms and worst; floor: its noise drawn twice")
     print(text(rows))
     print("\nall controllers")
     print(text(pooled(rows)))
-    print(f"\n{time.perf_counter() - begun:.0f} s")
+    print(f"\n{time.perf_counter() - start_s:.0f} s")

@@ -51,8 +51,8 @@ def wall_follower(side: str) -> Controller:
 
     def decide(proximity: Floats, ambient: Floats, memory: Floats) -> Floats:
         near = proximity[:, list(names)].mean(axis=1) / COUNTS_LIMIT
-        ahead = proximity[:, [Sensor.LEFT_10, Sensor.RIGHT_10]].max(axis=1) / COUNTS_LIMIT
-        turn = sign * (_BRISK * (near - 0.5) + _BRISK * ahead)
+        front = proximity[:, [Sensor.LEFT_10, Sensor.RIGHT_10]].max(axis=1) / COUNTS_LIMIT
+        turn = sign * (_BRISK * (near - 0.5) + _BRISK * front)
         return np.column_stack([_BRISK - turn, _BRISK + turn])
 
     return Controller(f"wall follower, {side}", decide)
@@ -78,7 +78,7 @@ def networks(count: int, seed: int = 0) -> list[Controller]:
     network = Network(hidden=(5,), recurrent=True, ambient=True, top_speed=10)
     return [
         Controller(f"network {number}", _network(network, rng.normal(size=network.n_genes)), network.sizes[1])
-        for number, rng in enumerate(stream(seed, "behaviour", "network", each) for each in range(count))
+        for number, rng in enumerate(stream(seed, "behaviour", "network", index) for index in range(count))
     ]
 
 
@@ -90,9 +90,9 @@ def _network(network: Network, genes: Floats) -> Decide:
         speeds: list[list[float]] = []
         for robot, row in enumerate(inputs.tolist()):
             values = [*row, *[0.0] * sum(network.sizes[1:])]
-            kept = memory[robot].tolist()
-            out = forward(network.sizes, network.recurrent, weights, kept, values)
-            memory[robot] = kept
+            state = memory[robot].tolist()
+            out = forward(network.sizes, network.recurrent, weights, state, values)
+            memory[robot] = state
             speeds.append([network.top_speed * values[out], network.top_speed * values[out + 1]])
         return np.array(speeds)
 

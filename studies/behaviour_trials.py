@@ -48,18 +48,18 @@ class Trial:
     measures: Mapping[str, Deviation]
 
 
-def stopping(track: Track, other: Track) -> Floats:
+def stopping_difference(track: Track, other: Track) -> Floats:
     """Return how much farther from the object a robot stops, mean of the last half second [mm]."""
     last = round(0.5 / PERIOD_S)
     return (track.gaps[-last:].mean(axis=0) - other.gaps[-last:].mean(axis=0)) * 1e3
 
 
-def turning(track: Track, other: Track) -> Floats:
+def turning_difference(track: Track, other: Track) -> Floats:
     """Return how much farther left a robot turns from its start to its end [deg]."""
     return np.degrees(track.poses[-1, :, 2] - other.poses[-1, :, 2])
 
 
-def apart(track: Track, other: Track) -> Floats:
+def path_distance(track: Track, other: Track) -> Floats:
     """Return the distance between two paths at the same time, root mean square [mm].
 
     It ends where one of the two is nearer than any sample (`NEAREST`): tables tell nothing there.
@@ -69,13 +69,13 @@ def apart(track: Track, other: Track) -> Floats:
     return np.sqrt((squares * before).sum(axis=0) / before.sum(axis=0)) * 1e3
 
 
-def following(track: Track, other: Track) -> Floats:
+def following_difference(track: Track, other: Track) -> Floats:
     """Return how much farther from the object a robot drives in the second half, on average [mm]."""
     half = len(track.gaps) // 2
     return (track.gaps[half:].mean(axis=0) - other.gaps[half:].mean(axis=0)) * 1e3
 
 
-def arriving(track: Track, other: Track) -> Floats:
+def arrival_difference(track: Track, other: Track) -> Floats:
     """Return how much later a robot arrives [s]; one that does not is taken to arrive at the end."""
     times = [
         np.where(near.any(axis=0), near.argmax(axis=0), len(near)) * PERIOD_S
@@ -86,33 +86,33 @@ def arriving(track: Track, other: Track) -> Floats:
 
 def trials() -> list[Trial]:
     """Return all trials."""
-    found: list[Trial] = []
-    stop: dict[str, Deviation] = {"stopping distance [mm]": stopping}
-    path: dict[str, Deviation] = {"path [mm]": apart}
+    all_trials: list[Trial] = []
+    stop: dict[str, Deviation] = {"stopping distance [mm]": stopping_difference}
+    path: dict[str, Deviation] = {"path [mm]": path_distance}
     for thing in (WALL, CYLINDER):
-        ahead = heading_for(thing, 60, np.arange(-60, 61, 10) if thing is WALL else np.arange(-12, 13, 2))
-        back = heading_for(thing, 60, np.arange(140, 221, 10) if thing is WALL else np.arange(172, 189, 2))
-        found += [Trial(thing, threshold_stop(level), ahead, 5.0, stop) for level in (300, 900)]
-        found.append(Trial(thing, threshold_stop(600, -1), back, 4.0, stop))
-        found.append(Trial(thing, proportional_stop(), ahead, 6.0, stop))
+        forward_starts = heading_for(thing, 60, np.arange(-60, 61, 10) if thing is WALL else np.arange(-12, 13, 2))
+        backward_starts = heading_for(thing, 60, np.arange(140, 221, 10) if thing is WALL else np.arange(172, 189, 2))
+        all_trials += [Trial(thing, threshold_stop(level), forward_starts, 5.0, stop) for level in (300, 900)]
+        all_trials.append(Trial(thing, threshold_stop(600, -1), backward_starts, 4.0, stop))
+        all_trials.append(Trial(thing, proportional_stop(), forward_starts, 6.0, stop))
         offsets = np.arange(-60, 61, 5) if thing is WALL else np.arange(-30, 31, 2.5)
         away = heading_for(thing, 60, offsets)
-        found.append(Trial(thing, avoider(), away, 3.0, {"turn [deg]": turning, **path}))
+        all_trials.append(Trial(thing, avoider(), away, 3.0, {"turn [deg]": turning_difference, **path}))
         for side, sign in (("right", 1), ("left", -1)):
             along = np.concatenate(
                 [heading_for(thing, gap, sign * np.arange(75, 106, 10)) for gap in (8, 15, 22)]
             )
-            measures: dict[str, Deviation] = {"following distance [mm]": following, **path}
-            found.append(Trial(thing, wall_follower(side), along, 6.0, measures))
-        around = np.concatenate([heading_for(thing, gap, np.arange(0, 360, 45)) for gap in (12, 24)])
-        found += [Trial(thing, each, around, 4.0, path) for each in networks(4)]
-    around = np.concatenate([heading_for(LAMP, gap, np.arange(-120, 121, 30)) for gap in (150, 300)])
-    found.append(Trial(LAMP, light_stop(), around, 9.0, stop))
-    found.append(Trial(LAMP, light_follower(), around, 1.5, {"turn [deg]": turning}))
-    arrival: dict[str, Deviation] = {"arrival [s]": arriving, **path}
-    found.append(Trial(LAMP, light_follower(), around, 9.0, arrival))
-    around = np.concatenate([heading_for(LAMP, gap, np.arange(0, 360, 45)) for gap in (120, 240)])
-    return [*found, *(Trial(LAMP, each, around, 4.0, path) for each in networks(4))]
+            measures: dict[str, Deviation] = {"following distance [mm]": following_difference, **path}
+            all_trials.append(Trial(thing, wall_follower(side), along, 6.0, measures))
+        network_starts = np.concatenate([heading_for(thing, gap, np.arange(0, 360, 45)) for gap in (12, 24)])
+        all_trials += [Trial(thing, controller, network_starts, 4.0, path) for controller in networks(4)]
+    lamp_starts = np.concatenate([heading_for(LAMP, gap, np.arange(-120, 121, 30)) for gap in (150, 300)])
+    all_trials.append(Trial(LAMP, light_stop(), lamp_starts, 9.0, stop))
+    all_trials.append(Trial(LAMP, light_follower(), lamp_starts, 1.5, {"turn [deg]": turning_difference}))
+    arrival: dict[str, Deviation] = {"arrival [s]": arrival_difference, **path}
+    all_trials.append(Trial(LAMP, light_follower(), lamp_starts, 9.0, arrival))
+    network_starts = np.concatenate([heading_for(LAMP, gap, np.arange(0, 360, 45)) for gap in (120, 240)])
+    return [*all_trials, *(Trial(LAMP, controller, network_starts, 4.0, path) for controller in networks(4))]
 
 
 def heading_for(thing: Thing, gap_mm: float, offsets_deg: NDArray[Any]) -> Floats:

@@ -16,8 +16,8 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.shadow.sensor_model import log_sum_exp
 from khep_twin.shadow.shadow import ShadowSettings
 from studies.fault_oracle import Explanation, Oracle
-from studies.fault_recordings import made
-from studies.fault_trials import SOON_NS, looking_alike
+from studies.fault_recordings import record_trial
+from studies.fault_trials import SOON_NS, add_similar_names
 from studies.trial_tables import Options, head, note, noticeable, row
 
 BOUNDED = (
@@ -47,8 +47,8 @@ class Bound(NamedTuple):
     """
 
     gap: float
-    right: float
-    alike: float
+    p_right: float
+    p_alike: float
     text: str
 
 
@@ -58,20 +58,20 @@ def bounds(options: Options) -> None:
     for fault in options.faults:
         if fault not in BOUNDED:
             continue
-        found = list(noticeable(run_bound, fault, options))
-        gaps = [each.gap for _, each in found]
+        seed_bounds = list(noticeable(run_bound, fault, options))
+        gaps = [bound.gap for _, bound in seed_bounds]
         row(
             fault,
-            len(found),
+            len(seed_bounds),
             f"{np.median(gaps):.1f}" if gaps else "",
             f"{min(gaps):.1f}" if gaps else "",
-            sum(each.right >= SURE for _, each in found),
-            sum(each.alike >= SURE for _, each in found),
+            sum(bound.p_right >= SURE for _, bound in seed_bounds),
+            sum(bound.p_alike >= SURE for _, bound in seed_bounds),
         )
         if options.detail:
             note(
-                f"{'' if each.right >= SURE else 'OPEN '}seed {seed}, gap {each.gap:.1f}: {each.text}"
-                for seed, each in found
+                f"{'' if bound.p_right >= SURE else 'OPEN '}seed {seed}, gap {bound.gap:.1f}: {bound.text}"
+                for seed, bound in seed_bounds
             )
     print(
         f"\nGaps are log-likelihoods {SOON_NS / NS_PER_S:g} s after the first noticeable reply; sure is "
@@ -83,42 +83,42 @@ def run_bound(
     fault: str, seed: int, folder: Path, settings: ShadowSettings, hosts: Sequence[str], times: str
 ) -> Bound | None:
     """Make a trial and return its bound; None if its fault is not noticeable; see `run_trial`."""
-    trial = made(fault, seed, folder, hosts, times)
+    trial = record_trial(fault, seed, folder, hosts, times)
     if trial is None:
         return None
-    seen_ns, ended_ns = int(trial.truth.noticeable_ns[0]), trial.ended_ns
-    until_ns = seen_ns + SOON_NS if ended_ns < 0 else min(seen_ns + SOON_NS, ended_ns)
-    oracle = Oracle(trial, settings, until_ns)
-    found, names = oracle.explanations(), trial.trial.names
-    chances = posterior(found)
-    seen_s, after_s = ((each - trial.truth.changed_ns[0]) / NS_PER_S for each in (seen_ns, until_ns))
+    noticeable_ns, ended_ns = int(trial.truth.noticeable_ns[0]), trial.ended_ns
+    end_ns = noticeable_ns + SOON_NS if ended_ns < 0 else min(noticeable_ns + SOON_NS, ended_ns)
+    oracle = Oracle(trial, settings, end_ns)
+    explanations, names = oracle.explanations(), trial.trial.names
+    probabilities = posterior(explanations)
+    noticeable_s, end_s = ((time_ns - trial.truth.changed_ns[0]) / NS_PER_S for time_ns in (noticeable_ns, end_ns))
     return Bound(
-        gap(found, names[0]),
-        chances.get(names[0], 0.0),
-        sum(chances.get(name, 0.0) for name in looking_alike(names)),
-        f"{names[0]} ({trial.truth.hidden[0]}), seen after {seen_s:.1f} s, after {after_s:.1f} s "
-        f"{_told(found, names[0])}; D {oracle.speeds}",
+        gap(explanations, names[0]),
+        probabilities.get(names[0], 0.0),
+        sum(probabilities.get(name, 0.0) for name in add_similar_names(names)),
+        f"{names[0]} ({trial.truth.hidden[0]}), seen after {noticeable_s:.1f} s, after {end_s:.1f} s "
+        f"{_describe(explanations, names[0])}; D {oracle.speeds}",
     )
 
 
-def posterior(found: Sequence[Explanation]) -> dict[str, float]:
-    """Return the probabilities of explanations, which exclude each other, by name."""
-    logs = np.array([each.prior + each.evidence for each in found])
-    return dict(zip([each.name for each in found], np.exp(logs - log_sum_exp(logs)).tolist(), strict=True))
+def posterior(explanations: Sequence[Explanation]) -> dict[str, float]:
+    """Return the probabilities of explanations, which exclude explanation other, by name."""
+    logs = np.array([explanation.prior + explanation.evidence for explanation in explanations])
+    return dict(zip([explanation.name for explanation in explanations], np.exp(logs - log_sum_exp(logs)).tolist(), strict=True))
 
 
-def gap(found: Sequence[Explanation], name: str) -> float:
+def gap(explanations: Sequence[Explanation], name: str) -> float:
     """Return the evidence for a name beyond that for the best other one."""
-    evidences = {each.name: each.evidence for each in found}
+    evidences = {explanation.name: explanation.evidence for explanation in explanations}
     right = evidences.pop(name, -math.inf)
     return right - max(evidences.values(), default=-math.inf)
 
 
-def _told(found: Sequence[Explanation], name: str) -> str:
+def _describe(explanations: Sequence[Explanation], name: str) -> str:
     """Tell a name and the best other explanations, by the evidence and by the probability, with both."""
-    chances = posterior(found)
-    others = [each for each in found if each.name != name]
-    best = max(others, key=lambda each: each.evidence), max(others, key=lambda each: chances[each.name])
-    told = [each for each in found if each.name == name or each in best]
-    told.sort(key=lambda each: -each.evidence)
-    return ", ".join(f"{each.name} {each.evidence:.1f} ({100 * chances[each.name]:.1f} %)" for each in told)
+    probabilities = posterior(explanations)
+    alternatives = [explanation for explanation in explanations if explanation.name != name]
+    best = max(alternatives, key=lambda explanation: explanation.evidence), max(alternatives, key=lambda explanation: probabilities[explanation.name])
+    selection = [explanation for explanation in explanations if explanation.name == name or explanation in best]
+    selection.sort(key=lambda explanation: -explanation.evidence)
+    return ", ".join(f"{explanation.name} {explanation.evidence:.1f} ({100 * probabilities[explanation.name]:.1f} %)" for explanation in selection)

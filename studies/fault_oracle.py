@@ -35,13 +35,13 @@ from khep_twin.shadow.thing_faults import Unexpected
 from khep_twin.units import N_SENSORS, SCAN_NS
 from stand_ins import hidden_changes
 from stand_ins.recordings import Truth
-from studies.fault_recordings import Made
+from studies.fault_recordings import RecordedTrial
 from studies.twin_runs import Floats, poses_at, told_playpen
 
 SOUND = "sound"
 """Name of the explanation without a fault."""
 
-KNOWN = 1e-3, 1e-3, math.radians(1)
+POSE_SD = 1e-3, 1e-3, math.radians(1)
 """Standard deviations of the pose that the oracle knows [m, rad]."""
 
 EARLIER_NS = NS_PER_S // 2
@@ -51,7 +51,7 @@ they are out of reach, while what a wheel does adds up from the fault's begin on
 ADDED_NS = 400_000_000, 250_000_000, 100_000_000
 """Times before that reply at which a thing may have come into reach that the playpen does not have [ns]."""
 
-BEGUN_S = 1.0
+ONSET_S = 1.0
 """Time in which a fault may have begun, besides that for which it was out of reach [s] (assumed)."""
 
 PARTICLES = 600
@@ -99,35 +99,35 @@ class _Informed(ParticleFilter):
 class Oracle:
     """Filters of the explanations of one trial, which begin with the true pose."""
 
-    def __init__(self, trial: Made, settings: ShadowSettings, until_ns: int) -> None:
-        self._truth, self._seed, self._until_ns = trial.truth, settings.seed, until_ns
-        self._seen_ns = int(trial.truth.noticeable_ns[0])
+    def __init__(self, trial: RecordedTrial, settings: ShadowSettings, end_ns: int) -> None:
+        self._truth, self._seed, self._end_ns = trial.truth, settings.seed, end_ns
+        self._noticeable_ns = int(trial.truth.noticeable_ns[0])
         changed_ns = int(trial.truth.changed_ns[0])
         begin_ns, self._lifted_ns = changed_ns, None
-        if any(isinstance(each, hidden_changes.Lifted) for each in trial.trial.changes):
+        if any(isinstance(change, hidden_changes.Lifted) for change in trial.trial.changes):
             # The sample of its time is that after the lift.
             begin_ns, self._lifted_ns = changed_ns - SCAN_NS, changed_ns
         elif trial.trial.changes:
-            begin_ns = max(begin_ns, self._seen_ns - EARLIER_NS)
+            begin_ns = max(begin_ns, self._noticeable_ns - EARLIER_NS)
         playpen = told_playpen(trial.room, trial.truth)
         listener = _Listener(playpen)
-        for each in read_recording(trial.path).chunks:
-            if each.time_ns <= until_ns:
-                listener.feed(*each)
+        for chunk in read_recording(trial.path).chunks:
+            if chunk.time_ns <= end_ns:
+                listener.feed(*chunk)
         self._setup = EpisodeSetup(playpen, planar=True)
         self._near = Candidates(self._setup)
-        self._actions = [each for each in listener.actions if each.time_ns > begin_ns]
-        self._parts = parts_new(
-            self._truth, [each for each in listener.actions if isinstance(each, ProximityReply)]
+        self._actions = [action for action in listener.actions if action.time_ns > begin_ns]
+        self._parts = new_parts(
+            self._truth, [action for action in listener.actions if isinstance(action, ProximityReply)]
         )
-        before = listener.actions[: -len(self._actions)]
-        self._start = self._followed(before, changed_ns, begin_ns, settings.particles)
+        earlier_actions = listener.actions[: -len(self._actions)]
+        self._start = self._track_sound(earlier_actions, changed_ns, begin_ns, settings.particles)
 
-    def _followed(self, actions: Sequence[Action], changed_ns: int, begin_ns: int, count: int) -> Particles:
+    def _track_sound(self, actions: Sequence[Action], changed_ns: int, begin_ns: int, count: int) -> Particles:
         """Return particles at the true pose, with wheels and sensors as learned before the fault."""
         rng = stream(self._seed, "oracle")
         x, y, heading = self._truth.start.tolist()
-        spread = Spread(KNOWN[0], KNOWN[2])
+        spread = Spread(POSE_SD[0], POSE_SD[2])
         particles = draw_particles(self._setup, [(x, y, heading)], spread, count, rng)
         tracker = ParticleFilter(self._setup, particles, rng, count)
         for action in actions:
@@ -135,24 +135,24 @@ class Oracle:
                 tracker.follow(action, USE)
             else:
                 apply_action(action, tracker.particles)
-                self._put(tracker.particles, action.time_ns, rng)
+                self._place_particles(tracker.particles, action.time_ns, rng)
             if isinstance(action, ProximityReply):
                 self._near.note_encounters(action.time_ns, tracker)
         particles = tracker.particles.resample(PARTICLES, 0.5)
         particles.planes.advance_to(begin_ns)
-        self._put(particles, begin_ns, rng)
+        self._place_particles(particles, begin_ns, rng)
         return particles
 
-    def _put(self, particles: Particles, time_ns: int, rng: np.random.Generator) -> None:
+    def _place_particles(self, particles: Particles, time_ns: int, rng: np.random.Generator) -> None:
         """Put particles where the robot is, in motion as they are."""
         (pose,) = poses_at(self._truth, np.array([time_ns]))
-        particles.planes.move(pose + KNOWN * rng.standard_normal((len(particles), 3)))
+        particles.planes.move(pose + POSE_SD * rng.standard_normal((len(particles), 3)))
 
     def explanations(self) -> list[Explanation]:
         """Return all explanations of the replies."""
-        whole = _Branch(self._start, 0.0, self._actions)
-        sound, branches = self._tracker(whole, SOUND), list[_Branch]()
-        begins_ns = [self._seen_ns - each for each in ADDED_NS]
+        root = _Branch(self._start, 0.0, self._actions)
+        sound, branches = self._tracker(root, SOUND), list[_Branch]()
+        begins_ns = [self._noticeable_ns - lead_ns for lead_ns in ADDED_NS]
         evidences = [(0, 0.0)]
         for number, action in enumerate(self._actions):
             while begins_ns and action.time_ns > begins_ns[0]:
@@ -163,17 +163,17 @@ class Oracle:
             if isinstance(action, ProximityReply):
                 self._near.note_encounters(action.time_ns, sound)
                 evidences.append((action.time_ns, sound.evidence))
-        found = [Explanation(SOUND, 0.0, self._at_end(evidences))]
-        for change in self._near.changes_since(self._seen_ns, has_counters=False):
-            begun_so = branches if isinstance(change.hypothesis, Unexpected) else [whole]
-            logs = np.array([self._evidence(change.hypothesis, each) for each in begun_so])
-            prior = math.log(change.rate * (BEGUN_S + change.unseen_s))
+        explanations = [Explanation(SOUND, 0.0, self._evidence_at_end(evidences))]
+        for change in self._near.changes_since(self._noticeable_ns, has_counters=False):
+            start_branches = branches if isinstance(change.hypothesis, Unexpected) else [root]
+            logs = np.array([self._evidence(change.hypothesis, branch) for branch in start_branches])
+            prior = math.log(change.rate * (ONSET_S + change.unseen_s))
             evidence = log_sum_exp(logs) - math.log(len(logs))
-            found.append(Explanation(change.hypothesis.name, prior, evidence))
+            explanations.append(Explanation(change.hypothesis.name, prior, evidence))
         if self._lifted_ns is not None:
-            before = [evidence for time_ns, evidence in evidences if time_ns <= self._lifted_ns]
-            found.append(self._lifted(self._lifted_ns, before[-1]))
-        return found
+            earlier = [evidence for time_ns, evidence in evidences if time_ns <= self._lifted_ns]
+            explanations.append(self._lifted(self._lifted_ns, earlier[-1]))
+        return explanations
 
     def _lifted(self, time_ns: int, evidence: float) -> Explanation:
         """Return a lift to the true place at a time [ns], with the evidence of replies before it.
@@ -182,11 +182,11 @@ class Oracle:
         """
         fault, particles = Lifted(), self._start.resample(PARTICLES, 0.5)
         particles.planes.advance_to(time_ns)
-        self._put(particles, time_ns, stream(self._seed, "oracle", fault.name, "place"))
+        self._place_particles(particles, time_ns, stream(self._seed, "oracle", fault.name, "place"))
         particles.planes.reset_poses(particles.planes.poses)  # at rest
-        branch = _Branch(particles, evidence, [each for each in self._actions if each.time_ns > time_ns])
+        branch = _Branch(particles, evidence, [action for action in self._actions if action.time_ns > time_ns])
         arena = self._setup.playpen.arena
-        places = arena.width_mm * arena.height_mm * 1e-6 * math.tau / (math.tau**1.5 * math.prod(KNOWN))
+        places = arena.width_mm * arena.height_mm * 1e-6 * math.tau / (math.tau**1.5 * math.prod(POSE_SD))
         return Explanation(
             fault.name, -fault.log_odds_against - math.log(places), self._evidence(fault, branch)
         )
@@ -204,12 +204,12 @@ class Oracle:
                 hypothesis.jitter(tracker.particles, rng)
             if isinstance(action, ProximityReply):
                 evidences.append((action.time_ns, branch.evidence + tracker.evidence))
-        return self._at_end(evidences)
+        return self._evidence_at_end(evidences)
 
-    def _at_end(self, evidences: Sequence[tuple[int, float]]) -> float:
+    def _evidence_at_end(self, evidences: Sequence[tuple[int, float]]) -> float:
         """Return evidence by time [ns] at the end, between two replies."""
         times, values = zip(*evidences, strict=True)
-        return float(np.interp(self._until_ns, times, values))
+        return float(np.interp(self._end_ns, times, values))
 
     def _tracker(self, branch: "_Branch", name: str) -> _Informed:
         particles = branch.particles.resample(PARTICLES, 0.5)
@@ -220,8 +220,8 @@ class Oracle:
     @property
     def speeds(self) -> str:
         """Speeds that the host has set most often since the begin, with their numbers."""
-        found = Counter((each.left, each.right) for each in self._actions if isinstance(each, WheelCommand))
-        return ", ".join(f"{number} x {left} {right}" for (left, right), number in found.most_common(_SPEEDS))
+        counts = Counter((action.left, action.right) for action in self._actions if isinstance(action, WheelCommand))
+        return ", ".join(f"{number} x {left} {right}" for (left, right), number in counts.most_common(_SPEEDS))
 
 
 class _Branch(NamedTuple):
@@ -232,17 +232,17 @@ class _Branch(NamedTuple):
     actions: Sequence[Action]
 
 
-def parts_new(truth: Truth, replies: Sequence[ProximityReply]) -> dict[int, float]:
+def new_parts(truth: Truth, replies: Sequence[ProximityReply]) -> dict[int, float]:
     """Return the parts of replies to N that are new, by their times [ns], after the robot's true way."""
     steps = np.abs(np.diff(truth.poses[:, :2], axis=0)).sum(axis=1)
     steps += SENSOR_RADIUS * np.abs(np.diff(np.unwrap(truth.poses[:, 2])))
     ways = np.concatenate([[0.0], np.cumsum(steps)])
     parts: dict[int, float] = {}
-    last = 0.0
-    for each in replies:
-        uncertain_ns = TICK_NS + max(each.late_ns - each.time_ns, 0)
-        ends = each.time_ns - uncertain_ns, each.time_ns
-        before, way = np.interp(ends, truth.times_ns, ways).tolist()
-        parts[each.time_ns] = novelty_of(way - last, PERSISTENCE, way - before)
-        last = way
+    last_distance = 0.0
+    for reply in replies:
+        uncertain_ns = TICK_NS + max(reply.late_ns - reply.time_ns, 0)
+        ends = reply.time_ns - uncertain_ns, reply.time_ns
+        earlier, distance = np.interp(ends, truth.times_ns, ways).tolist()
+        parts[reply.time_ns] = novelty_of(distance - last_distance, PERSISTENCE, distance - earlier)
+        last_distance = distance
     return parts

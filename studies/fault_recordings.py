@@ -18,20 +18,20 @@ from studies.twin_runs import Recording, alternating
 
 SIDES = ("left", "right")
 
-OPEN, FURNISHED, LIT = (
+GENERAL_PLAYPENS, OBJECT_PLAYPENS, LAMP_PLAYPENS = (
     ("workshop", "obstacles", "looping-maze"),
     ("workshop", "obstacles"),
     ("workshop", "light-seeking", "two-lamps"),
 )
 """Playpens of all faults, of those of things, and of those of lamps."""
 
-BEGINS_S = 12.0, 22.0
+ONSET_S = 12.0, 22.0
 """Times at which faults begin [s]."""
 
-LASTS_S, AFTER_S = 25.0, 13.0
+DURATION_S, TAIL_S = 25.0, 13.0
 """How long they last, and how long the recording goes on [s]."""
 
-_MET_MM = 45.0
+_REACH_MM = 45.0
 """Distance from the robot's centre at which a thing is met: 17 mm from its edge."""
 
 _FAR_MM = 5000.0
@@ -55,123 +55,123 @@ class Trial(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class _Scene:
+class _TrialSetting:
     """What a trial is drawn for: the playpen, the way of the healthy robot, the fault's begin and end [s]."""
 
     playpen: Playpen
-    way: Truth
-    at_s: float
-    until_s: float
+    healthy_truth: Truth
+    start_s: float
+    end_s: float
     rng: np.random.Generator
 
     @property
     def suffix(self) -> str:
-        return f"@{self.at_s:g}-{self.until_s:g}"
+        return f"@{self.start_s:g}-{self.end_s:g}"
 
-    def at(self, time_s: float) -> tuple[float, float]:
+    def position_at(self, time_s: float) -> tuple[float, float]:
         """Return the healthy robot's position at a time [mm]."""
-        x, y, _ = self.way.poses[int(np.searchsorted(self.way.times_ns, time_s * NS_PER_S))].tolist()
+        x, y, _ = self.healthy_truth.poses[int(np.searchsorted(self.healthy_truth.times_ns, time_s * NS_PER_S))].tolist()
         return x * 1e3, y * 1e3
 
 
-def _sensor(scene: _Scene, kind: str) -> Trial:
-    sensor = int(scene.rng.integers(N_SENSORS - 2))
+def _draw_sensor_fault(setting: _TrialSetting, kind: str) -> Trial:
+    sensor = int(setting.rng.integers(N_SENSORS - 2))
     names = (f"{kind} sensor {sensor}",)
     if kind == "stuck":
         names += (f"dead sensor {sensor}",)  # Right while it reads 0, see `_right`.
-    return Trial(names, f"{kind}:{sensor}{scene.suffix}")
+    return Trial(names, f"{kind}:{sensor}{setting.suffix}")
 
 
-def _wheel(scene: _Scene, kind: str, name: str, parts: tuple[float, float] | None = None) -> Trial:
-    side = SIDES[int(scene.rng.integers(2))]
-    part = "" if parts is None else f":{scene.rng.uniform(*parts):.3f}"
-    return Trial((f"{name} {side}",), f"{kind}:{side}{part}{scene.suffix}")
+def _draw_wheel_fault(setting: _TrialSetting, kind: str, name: str, parts: tuple[float, float] | None = None) -> Trial:
+    side = SIDES[int(setting.rng.integers(2))]
+    part = "" if parts is None else f":{setting.rng.uniform(*parts):.3f}"
+    return Trial((f"{name} {side}",), f"{kind}:{side}{part}{setting.suffix}")
 
 
-def _thing(scene: _Scene) -> tuple[str, Block | Cylinder] | None:
+def _first_object(setting: _TrialSetting) -> tuple[str, Block | Cylinder] | None:
     """Return the thing that the robot meets first while the fault lasts; None if it meets none."""
-    times = np.arange(scene.at_s + 1, scene.until_s - 5, 0.1)
-    found = {f"{kind}{i}": each for kind, items in _things(scene.playpen) for i, each in enumerate(items)}
+    times = np.arange(setting.start_s + 1, setting.end_s - 5, 0.1)
+    objects = {f"{kind}{i}": item for kind, items in _object_lists(setting.playpen) for i, item in enumerate(items)}
     for time_s in times.tolist():
-        for name, item in found.items():
-            if _away(item, *scene.at(time_s)) < _MET_MM:
+        for name, item in objects.items():
+            if _distance_mm(item, *setting.position_at(time_s)) < _REACH_MM:
                 return name, item
     return None
 
 
-def _gone(scene: _Scene) -> Trial | None:
-    if (met := _thing(scene)) is None:
+def _draw_removed(setting: _TrialSetting) -> Trial | None:
+    if (first_object := _first_object(setting)) is None:
         return None
-    name, item = met
-    back = Moved(scene.until_s, name, (_FAR_MM + item.x_mm, _FAR_MM + item.y_mm))
-    return Trial((f"missing {name}",), "", (Gone(scene.at_s, name), back))
+    name, item = first_object
+    back = Moved(setting.end_s, name, (_FAR_MM + item.x_mm, _FAR_MM + item.y_mm))
+    return Trial((f"missing {name}",), "", (Gone(setting.start_s, name), back))
 
 
-def _moved(scene: _Scene) -> Trial | None:
-    if (met := _thing(scene)) is None:
+def _draw_moved(setting: _TrialSetting) -> Trial | None:
+    if (first_object := _first_object(setting)) is None:
         return None
-    name, _ = met
-    by, way = scene.rng.uniform(25, 40), scene.rng.uniform(0, math.tau)
-    dx, dy = round(by * math.cos(way), 1), round(by * math.sin(way), 1)
+    name, _ = first_object
+    length, direction = setting.rng.uniform(25, 40), setting.rng.uniform(0, math.tau)
+    dx, dy = round(length * math.cos(direction), 1), round(length * math.sin(direction), 1)
     return Trial(
-        (f"moved {name}",), "", (Moved(scene.at_s, name, (dx, dy)), Moved(scene.until_s, name, (-dx, -dy)))
+        (f"moved {name}",), "", (Moved(setting.start_s, name, (dx, dy)), Moved(setting.end_s, name, (-dx, -dy)))
     )
 
 
-def _added(scene: _Scene) -> Trial | None:
-    radius = round(scene.rng.uniform(8, 20), 1)
-    for time_s in np.arange(scene.at_s + 3, scene.until_s - 8, 0.5).tolist():
-        x, y = scene.at(time_s)
-        if math.dist((x, y), scene.at(scene.at_s)) > 60 + radius:
+def _draw_added(setting: _TrialSetting) -> Trial | None:
+    radius = round(setting.rng.uniform(8, 20), 1)
+    for time_s in np.arange(setting.start_s + 3, setting.end_s - 8, 0.5).tolist():
+        x, y = setting.position_at(time_s)
+        if math.dist((x, y), setting.position_at(setting.start_s)) > 60 + radius:
             can = Cylinder(x_mm=round(x, 1), y_mm=round(y, 1), radius_mm=radius, height_mm=50)
-            return Trial(("unexpected thing",), "", (Added(scene.at_s, can),))
+            return Trial(("unexpected thing",), "", (Added(setting.start_s, can),))
     return None
 
 
-def _lamp_off(scene: _Scene) -> Trial:
-    lamp = int(scene.rng.integers(len(scene.playpen.lamps)))
-    return Trial((f"{_lamp_name(scene, lamp)} off",), "", (LampOff(scene.at_s, lamp),))
+def _draw_lamp_off(setting: _TrialSetting) -> Trial:
+    lamp = int(setting.rng.integers(len(setting.playpen.lamps)))
+    return Trial((f"{_lamp_name(setting, lamp)} off",), "", (LampOff(setting.start_s, lamp),))
 
 
-def _lamp_moved(scene: _Scene) -> Trial:
-    lamp = int(scene.rng.integers(len(scene.playpen.lamps)))
-    bulb, arena = scene.playpen.lamps[lamp], scene.playpen.arena
+def _draw_lamp_moved(setting: _TrialSetting) -> Trial:
+    lamp = int(setting.rng.integers(len(setting.playpen.lamps)))
+    bulb, arena = setting.playpen.lamps[lamp], setting.playpen.arena
     inwards = math.atan2(arena.height_mm / 2 - bulb.y_mm, arena.width_mm / 2 - bulb.x_mm)
     dx = dy = math.inf
     while not (0 <= bulb.x_mm + dx <= arena.width_mm and 0 <= bulb.y_mm + dy <= arena.height_mm):
-        by, way = scene.rng.uniform(80, 150), inwards + scene.rng.uniform(-0.8, 0.8)
-        dx, dy = round(by * math.cos(way), 1), round(by * math.sin(way), 1)
+        length, direction = setting.rng.uniform(80, 150), inwards + setting.rng.uniform(-0.8, 0.8)
+        dx, dy = round(length * math.cos(direction), 1), round(length * math.sin(direction), 1)
     return Trial(
-        (f"{_lamp_name(scene, lamp)} moved",),
+        (f"{_lamp_name(setting, lamp)} moved",),
         "",
-        (LampMoved(scene.at_s, lamp, (dx, dy)), LampMoved(scene.until_s, lamp, (-dx, -dy))),
+        (LampMoved(setting.start_s, lamp, (dx, dy)), LampMoved(setting.end_s, lamp, (-dx, -dy))),
     )
 
 
-def _lamp_name(scene: _Scene, lamp: int) -> str:
-    return scene.playpen.lamps[lamp].name or f"lamp{lamp}"
+def _lamp_name(setting: _TrialSetting, lamp: int) -> str:
+    return setting.playpen.lamps[lamp].name or f"lamp{lamp}"
 
 
-FAULTS: Mapping[str, tuple[tuple[str, ...], Callable[[_Scene], Trial | None]]] = {
-    "stuck sensor": (OPEN, lambda scene: _sensor(scene, "stuck")),
-    "dead sensor": (OPEN, lambda scene: _sensor(scene, "dead")),
-    "dead motor": (OPEN, lambda scene: _wheel(scene, "dead", STANDING)),
-    "blocked wheel": (OPEN, lambda scene: _wheel(scene, "blocked", STANDING)),
-    "weak motor": (OPEN, lambda scene: _wheel(scene, "weak", "weak motor", (0.1, 0.15))),
-    "slipping wheel": (OPEN, lambda scene: _wheel(scene, "slip", "slipping wheel", (0.0, 0.03))),
-    "thing gone": (FURNISHED, _gone),
-    "thing moved": (FURNISHED, _moved),
-    "thing added": (OPEN, _added),
-    "lamp off": (LIT, _lamp_off),
-    "lamp moved": (LIT, _lamp_moved),
-    "robot lifted": (OPEN, lambda scene: Trial(("robot lifted",), "", (Lifted(scene.at_s),))),
-    "brown-out": (OPEN, lambda scene: Trial(("restart",), f"brown-out@{scene.at_s:g}")),
-    "line losing bytes": (OPEN, lambda scene: Trial(("line losing bytes",), f"drop:0.03{scene.suffix}")),
+FAULTS: Mapping[str, tuple[tuple[str, ...], Callable[[_TrialSetting], Trial | None]]] = {
+    "stuck sensor": (GENERAL_PLAYPENS, lambda setting: _draw_sensor_fault(setting, "stuck")),
+    "dead sensor": (GENERAL_PLAYPENS, lambda setting: _draw_sensor_fault(setting, "dead")),
+    "dead motor": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "dead", STANDING)),
+    "blocked wheel": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "blocked", STANDING)),
+    "weak motor": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "weak", "weak motor", (0.1, 0.15))),
+    "slipping wheel": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "slip", "slipping wheel", (0.0, 0.03))),
+    "thing gone": (OBJECT_PLAYPENS, _draw_removed),
+    "thing moved": (OBJECT_PLAYPENS, _draw_moved),
+    "thing added": (GENERAL_PLAYPENS, _draw_added),
+    "lamp off": (LAMP_PLAYPENS, _draw_lamp_off),
+    "lamp moved": (LAMP_PLAYPENS, _draw_lamp_moved),
+    "robot lifted": (GENERAL_PLAYPENS, lambda setting: Trial(("robot lifted",), "", (Lifted(setting.start_s),))),
+    "brown-out": (GENERAL_PLAYPENS, lambda setting: Trial(("restart",), f"brown-out@{setting.start_s:g}")),
+    "line losing bytes": (GENERAL_PLAYPENS, lambda setting: Trial(("line losing bytes",), f"drop:0.03{setting.suffix}")),
 }
 """Faults by name: their playpens, and what draws a trial; None where there is none for its seed."""
 
 
-class Made(NamedTuple):
+class RecordedTrial(NamedTuple):
     """A recorded trial whose fault is noticeable.
 
     Attributes:
@@ -191,7 +191,7 @@ class Made(NamedTuple):
     over_ns: int
 
 
-def made(fault: str, seed: int, folder: Path, hosts: Sequence[str], times: str) -> Made | None:
+def record_trial(fault: str, seed: int, folder: Path, hosts: Sequence[str], times: str) -> RecordedTrial | None:
     """Make the recording of a trial; return None if its fault is not noticeable.
 
     Args:
@@ -204,18 +204,18 @@ def made(fault: str, seed: int, folder: Path, hosts: Sequence[str], times: str) 
     rooms, draw = FAULTS[fault]
     room = rooms[seed % len(rooms)]
     rng = stream(seed, "fault trial", fault)
-    at_s = round(float(rng.uniform(*BEGINS_S)), 2)
-    light, host = rooms is LIT, alternating(hosts, seed // 3) if hosts else ""
-    sound = Recording("sound" + "_light" * light, room, seed, BEGINS_S[1] + LASTS_S, host, asks_light=light)
+    at_s = round(float(rng.uniform(*ONSET_S)), 2)
+    light, host = rooms is LAMP_PLAYPENS, alternating(hosts, seed // 3) if hosts else ""
+    sound = Recording("sound" + "_light" * light, room, seed, ONSET_S[1] + DURATION_S, host, asks_light=light)
     way = Truth.load(sound.path(folder).with_suffix(".npz"))
-    trial = draw(_Scene(Playpen.load(room), way, at_s, at_s + LASTS_S, rng))
+    trial = draw(_TrialSetting(Playpen.load(room), way, at_s, at_s + DURATION_S, rng))
     if trial is None:
         return None
     faulty = Recording(
         fault.replace(" ", "_"),
         room,
         seed,
-        round(at_s + LASTS_S + AFTER_S),
+        round(at_s + DURATION_S + TAIL_S),
         host,
         asks_light=light,
         faults=[trial.fault] if trial.fault else [],
@@ -229,14 +229,14 @@ def made(fault: str, seed: int, folder: Path, hosts: Sequence[str], times: str) 
     over_ns = int(truth.noticeable_ns[1] if is_undone else truth.over_ns[0])
     if truth.noticeable_ns[0] < truth.changed_ns[0] or (ended_ns >= 0 and truth.noticeable_ns[0] > ended_ns):
         return None
-    return Made(trial, room, path, truth, ended_ns, over_ns)
+    return RecordedTrial(trial, room, path, truth, ended_ns, over_ns)
 
 
-def _things(playpen: Playpen) -> list[tuple[str, tuple[Block | Cylinder, ...]]]:
+def _object_lists(playpen: Playpen) -> list[tuple[str, tuple[Block | Cylinder, ...]]]:
     return [("block", playpen.blocks), ("cylinder", playpen.cylinders)]
 
 
-def _away(item: Block | Cylinder, x_mm: float, y_mm: float) -> float:
+def _distance_mm(item: Block | Cylinder, x_mm: float, y_mm: float) -> float:
     """Return the distance of a position from a thing [mm]."""
     dx, dy = x_mm - item.x_mm, y_mm - item.y_mm
     if isinstance(item, Cylinder):

@@ -13,7 +13,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.log.shadow_channels import FAULT_SEPARATOR
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.recordings import Truth
-from studies.fault_recordings import STANDING, made
+from studies.fault_recordings import STANDING, record_trial
 from studies.reliability import Claim, claims
 from studies.twin_runs import Raised, Suspected, follow
 
@@ -23,7 +23,7 @@ SOON_NS = 3 * NS_PER_S
 FADES_NS = 5 * NS_PER_S
 """Time after the noticeable end of a fault for which it is right to say that there is one [ns]."""
 
-ALIKE = ("weak motor", "slipping wheel", STANDING), ("missing", "moved")
+SIMILAR_FAULTS = ("weak motor", "slipping wheel", STANDING), ("missing", "moved")
 """Faults that look alike for a while."""
 
 
@@ -67,7 +67,7 @@ def run_trial(
         hosts: Hosts that alternate; without any, those of the seed.
         times: Times of the line.
     """
-    recorded = made(fault, seed, folder, hosts, times)
+    recorded = record_trial(fault, seed, folder, hosts, times)
     if recorded is None:
         return None
     followed = follow(recorded.path, recorded.room, settings)
@@ -93,69 +93,69 @@ def judge(
         alarms: Alarms of the shadow.
         suspected: Its suspicions.
     """
-    since_ns, seen_ns = int(truth.changed_ns[0]), int(truth.noticeable_ns[0])
+    onset_ns, noticeable_ns = int(truth.changed_ns[0]), int(truth.noticeable_ns[0])
     right = [
-        each for each in alarms if each.raised_ns >= since_ns and _right(each.fault, each.readings, names)
+        alarm for alarm in alarms if alarm.raised_ns >= onset_ns and _is_right(alarm.fault, alarm.readings, names)
     ]
-    alike = looking_alike(names)
-    together = [
-        each
-        for each in alarms
-        if each.raised_ns >= since_ns and (_has(each.fault, names) or alike >= {*each.fault.split(FAULT_SEPARATOR)})
+    similar = add_similar_names(names)
+    paired = [
+        alarm
+        for alarm in alarms
+        if alarm.raised_ns >= onset_ns and (_pair_has(alarm.fault, names) or similar >= {*alarm.fault.split(FAULT_SEPARATOR)})
     ]
-    alike_ns = [each.raised_ns for each in [*right, *together]]
-    delay_s = (right[0].raised_ns - seen_ns) / NS_PER_S if right else math.nan
-    last_ns = max((each.ended_ns for each in right), default=-1)
-    lasting = any(each.ended_ns < 0 for each in right)
+    alike_ns = [alarm.raised_ns for alarm in [*right, *paired]]
+    delay_s = (right[0].raised_ns - noticeable_ns) / NS_PER_S if right else math.nan
+    last_ns = max((alarm.ended_ns for alarm in right), default=-1)
+    lasting = any(alarm.ended_ns < 0 for alarm in right)
     ends = bool(right) and over_ns >= 0
     end_s = math.nan if lasting or not ends else max(last_ns - over_ns, 0) / NS_PER_S
-    told = [
-        f"{each.fault} {each.raised_ns / NS_PER_S:.1f} to "
-        + (f"{each.ended_ns / NS_PER_S:.1f}" if each.ended_ns >= 0 else "the end")
-        for each in alarms
+    lines = [
+        f"{alarm.fault} {alarm.raised_ns / NS_PER_S:.1f} to "
+        + (f"{alarm.ended_ns / NS_PER_S:.1f}" if alarm.ended_ns >= 0 else "the end")
+        for alarm in alarms
     ]
-    text = f"{truth.hidden[0]} at {since_ns / NS_PER_S:.1f}, seen {seen_ns / NS_PER_S:.1f}"
+    text = f"{truth.hidden[0]} at {onset_ns / NS_PER_S:.1f}, seen {noticeable_ns / NS_PER_S:.1f}"
     text += f", over {over_ns / NS_PER_S:.1f}: " if over_ns >= 0 else ": "
     return Outcome(
-        bool(right) and right[0].raised_ns <= seen_ns + SOON_NS,
-        any(since_ns <= each <= seen_ns + SOON_NS for each in alike_ns),
+        bool(right) and right[0].raised_ns <= noticeable_ns + SOON_NS,
+        any(onset_ns <= raised_ns <= noticeable_ns + SOON_NS for raised_ns in alike_ns),
         delay_s,
         tuple(
-            each.fault for each in alarms if each not in right and not (each in together and FAULT_SEPARATOR in each.fault)
+            alarm.fault for alarm in alarms if alarm not in right and not (alarm in paired and FAULT_SEPARATOR in alarm.fault)
         ),
         end_s,
         ends,
         0.0,
-        text + ("; ".join(told) or "no alarm"),
+        text + ("; ".join(lines) or "no alarm"),
         claims(
             alarms,
             suspected,
             lambda fault, time_ns, readings: (
-                since_ns <= time_ns
+                onset_ns <= time_ns
                 and (over_ns < 0 or time_ns <= over_ns + FADES_NS)
-                and (_right(fault, readings, names) or _has(fault, names))
+                and (_is_right(fault, readings, names) or _pair_has(fault, names))
             ),
         ),
     )
 
 
-def looking_alike(names: Sequence[str]) -> set[str]:
+def add_similar_names(names: Sequence[str]) -> set[str]:
     """Return names with those of faults that look alike, of the same wheel or thing."""
-    found = {
+    matches = {
         (kinds, name.removeprefix(kind))
         for name in names
-        for kinds in ALIKE
+        for kinds in SIMILAR_FAULTS
         for kind in kinds
         if name.startswith(kind)
     }
-    return {*names, *(kind + rest for kinds, rest in found for kind in kinds)}
+    return {*names, *(kind + rest for kinds, rest in matches for kind in kinds)}
 
 
-def _has(fault: str, names: Sequence[str]) -> bool:
+def _pair_has(fault: str, names: Sequence[str]) -> bool:
     """Return whether one of the names that a fault may have is right, each of which may be that of a pair."""
     return FAULT_SEPARATOR in fault and any(FAULT_SEPARATOR + name + FAULT_SEPARATOR in FAULT_SEPARATOR + fault + FAULT_SEPARATOR for name in names)
 
 
-def _right(fault: str, readings: Sequence[float], names: tuple[str, ...]) -> bool:
+def _is_right(fault: str, readings: Sequence[float], names: tuple[str, ...]) -> bool:
     """Return whether a fault has a right name; a sensor that is stuck at 0 is as a dead one is."""
     return fault in names and (fault == names[0] or readings[int(fault[-1])] == 0)

@@ -37,50 +37,50 @@ SECTIONS: dict[str, tuple[Comparison, ...]] = {
 _INTRODUCTIONS = {
     "Proximity": """
         Root-mean-square errors without noise, in counts of 1023 or in mm. The twin's counts are read in
-        MuJoCo, with a robot put where the real one was.""",
+        MuJoCo, with a robot at the real robot's positions.""",
     "Ambient light": """
         Root-mean-square errors without noise. The sampled lamp is on the scale of its table, 1023 · (500 -
         counts) / 500.""",
     "Noise": """
         The twin is turned in a room with a lamp that flickers, as the robot was (`python -m
-        studies noise-fits`); differences along the bearings tell the noise from the curve.""",
+        studies noise-fits`). Differences along the bearings separate the noise from the curve.""",
     "Odometry": """
-        Deviations of the motion at constant speeds, and of the part of 100 robots of the same make that come
-        home by odometry after 30 s of driving (`python -m studies home-test`).""",
+        Deviations of the motion at constant speeds, and of the share of robots that return home by odometry.
+        100 robots of the same make drive for 30 s (`python -m studies home-test`).""",
     "Supply": "Root-mean-square error of the voltage, and deviation of the mean current.",
     "Behaviour": """
         The same controllers run from the same poses in the twin and in a world whose sensors are read from
-        the tables (`python -m studies behaviour`): root-mean-square deviations without noise. The floor
-        is the deviation between two runs in the world of tables with noise drawn twice. Robots in that
-        world move by evorobot's motor table, without inertia; what a twin with the tables' readings
-        deviates is due to motion alone. Paths are compared until a robot is nearer than any sample, 5 mm.
-        Random networks that circle and waver amplify small differences. "Nearest sample" is the world of
-        tables as evorobot's simulator reads it.""",
+        the tables (`python -m studies behaviour`). The figures are root-mean-square deviations without
+        noise. The floor is the deviation between two runs in the world of tables with different noise.
+        Robots in that world move by evorobot's motor table, without inertia. The deviation of a twin with
+        the tables' readings is therefore due to motion alone. Paths are compared until a robot is nearer
+        than any sample, 5 mm. Random networks that circle and waver amplify small differences. "Nearest
+        sample" is the world of tables as evorobot's simulator reads it.""",
 }
 
 _HEAD = (
     """
-    Comparisons of the twin with measurements of real robots. Each row has its source; what of the twin was
-    fitted to it, or that it is predicted; the twin's deviation; the floor, the deviation that the robot's
-    own noise would leave to a perfect twin; and the deviations of other simulators, by their published
-    responses. Smaller is better.""",
+    This page compares the twin with measurements of real robots. Each row has its source, and the part of
+    the twin that was fitted to it, or "predicted". The floor is the deviation that the robot's noise would
+    leave to a perfect twin. Other simulators' deviations follow from their published responses. Smaller is
+    better.""",
     "![Deviations of the twin and of other simulators, on a logarithmic scale](pictures/fidelity.png)",
     """
-    `python -m studies fidelity` makes this page from the measured tables in the folder that
+    `python -m studies fidelity` generates this page from the measured tables in the folder that
     `KHEP_TWIN_REFERENCE_DATA` names. [senses.md](senses.md) describes the models of the sensors.""",
 )
 
 
 def text(outcomes: Mapping[str, Outcome]) -> str:
     """Return the page, from the outcomes by comparison."""
-    parts = ["# Fidelity\n", *(f"{_wrapped(each)}\n" for each in _HEAD)]
+    parts = ["# Fidelity\n", *(f"{_wrapped(paragraph)}\n" for paragraph in _HEAD)]
     for section, comparisons in SECTIONS.items():
         lines = [
             f"## {section}\n",
             f"{_wrapped(_INTRODUCTIONS.get(section, ''))}\n",
             "| comparison | source | fitted or predicted | twin | floor | other simulators | notes |",
             "|---|---|---|---|---|---|---|",
-            *(_line(each, outcomes[each.name]) for each in comparisons),
+            *(_line(comparison, outcomes[comparison.name]) for comparison in comparisons),
             "",
         ]
         parts.append("\n".join(lines))
@@ -89,36 +89,36 @@ def text(outcomes: Mapping[str, Outcome]) -> str:
 
 def names(page: str) -> dict[str, list[str]]:
     """Return the names of a page's comparisons by section."""
-    found: dict[str, list[str]] = {}
+    names_by_section: dict[str, list[str]] = {}
     section = ""
     for line in page.splitlines():
         if line.startswith("## "):
             section = line[3:]
         elif line.startswith("| ") and not line.startswith("| comparison |"):
-            found.setdefault(section, []).append(line.split(" | ")[0][2:])
-    return found
+            names_by_section.setdefault(section, []).append(line.split(" | ")[0][2:])
+    return names_by_section
 
 
 def draw(outcomes: Mapping[str, Outcome], target: Path) -> None:
     """Draw a bar for each comparison of the twin, with the floor and other simulators."""
-    rows = [(section, each, outcomes[each.name]) for section, own in SECTIONS.items() for each in own]
+    rows = [(section, comparison, outcomes[comparison.name]) for section, comparisons in SECTIONS.items() for comparison in comparisons]
     figure = Figure(figsize=(10, 0.27 * len(rows) + 1.2), layout="constrained")
     axes = figure.subplots()
     for predicted, colour in ((True, _INK), (False, _PALE)):
-        bars = [(row, of.figure) for row, (_, each, of) in enumerate(rows) if each.predicted == predicted]
+        bars = [(row, outcome.figure) for row, (_, comparison, outcome) in enumerate(rows) if comparison.is_predicted == predicted]
         label = "twin, predicted" if predicted else "twin, fitted"
         axes.barh(*zip(*bars, strict=True), color=colour, height=0.66, label=label)
-    floors = [(of.floor, row) for row, (_, _, of) in enumerate(rows) if of.floor is not None]
+    floors = [(outcome.floor, row) for row, (_, _, outcome) in enumerate(rows) if outcome.floor is not None]
     axes.plot(*zip(*floors, strict=True), "|", color=_RED, ms=13, mew=2.5, label="noise floor")
-    peers = dict.fromkeys(peer for _, _, of in rows for peer in of.peers)
+    peers = dict.fromkeys(peer for _, _, outcome in rows for peer in outcome.peers)
     for number, (peer, (marker, colour)) in enumerate(zip(peers, _MARKS, strict=False)):
-        shown = [(of.peers[peer], row) for row, (_, _, of) in enumerate(rows) if peer in of.peers]
-        aside = [row + 0.13 * (number - 1.5) for _, row in shown]
-        at = [deviation for deviation, _ in shown]
-        axes.plot(at, aside, marker, color=colour, mec="white", mew=0.6, ms=6, label=peer)
+        points = [(outcome.peers[peer], row) for row, (_, _, outcome) in enumerate(rows) if peer in outcome.peers]
+        aside = [row + 0.13 * (number - 1.5) for _, row in points]
+        deviations = [deviation for deviation, _ in points]
+        axes.plot(deviations, aside, marker, color=colour, mec="white", mew=0.6, ms=6, label=peer)
     axes.set_xscale("log")
     axes.set_xlim(right=5 * axes.get_xlim()[1])  # room for the sections' names
-    axes.set_yticks(range(len(rows)), [f"{each.name} [{each.unit}]" for _, each, _ in rows], fontsize=8)
+    axes.set_yticks(range(len(rows)), [f"{comparison.name} [{comparison.unit}]" for _, comparison, _ in rows], fontsize=8)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     for row, (section, _, _) in enumerate(rows):
         if row == 0 or section != rows[row - 1][0]:
@@ -160,8 +160,8 @@ def main() -> None:
     folder = reference()
     outcomes: dict[str, Outcome] = {}
     for comparisons in SECTIONS.values():
-        for each in comparisons:
-            outcomes[each.name] = each.measure(folder)
-            print(f"{each.name}: {short(outcomes[each.name].figure)} {each.unit}", flush=True)
+        for comparison in comparisons:
+            outcomes[comparison.name] = comparison.measure(folder)
+            print(f"{comparison.name}: {short(outcomes[comparison.name].figure)} {comparison.unit}", flush=True)
     PAGE.write_text(text(outcomes), encoding="utf-8")
     draw(outcomes, PICTURE)

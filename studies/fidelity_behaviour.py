@@ -22,11 +22,11 @@ _NETWORKS = " of random networks"
 def rows(folder: Path) -> dict[str, Row]:
     """Return the rows over all controllers, by the name of their comparison."""
     tables, kinematics = behaviour.tables(folder), behaviour.motor_table(folder)
-    found = behaviour.pooled(behaviour.judge(tables, kinematics, trials()))
-    return {_name(row.thing, row.measure, "network" in row.controller): row for row in found}
+    pooled_rows = behaviour.pooled(behaviour.judge(tables, kinematics, trials()))
+    return {_name(row.thing, row.measure, "network" in row.controller): row for row in pooled_rows}
 
 
-def compared(name: str, folder: Path) -> Outcome:
+def compare(name: str, folder: Path) -> Outcome:
     """Return one comparison, without noise; its floor is that of readings with noise."""
     row = rows(folder)[name]
     peers = {peer: deviation for peer, (deviation, _) in row.peers.items()}
@@ -45,7 +45,7 @@ COMPARISONS = tuple(
         _SOURCE,
         "sensors fitted to the tables, motion predicted",
         measure.partition("[")[2].rstrip("]"),
-        partial(compared, name),
+        partial(compare, name),
     )
     for thing, measures in _MEASURES.items()
     for measure in measures

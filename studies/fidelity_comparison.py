@@ -53,7 +53,7 @@ class Comparison:
     measure: Callable[[Path], Outcome]
 
     @property
-    def predicted(self) -> bool:
+    def is_predicted(self) -> bool:
         """Whether nothing of the twin was fitted to the measurements themselves."""
         return self.basis.startswith("predicted")
 
@@ -69,19 +69,19 @@ def noise_variance(readings: Floats, order: int = 2) -> Floats:
     return (differences**2).mean(axis=-1) / math.comb(2 * order, order)
 
 
-def at_rest(scene: Playpen, starts: Floats) -> tuple[Floats, Floats]:
+def read_at_rest(playpen: Playpen, starts: Floats) -> tuple[Floats, Floats]:
     """Return the twin's proximity and ambient counts without noise at poses of its robots, each (n, 8).
 
     Args:
-        scene: Playpen; the first robot reads.
+        playpen: Playpen; the first robot reads.
         starts: Poses x, y [mm] and heading [deg] (n, 3), or of each robot (n, n_robots, 3).
     """
-    episode = Episode(EpisodeSetup(scene))
+    episode = Episode(EpisodeSetup(playpen))
     counts: list[tuple[list[int], list[int]]] = []
     for start in starts.tolist():
         episode.begin(options=EpisodeOptions(start=start, noise=False))
         counts.append(episode.readings())
-    return np.array([each[0] for each in counts], float), np.array([each[1] for each in counts], float)
+    return np.array([reading[0] for reading in counts], float), np.array([reading[1] for reading in counts], float)
 
 
 def columns(path: Path, kind: type | None = None) -> Any:

@@ -14,7 +14,7 @@ from khep_twin.playpen import Arena, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.surfaces import Surface
 from khep_twin.sensing import calibration
 from khep_twin.units import N_SENSORS
-from studies.fidelity_comparison import Comparison, Floats, Outcome, at_rest, columns
+from studies.fidelity_comparison import Comparison, Floats, Outcome, read_at_rest, columns
 from studies.fidelity_proximity import peer_curve, sensor_name
 from studies.infrared_fits import (
     MANUAL_SURFACES,
@@ -51,13 +51,13 @@ def face_to_face(name: str, sensor: int, distances_mm: Floats, surface: str = "w
     """Return the counts of a sensor whose face is so far from a wall; NaN where the robot would be in it."""
     robot = _robot(name)
     heading = math.radians(calibration.read(name)[0].heading_deg[sensor])
-    ahead, left = robot.body.sensor_positions[sensor]
-    away_mm = distances_mm + (ahead * math.cos(heading) + left * math.sin(heading)) * 1e3
+    forward, left = robot.body.sensor_positions[sensor]
+    away_mm = distances_mm + (forward * math.cos(heading) + left * math.sin(heading)) * 1e3
     arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM, surface=surface)
     starts = [[_SIDE_MM - away, _SIDE_MM / 2, -math.degrees(heading)] for away in away_mm]
     clear = away_mm >= robot.body.radius * 1e3
     counts = np.full(len(away_mm), np.nan)
-    counts[clear] = at_rest(_playpen(arena, robot), np.array(starts)[clear])[0][:, sensor]
+    counts[clear] = read_at_rest(_playpen(arena, robot), np.array(starts)[clear])[0][:, sensor]
     return counts
 
 
@@ -66,11 +66,11 @@ def figure_11(folder: Path) -> Outcome:
     measured = {name: curve for name, curve in materials(folder).items() if name in MANUAL_SURFACES}
 
     def errors(sensor: int) -> Floats:
-        each = [
+        differences = [
             face_to_face("khepera1-manual", sensor, distances * 1e3, MANUAL_SURFACES[name]) - counts
             for name, (distances, counts) in measured.items()
         ]
-        return np.concatenate(each)
+        return np.concatenate(differences)
 
     return _best({sensor: errors(sensor) for sensor in _SIX})
 
@@ -88,12 +88,12 @@ def figure_12(folder: Path) -> Outcome:
     away = OBSTACLE_MM + OBSTACLE_RADIUS_MM
 
     def errors(sensor: int) -> Floats:
-        ahead, left = (each * 1e3 for each in robot.body.sensor_positions[sensor])
+        forward, left = (coordinate * 1e3 for coordinate in robot.body.sensor_positions[sensor])
         outwards = 1 if left > 0 else -1
         angles = np.radians(calibrated.heading_deg[sensor] + outwards * table["obstacle_angle_deg"])
-        at = np.column_stack([ahead + away * np.cos(angles), left + away * np.sin(angles)])
-        starts = np.column_stack([middle - at, np.zeros(len(at))])
-        return at_rest(_playpen(arena, robot, cylinders=(obstacle,)), starts)[0][:, sensor] - measured
+        positions_mm = np.column_stack([forward + away * np.cos(angles), left + away * np.sin(angles)])
+        starts = np.column_stack([middle - positions_mm, np.zeros(len(positions_mm))])
+        return read_at_rest(_playpen(arena, robot, cylinders=(obstacle,)), starts)[0][:, sensor] - measured
 
     return _best({sensor: errors(sensor) for sensor in _SIX})
 
@@ -102,15 +102,15 @@ def figure_13(folder: Path) -> Outcome:
     """Compare six sensors before wood."""
     table = columns(folder / "manual_data" / "k1_fig13_proximity_vs_distance_wood_6sensors.csv")
     errors: list[Floats] = []
-    others: dict[str, list[Floats]] = {name: [] for name in PEERS}
+    peer_errors: dict[str, list[Floats]] = {name: [] for name in PEERS}
     for sensor in _SIX:
-        own = table["sensor"] == f"sensor_{sensor + 1}"
-        distances = table["distance_mm"][own].astype(float)
-        measured = np.minimum(table["proximity_raw"][own], 1023).astype(float)
+        rows = table["sensor"] == f"sensor_{sensor + 1}"
+        distances = table["distance_mm"][rows].astype(float)
+        measured = np.minimum(table["proximity_raw"][rows], 1023).astype(float)
         errors.append(face_to_face("khepera1-manual", sensor, distances, "wood") - measured)
         for name in PEERS:
-            others[name].append(peer_curve(name, distances / 1e3) - measured)
-    return Outcome(rms(errors), None, {name: rms(each) for name, each in others.items()})
+            peer_errors[name].append(peer_curve(name, distances / 1e3) - measured)
+    return Outcome(rms(errors), None, {name: rms(curve_errors) for name, curve_errors in peer_errors.items()})
 
 
 def khepera2_facing(folder: Path) -> Outcome:
@@ -119,14 +119,14 @@ def khepera2_facing(folder: Path) -> Outcome:
     for curve in khepera2_report(folder):
         if not curve.is_robot and curve.sensor in _FACING[curve.is_aside]:
             for name in errors:
-                counts = peer_curve(name, curve.distances) if name in PEERS else _read(curve, name)
+                counts = peer_curve(name, curve.distances) if name in PEERS else _modelled_counts(curve, name)
                 errors[name].append(counts - curve.counts)
-    own, middle, *_ = figures = {name: rms(each) for name, each in errors.items()}
+    manual_name, middle_name, *_ = figures = {name: rms(curve_errors) for name, curve_errors in errors.items()}
     return Outcome(
-        figures[own],
+        figures[manual_name],
         None,
         {name: figures[name] for name in PEERS},
-        f"`khepera2`, the middle of two robots, {figures[middle]:.0f}",
+        f"`khepera2`, the middle of two robots, {figures[middle_name]:.0f}",
     )
 
 
@@ -136,7 +136,7 @@ def khepera2_oblique(folder: Path) -> Outcome:
     notes: list[str] = []
     for curve in khepera2_report(folder):
         if not curve.is_robot and curve.sensor not in _FACING[curve.is_aside]:
-            modelled, nearest = _read(curve), curve.distances.argmin()
+            modelled, nearest = _modelled_counts(curve), curve.distances.argmin()
             errors.append(modelled - curve.counts)
             notes.append(
                 f"{modelled[nearest]:.0f} for {curve.counts[nearest]:.0f} "
@@ -150,7 +150,7 @@ def khepera2_robot(folder: Path) -> Outcome:
     errors: dict[bool, list[Floats]] = {True: [], False: []}
     for curve in khepera2_report(folder):
         if curve.is_robot:
-            errors[curve.sensor in _FACING[curve.is_aside]].append(_read(curve) - curve.counts)
+            errors[curve.sensor in _FACING[curve.is_aside]].append(_modelled_counts(curve) - curve.counts)
     facing, oblique = (rms(errors[key]) for key in (True, False))
     return Outcome(
         rms([*errors[True], *errors[False]]), None, note=f"facing {facing:.0f}, oblique {oblique:.0f}"
@@ -161,41 +161,41 @@ def pykhepera(folder: Path, sensors: Sequence[int]) -> Outcome:
     """Compare sensors of yet another Khepera II, each turned to a wall, on the days that were not fitted."""
     wall = pykhepera_wall(folder)
     robot, arena = _robot("khepera2"), Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
-    unseen = [day for day in np.unique(wall.days).tolist() if day not in FITTED_DAYS]
+    test_days = [day for day in np.unique(wall.days).tolist() if day not in FITTED_DAYS]
     errors: dict[str, list[Floats]] = {name: [] for name in ("twin", "days", *PEERS)}
     for sensor in sensors:
-        gaps, measured = wall.means(sensor, unseen)
+        gaps, measured = wall.means(sensor, test_days)
         away = _SIDE_MM - robot.body.radius * 1e3 - gaps * 1e3
-        starts = [[each, _SIDE_MM / 2, -FACING_DEG[sensor]] for each in away]
-        errors["twin"].append(at_rest(_playpen(arena, robot), np.array(starts))[0][:, sensor] - measured)
-        errors["days"] += [wall.means(sensor, [day])[1] - measured for day in unseen]
+        starts = [[x_mm, _SIDE_MM / 2, -FACING_DEG[sensor]] for x_mm in away]
+        errors["twin"].append(read_at_rest(_playpen(arena, robot), np.array(starts))[0][:, sensor] - measured)
+        errors["days"] += [wall.means(sensor, [day])[1] - measured for day in test_days]
         for name in PEERS:
             errors[name].append(peer_curve(name, gaps) - measured)
-    figure, floor, *others = (rms(each) for each in errors.values())
-    return Outcome(figure, floor, dict(zip(PEERS, others, strict=True)))
+    figure, floor, *peer_rms = (rms(sensor_errors) for sensor_errors in errors.values())
+    return Outcome(figure, floor, dict(zip(PEERS, peer_rms, strict=True)))
 
 
-def _read(curve: Report, name: str = "khepera2-manual") -> Floats:
+def _modelled_counts(curve: Report, name: str = "khepera2-manual") -> Floats:
     """Return a Khepera II's counts before a wall of white paper or a robot, so far from its foremost face."""
     robot, sensor = _robot(name), curve.sensor
     turn = 90.0 if curve.is_aside else 0.0
-    reach = max(-left if curve.is_aside else ahead for ahead, left in robot.body.sensor_positions) * 1e3
+    reach = max(-left if curve.is_aside else forward for forward, left in robot.body.sensor_positions) * 1e3
     arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
     away = curve.distances * 1e3 + reach
     if not curve.is_robot:
-        own = [[_SIDE_MM - each, _SIDE_MM / 2, turn] for each in away]
-        return at_rest(_playpen(arena, robot), np.array(own))[0][:, sensor]
+        starts = [[_SIDE_MM - distance, _SIDE_MM / 2, turn] for distance in away]
+        return read_at_rest(_playpen(arena, robot), np.array(starts))[0][:, sensor]
     away = away + robot.body.radius * 1e3
-    both = [[[1000.0, 1500.0, turn], [1000.0 + each, 1500.0, 180.0]] for each in away]
+    pair_starts = [[[1000.0, 1500.0, turn], [1000.0 + distance, 1500.0, 180.0]] for distance in away]
     other = robot.model_copy(update={"x_mm": 2000.0})
-    return at_rest(_playpen(arena, robot, other), np.array(both))[0][:, sensor]
+    return read_at_rest(_playpen(arena, robot, other), np.array(pair_starts))[0][:, sensor]
 
 
 def _best(errors: dict[int, Floats]) -> Outcome:
-    figures = {sensor: rms([each[~np.isnan(each)]]) for sensor, each in errors.items()}
+    figures = {sensor: rms([differences[~np.isnan(differences)]]) for sensor, differences in errors.items()}
     best = min(figures, key=lambda sensor: figures[sensor])
-    others = f"{min(figures.values()):.0f} to {max(figures.values()):.0f} by sensor"
-    return Outcome(figures[best], None, note=f"{sensor_name(best)}, the best of six: {others}")
+    range_text = f"{min(figures.values()):.0f} to {max(figures.values()):.0f} by sensor"
+    return Outcome(figures[best], None, note=f"{sensor_name(best)}, the best of six: {range_text}")
 
 
 def _robot(name: str) -> RobotEntry:

@@ -18,11 +18,11 @@ _SAMPLES = "samples of one Khepera, CNR Rome"
 
 def noise(folder: Path, target: str) -> Outcome:
     """Compare the differences of three orders along the bearings with those of a twin in the same light."""
-    robot, own = sampled()[target], twin(target)
-    levels = [(differences(robot, order), differences(own, order)) for order in ORDERS]
-    apart = [model / level - 1 for level, model in levels]
-    told = ", ".join(f"{model:.0f} for {level:.0f}" for level, model in levels)
-    return Outcome(float(np.abs(apart).max()) * 100, note=f"orders 2, 4, 6: {told} counts")
+    measured, modelled = sampled()[target], twin(target)
+    levels = [(differences(measured, order), differences(modelled, order)) for order in ORDERS]
+    relative_errors = [model / level - 1 for level, model in levels]
+    levels_text = ", ".join(f"{model:.0f} for {level:.0f}" for level, model in levels)
+    return Outcome(float(np.abs(relative_errors).max()) * 100, note=f"orders 2, 4, 6: {levels_text} counts")
 
 
 def khepera2_at_rest(scans: int = 1000, seed: int = 1) -> Floats:
@@ -30,29 +30,29 @@ def khepera2_at_rest(scans: int = 1000, seed: int = 1) -> Floats:
     robot = RobotEntry(x_mm=1000, y_mm=1000, heading_deg=0, model="khepera2", calibration="khepera2")
     arena = Arena(width_mm=2000, height_mm=2000)
     world = World(Playpen(version=1, name="empty", arena=arena, robot=(robot,)), seed=seed)
-    found: list[list[int]] = []
+    readings: list[list[int]] = []
     for scan in range(scans):
         world.advance_to((scan + 1) * SCAN_NS)
-        found.append(world.robots[0].registers[PROXIMITY].tolist())
-    return np.array(found, float)
+        readings.append(world.robots[0].registers[PROXIMITY].tolist())
+    return np.array(readings, float)
 
 
 def khepera2_noise(folder: Path) -> Outcome:
     """Compare the noise of a Khepera II at rest with that of pykhepera's robot from day to day."""
     within, between = noise_at_rest(pykhepera_wall(folder))
-    own = float(np.sqrt(khepera2_at_rest().var(axis=0).mean()))
-    told = f"{own:.0f} counts for {between:.0f} from day to day, {within:.1f} within a day"
-    return Outcome(abs(own - between), note=told)
+    twin_noise = float(np.sqrt(khepera2_at_rest().var(axis=0).mean()))
+    note = f"{twin_noise:.0f} counts for {between:.0f} from day to day, {within:.1f} within a day"
+    return Outcome(abs(twin_noise - between), note=note)
 
 
 def khepera2_rest(_: Path) -> Outcome:
     """Compare the mean reading of a Khepera II at rest with that of a robot to which nothing was fitted."""
-    own = khepera2_at_rest().mean(axis=0)
+    twin_means = khepera2_at_rest().mean(axis=0)
     low, high = REST_RANGE
-    told = (
-        f"{own.mean():.0f} for {REST_MEAN}; by sensor {own.min():.0f} to {own.max():.0f} for {low} to {high}"
+    note = (
+        f"{twin_means.mean():.0f} for {REST_MEAN}; by sensor {twin_means.min():.0f} to {twin_means.max():.0f} for {low} to {high}"
     )
-    return Outcome(abs(float(own.mean()) - REST_MEAN), note=told)
+    return Outcome(abs(float(twin_means.mean()) - REST_MEAN), note=note)
 
 
 _KHEPERA2 = (

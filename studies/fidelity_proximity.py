@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_HEADINGS, Sensor
-from studies.fidelity_comparison import Comparison, Floats, Outcome, at_rest, noise_variance
+from studies.fidelity_comparison import Comparison, Floats, Outcome, read_at_rest, noise_variance
 from studies.infrared_fits import MeasuredTable, compare, fit_sampled, on_axis, rms, sampled
 from studies.infrared_picture import PEERS
 from studies.one_object import CYLINDER, WALL, Thing, scene
@@ -28,62 +28,62 @@ def peer_curve(name: str, distances: Floats) -> Floats:
 
 
 @cache
-def before(folder: Path, thing: Thing) -> tuple[MeasuredTable, Floats]:
+def modelled_table(folder: Path, thing: Thing) -> tuple[MeasuredTable, Floats]:
     """Return the sampled table of an object, and the twin's counts at its poses (n, 8)."""
     table = sampled(folder)[0 if thing is WALL else 1]
     away = (table.distances + BODY_RADIUS + thing.radius) * 1e3
-    at = _SIDE_MM if thing is WALL else _SIDE_MM / 2
+    object_mm = _SIDE_MM if thing is WALL else _SIDE_MM / 2
     headings = -np.degrees(table.bearings)
-    starts = np.column_stack([at - away, np.full(len(away), _SIDE_MM / 2), headings])
-    return table, at_rest(scene(thing), starts)[0]
+    starts = np.column_stack([object_mm - away, np.full(len(away), _SIDE_MM / 2), headings])
+    return table, read_at_rest(scene(thing), starts)[0]
 
 
-def on_axis_of(folder: Path, thing: Thing) -> Outcome:
+def compare_on_axis(folder: Path, thing: Thing) -> Outcome:
     """Compare means within 6 degrees of each sensor's peak."""
-    table, modelled = before(folder, thing)
+    table, modelled = modelled_table(folder, thing)
     errors: list[Floats] = []
-    others: dict[str, list[Floats]] = {name: [] for name in PEERS}
+    peer_errors: dict[str, list[Floats]] = {name: [] for name in PEERS}
     floors: list[float] = []
     for sensor in range(N_SENSORS):
         axis, measured = on_axis(table, sensor), table.counts[:, sensor]
         errors.append(axis @ (modelled[:, sensor] - measured))
         for name in PEERS:
-            others[name].append(axis @ (peer_curve(name, table.distances) - measured))
+            peer_errors[name].append(axis @ (peer_curve(name, table.distances) - measured))
         for row in axis:
             near = np.flatnonzero(row)
             floors.append(float(noise_variance(measured[near])) / len(near))
-    peers = {name: rms(each) for name, each in others.items()}
+    peers = {name: rms(curve_errors) for name, curve_errors in peer_errors.items()}
     worst = max(range(N_SENSORS), key=lambda sensor: rms([errors[sensor]]))
     note = f"worst sensor {sensor_name(worst)}, {rms([errors[worst]]):.0f}"
     return Outcome(rms(errors), math.sqrt(float(np.mean(floors))), peers, note)
 
 
-def at_all_bearings(folder: Path) -> Outcome:
+def compare_all_bearings(folder: Path) -> Outcome:
     """Compare both objects at all bearings."""
     errors: list[Floats] = []
     noise: list[Floats] = []
-    others: dict[str, list[Floats]] = {name: [] for name in PEERS}
+    peer_errors: dict[str, list[Floats]] = {name: [] for name in PEERS}
     for thing in (WALL, CYLINDER):
-        table, modelled = before(folder, thing)
+        table, modelled = modelled_table(folder, thing)
         errors.append(modelled - table.counts)
         for name in PEERS:
-            seen, _ = along_axes(thing, lambda lengths, name=name: peer_curve(name, lengths))(
+            peer_counts, _ = along_axes(thing, lambda lengths, name=name: peer_curve(name, lengths))(
                 table.distances, table.bearings
             )
-            others[name].append(seen - table.counts)
+            peer_errors[name].append(peer_counts - table.counts)
         grid = table.counts.reshape(len(np.unique(table.distances)), -1, N_SENSORS)
         noise.append(noise_variance(grid.transpose(0, 2, 1)))
     floor = math.sqrt(float(np.mean(noise)))
     note = f"wall {rms([errors[0]]):.0f}, cylinder {rms([errors[1]]):.0f}"
-    return Outcome(rms(errors), floor, {name: rms(each) for name, each in others.items()}, note)
+    return Outcome(rms(errors), floor, {name: rms(curve_errors) for name, curve_errors in peer_errors.items()}, note)
 
 
-def half_scale(folder: Path, thing: Thing) -> Outcome:
+def compare_half_scale(folder: Path, thing: Thing) -> Outcome:
     """Compare the distance at half scale of each sensor [mm]."""
-    table, modelled = before(folder, thing)
+    table, modelled = modelled_table(folder, thing)
     distances = np.unique(table.distances) * 1e3
-    apart: list[float] = []
-    others: dict[str, list[float]] = {name: [] for name in PEERS}
+    differences: list[float] = []
+    peer_differences: dict[str, list[float]] = {name: [] for name in PEERS}
     for sensor in range(N_SENSORS):
         axis = on_axis(table, sensor)
 
@@ -91,21 +91,21 @@ def half_scale(folder: Path, thing: Thing) -> Outcome:
             return float(np.interp(-511.5, -(axis @ counts), distances))
 
         measured = half(table.counts[:, sensor])
-        apart.append(half(modelled[:, sensor]) - measured)
+        differences.append(half(modelled[:, sensor]) - measured)
         for name in PEERS:
-            others[name].append(half(peer_curve(name, table.distances)) - measured)
-    peers = {name: rms([np.array(each)]) for name, each in others.items()}
-    return Outcome(rms([np.array(apart)]), None, peers, f"worst {max(map(abs, apart)):.1f}")
+            peer_differences[name].append(half(peer_curve(name, table.distances)) - measured)
+    peers = {name: rms([np.array(values)]) for name, values in peer_differences.items()}
+    return Outcome(rms([np.array(differences)]), None, peers, f"worst {max(map(abs, differences)):.1f}")
 
 
-def left_out(folder: Path, fitted: int, judged: int) -> Outcome:
+def compare_left_out(folder: Path, fitted: int, judged: int) -> Outcome:
     """Fit all sensors to one object alone, and compare the other on axis."""
     tables = sampled(folder)
     errors: list[Floats] = []
     for sensor in range(N_SENSORS):
         heading, optics = fit_sampled([tables[fitted]], sensor, SENSOR_HEADINGS[sensor])
         errors.append(compare(tables[judged], sensor, heading, optics).on_axis)
-    floor = on_axis_of(folder, (WALL, CYLINDER)[judged]).floor
+    floor = compare_on_axis(folder, (WALL, CYLINDER)[judged]).floor
     return Outcome(rms(errors), floor, note="offset and lobe drawn to 4 mm and 3, which are assumed")
 
 
@@ -116,38 +116,38 @@ def sensor_name(sensor: int) -> str:
 _FITTED = "fitted: heading and optics of each sensor"
 
 COMPARISONS = (
-    Comparison("wall, on axis", _SAMPLED, _FITTED, "counts", lambda folder: on_axis_of(folder, WALL)),
+    Comparison("wall, on axis", _SAMPLED, _FITTED, "counts", lambda folder: compare_on_axis(folder, WALL)),
     Comparison(
         "cylinder of 27 mm radius, on axis",
         _SAMPLED,
         _FITTED,
         "counts",
-        lambda folder: on_axis_of(folder, CYLINDER),
+        lambda folder: compare_on_axis(folder, CYLINDER),
     ),
-    Comparison("wall and cylinder, all bearings", _SAMPLED, _FITTED, "counts", at_all_bearings),
+    Comparison("wall and cylinder, all bearings", _SAMPLED, _FITTED, "counts", compare_all_bearings),
     Comparison(
         "cylinder on axis, fitted to the wall alone",
         _SAMPLED,
         "predicted",
         "counts",
-        lambda folder: left_out(folder, 0, 1),
+        lambda folder: compare_left_out(folder, 0, 1),
     ),
     Comparison(
         "wall on axis, fitted to the cylinder alone",
         _SAMPLED,
         "predicted",
         "counts",
-        lambda folder: left_out(folder, 1, 0),
+        lambda folder: compare_left_out(folder, 1, 0),
     ),
     Comparison(
-        "wall, distance at half scale", _SAMPLED, _FITTED, "mm", lambda folder: half_scale(folder, WALL)
+        "wall, distance at half scale", _SAMPLED, _FITTED, "mm", lambda folder: compare_half_scale(folder, WALL)
     ),
     Comparison(
         "cylinder, distance at half scale",
         _SAMPLED,
         _FITTED,
         "mm",
-        lambda folder: half_scale(folder, CYLINDER),
+        lambda folder: compare_half_scale(folder, CYLINDER),
     ),
 )
 """Comparisons with the sampled robot, in the page's order."""

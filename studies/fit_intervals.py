@@ -65,17 +65,17 @@ PERIOD, _SPEED = 0.05, 1
 """Time between two readings [s], and speed of the wheels in a turn [pulses/10 ms]."""
 
 
-def hidden(start: Calibration, rng: np.random.Generator) -> Calibration:
+def draw_robot(start: Calibration, rng: np.random.Generator) -> Calibration:
     """Return a robot drawn around a calibration."""
     headings = np.array(start.heading_deg) + SPREADS["heading_deg"] * rng.standard_normal(N_SENSORS)
     update: dict[str, object] = {"heading_deg": tuple(headings.tolist())}
     for name in ("wheels", "proximity", "ambient"):
         table = getattr(start, name)
-        update[name] = table.model_copy(update=_drawn(table, rng))
+        update[name] = table.model_copy(update=_draw_table(table, rng))
     return start.model_copy(update=update)
 
 
-def _drawn(table: TomlTable, rng: np.random.Generator) -> dict[str, object]:
+def _draw_table(table: TomlTable, rng: np.random.Generator) -> dict[str, object]:
     update: dict[str, object] = {}
     for key in type(table).model_fields:
         value = np.array(getattr(table, key), np.float64)
@@ -132,21 +132,21 @@ class Person:
         ages = self.rng.uniform(0, 0.02, len(times))
         poses = np.column_stack([np.zeros((len(times), 2)), rate * (times + ages)])
         place = Placement(poses, distance_mm / 1e3, 0.0 if power is None else BULB_RADIUS)
-        moved = Misplacement(self._error_m(), self._error_rad())
-        counts = self._read(Readings(name, place, np.empty(0), power, FILAMENT - SENSOR_HEIGHT), moved)
-        what = "proximity" if power is None else "light"
-        test = SensorTest(what, rotate_deg=360, speed=_SPEED)
+        misplacement = Misplacement(self._error_m(), self._error_rad())
+        counts = self._read(Readings(name, place, np.empty(0), power, FILAMENT - SENSOR_HEIGHT), misplacement)
+        kind = "proximity" if power is None else "light"
+        test = SensorTest(kind, rotate_deg=360, speed=_SPEED)
         dv = np.column_stack([-pulses, pulses, counts.astype(np.int64)])
         return SensorData(name, SensorRun(test, dv, times), distance_mm / 1e3, power=power, height=FILAMENT)
 
-    def _read(self, test: Readings, moved: Misplacement) -> Floats:
+    def _read(self, test: Readings, misplacement: Misplacement) -> Floats:
         near, ambient = self.robot.proximity, self.robot.ambient
         if test.power is None:
-            level = levels(test.placement, self.robot, moved)
+            level = levels(test.placement, self.robot, misplacement)
             level += near.noise_counts * self.rng.standard_normal(level.shape)
             idle = self.rng.exponential(near.idle_counts, level.shape)
             return np.rint(np.clip(level, idle, near.limit_counts))
-        lamp = LampTable.of(test, moved)
+        lamp = LampTable.of(test, misplacement)
         level = np.column_stack([ambient_counts(lamp, sensor, ambient) for sensor in range(N_SENSORS)])
         level += ambient.noise_counts * self.rng.standard_normal(level.shape)
         return np.rint(np.clip(level, 0, ambient.ceiling_counts))
@@ -168,7 +168,7 @@ def study(
 ) -> Iterator[list[tuple[FittedValue, float]]]:
     """Yield the fitted values of each robot, each with its true value."""
     for number in range(robots):
-        robot = hidden(start, stream(seed, "fit_intervals", number, "robot"))
+        robot = draw_robot(start, stream(seed, "fit_intervals", number, "robot"))
         person = Person(robot, Ruler(), stream(seed, "fit_intervals", number, "person"), period)
         yield [(value, value.value_in(robot)) for value in fit_robot(person.tests(), start, Ruler()).values]
 
@@ -177,7 +177,7 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
     """Yield the same of twins that were calibrated in guided sessions."""
     for number in range(robots):
         rng = stream(seed, "fit_intervals", number, "robot")
-        robot = hidden(start, rng)
+        robot = draw_robot(start, rng)
         motors = start.motors.model_dump()
         drawn = {key: value * (1 + MOTORS * rng.standard_normal()) for key, value in motors.items()}
         robot = robot.model_copy(update={"motors": start.motors.model_copy(update=drawn)})
@@ -192,8 +192,8 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
                 person = SimulatedPerson(twin, Ruler(), lambda _: None)
                 todo = steps(WALLS_MM, None, POWER_W, FILAMENT * 1e3)
                 session.run(todo, host, person, lambda _: None, lambda: False)
-            found = fit_robot(fit_inputs(session.paths), start, Ruler())
-        yield [(value, value.value_in(robot)) for value in found.values]
+            fit = fit_robot(fit_inputs(session.paths), start, Ruler())
+        yield [(value, value.value_in(robot)) for value in fit.values]
 
 
 def errors(values: Sequence[tuple[FittedValue, float]]) -> Iterator[tuple[str, float]]:
@@ -208,20 +208,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--start", default="khepera1", help="calibration that they are drawn around")
     parser.add_argument("--seed", type=int, default=0, help="seed of the robots")
     parser.add_argument("--sessions", action="store_true", help="calibrate twins in MuJoCo")
-    given = parser.parse_args(arguments)
-    found: dict[str, list[float]] = defaultdict(list)
+    options = parser.parse_args(arguments)
+    errors_by_value: dict[str, list[float]] = defaultdict(list)
     widths: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    made = sessions if given.sessions else study
-    for values in made(calibration.read(given.start)[0], given.robots, given.seed):
+    run_study = sessions if options.sessions else study
+    for values in run_study(calibration.read(options.start)[0], options.robots, options.seed):
         for name, error in errors(values):
-            found[name].append(error)
+            errors_by_value[name].append(error)
         for value, true in values:
             widths[".".join(filter(None, value.path[:2]))].append(
                 (value.interval, value.interval / abs(true))
             )
     print(f"{'value':36}{'number':>8}{'within 95 %':>14}{'rms error/sd':>14}{'95 %, median':>24}")
-    found["all"] = [error for each in found.values() for error in each]
-    for name, each in found.items():
+    errors_by_value["all"] = [error for value_errors in errors_by_value.values() for error in value_errors]
+    for name, each in errors_by_value.items():
         within = np.mean(np.abs(each) <= CONFIDENCE)
         width = "{:14.3g} or {:6.1%}".format(*np.median(widths[name], axis=0)) if name in widths else ""
         print(f"{name:36}{len(each):8}{within:14.1%}{np.sqrt(np.mean(np.square(each))):14.2f}{width}")

@@ -36,8 +36,8 @@ def half_scale(seed: int, world: World) -> float:
     for distance_mm in DISTANCES_MM:
         x_mm = 600 - BODY_RADIUS * 1e3 - max(distance_mm, 0.1)
         world.reset(seed, noise=False, vary=seed > 0, starts=[(x_mm, 300.0, 0.0)])
-        seen = world.robots[0].registers[PROXIMITY]
-        counts.append((seen[Sensor.LEFT_10] + seen[Sensor.RIGHT_10]) / 2)
+        readings = world.robots[0].registers[PROXIMITY]
+        counts.append((readings[Sensor.LEFT_10] + readings[Sensor.RIGHT_10]) / 2)
     return float(np.interp(COUNTS_LIMIT / 2, counts, DISTANCES_MM))
 
 
@@ -45,9 +45,9 @@ def main() -> None:
     command_line(__doc__).parse_args()
     world = World(playpen.parse(_SCENE, "wall"), compiled=True)
     print(f"nominal robot: {half_scale(0, world):.1f} mm")
-    found: NDArray[np.float64] = np.array([half_scale(seed, world) for seed in ROBOTS])
-    low, middle, high = np.percentile(found, (10, 50, 90))
+    distances_mm: NDArray[np.float64] = np.array([half_scale(seed, world) for seed in ROBOTS])
+    low, middle, high = np.percentile(distances_mm, (10, 50, 90))
     print(
-        f"{len(found)} robots of the same make: {found.min():.1f} to {found.max():.1f} mm, "
+        f"{len(distances_mm)} robots of the same make: {distances_mm.min():.1f} to {distances_mm.max():.1f} mm, "
         f"median {middle:.1f} mm, 10 to 90 %: {low:.1f} to {high:.1f} mm"
     )

@@ -66,17 +66,17 @@ class Healthy:
     @property
     def rows(self) -> set[str]:
         """Return the rows of the table that it belongs to."""
-        each = self.recording
-        seen = {NEVER_BLIND} if self.blind_s <= BLIND_S else set[str]()
-        return {each.playpen, each.host, STARTS[each.own_start], "all", *seen}
+        recording = self.recording
+        reach_rows = {NEVER_BLIND} if self.blind_s <= BLIND_S else set[str]()
+        return {recording.playpen, recording.host, STARTS[recording.own_start], "all", *reach_rows}
 
     @property
     def text(self) -> str:
         """Return how it is made, and its alarms, for a person."""
-        each, start = self.recording, STARTS[self.recording.own_start]
+        recording, start = self.recording, STARTS[self.recording.own_start]
         alarms = ", ".join(f"{alarm.fault} at {alarm.raised_ns / NS_PER_S:.1f} s" for alarm in self.alarms)
         return (
-            f"{each.playpen}, {each.host}, seed {each.seed}, {start}: {_quantile(self.errors_mm, 0.5)} mm, "
+            f"{recording.playpen}, {recording.host}, seed {recording.seed}, {start}: {_quantile(self.errors_mm, 0.5)} mm, "
             f"blind {self.blind_s:.0f} s, astray {self.astray_s:.0f} s; {alarms or 'no alarm'}"
         )
 
@@ -88,37 +88,37 @@ def healthy_recordings(
     for i in range(runs):
         number = i // len(playpens)
         playpen, host = alternating(playpens, i), alternating(hosts, i % len(playpens) + number)
-        own = (number + number // len(hosts) * (len(hosts) + 1)) % 2 == 1
-        yield Recording("healthy", playpen, first + i, seconds, host, times=times, own_start=own)
+        is_default_start = (number + number // len(hosts) * (len(hosts) + 1)) % 2 == 1
+        yield Recording("healthy", playpen, first + i, seconds, host, times=times, own_start=is_default_start)
 
 
 def run_healthy(recording: Recording, folder: Path, settings: ShadowSettings) -> Healthy:
     """Make and follow a recording of a sound robot."""
     path = recording.path(folder)
-    found = follow(path, recording.playpen, settings, told=not recording.own_start)
-    lasts_s = np.diff(found.times_ns, append=found.times_ns[-1:]) / NS_PER_S
-    errors_mm, followed = found.errors(found.poses)[:, 0], found.states == PoseState.FOLLOWED
+    run = follow(path, recording.playpen, settings, told=not recording.own_start)
+    lasts_s = np.diff(run.times_ns, append=run.times_ns[-1:]) / NS_PER_S
+    errors_mm, is_followed = run.errors(run.poses)[:, 0], run.states == PoseState.FOLLOWED
     return Healthy(
         recording,
-        {str(state): float(lasts_s[found.states == state].sum()) for state in PoseState},
-        errors_mm[followed],
-        inside(found)[found.states != PoseState.LOST],
-        _longest(lasts_s, found.readings < IN_REACH),
-        _longest(lasts_s, followed & (errors_mm > ASTRAY_MM)),
-        found.alarms,
-        found.suspected,
-        float(found.cpu_s.sum()),
+        {str(state): float(lasts_s[run.states == state].sum()) for state in PoseState},
+        errors_mm[is_followed],
+        inside(run)[run.states != PoseState.LOST],
+        _longest(lasts_s, run.readings < IN_REACH),
+        _longest(lasts_s, is_followed & (errors_mm > ASTRAY_MM)),
+        run.alarms,
+        run.suspected,
+        float(run.cpu_s.sum()),
     )
 
 
-def inside(found: Followed) -> NDArray[np.bool_]:
+def inside(run: Followed) -> NDArray[np.bool_]:
     """Return whether the true position lies in the 95 % ellipse, the heading in its interval (n, 2)."""
-    off = found.poses - found.actual
+    off = run.poses - run.actual
     off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi
     # A particle filter's covariance may be singular; a thousandth of a millimetre does not matter.
-    plane = found.covariances[:, :2, :2] + 1e-12 * np.eye(2)
+    plane = run.covariances[:, :2, :2] + 1e-12 * np.eye(2)
     distance = np.einsum("ni,nij,nj->n", off[:, :2], np.linalg.inv(plane), off[:, :2])
-    heading = np.abs(off[:, 2]) <= _INTERVAL * np.sqrt(found.covariances[:, 2, 2])
+    heading = np.abs(off[:, 2]) <= _INTERVAL * np.sqrt(run.covariances[:, 2, 2])
     return np.stack([distance <= _ELLIPSE, heading], axis=1)
 
 
@@ -129,12 +129,12 @@ HEALTHY_COLUMNS = (
 """Columns of the table of sound robots."""
 
 
-def healthy_cells(found: Sequence[Healthy]) -> list[str]:
+def healthy_cells(runs: Sequence[Healthy]) -> list[str]:
     """Return the cells of a row about some of them."""
-    state_s = {str(state): sum(each.state_s[state] for each in found) for state in PoseState}
-    total_s, names = sum(state_s.values()), [alarm.fault for each in found for alarm in each.alarms]
-    errors = np.concatenate([each.errors_mm for each in found])
-    within = np.concatenate([each.inside for each in found])
+    state_s = {str(state): sum(run.state_s[state] for run in runs) for state in PoseState}
+    total_s, names = sum(state_s.values()), [alarm.fault for run in runs for alarm in run.alarms]
+    errors = np.concatenate([run.errors_mm for run in runs])
+    within = np.concatenate([run.inside for run in runs])
     counts = sorted(((names.count(name), name) for name in set(names)), reverse=True)
     return [
         f"{total_s / 3600:.2f}",
@@ -144,8 +144,8 @@ def healthy_cells(found: Sequence[Healthy]) -> list[str]:
         _quantile(errors, 0.5),
         _quantile(errors, 0.95),
         *(f"{100 * share:.1f} %" for share in within.mean(axis=0)),
-        f"{max(each.astray_s for each in found):.0f} s",
-        f"{sum(each.cpu_s for each in found) / total_s:.2f}",
+        f"{max(run.astray_s for run in runs):.0f} s",
+        f"{sum(run.cpu_s for run in runs) / total_s:.2f}",
         ", ".join(f"{number} {name}" for number, name in counts),
     ]
 

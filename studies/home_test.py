@@ -94,7 +94,7 @@ def true_pose(robot: Khepera) -> tuple[float, float, float]:
     return robot.port.twin.world.poses[0]  # type: ignore[attr-defined]
 
 
-def missed_by(arena: Path, seed: int, path: int) -> float:
+def miss_distance(arena: Path, seed: int, path: int) -> float:
     """Return how far from its start a robot is that takes itself to be there [m]."""
     with twin(arena, seed) as robot:
         start_x, start_y, _ = true_pose(robot)
@@ -142,10 +142,10 @@ def misses(seeds: range, paths: range) -> NDArray[np.float64]:
     with TemporaryDirectory() as folder:
         arena = open_arena(folder)
         pairs = [(seeds[0], path) for path in paths] if len(seeds) == 1 else zip(seeds, paths, strict=True)
-        return np.array([missed_by(arena, seed, path) * 1e3 for seed, path in pairs])
+        return np.array([miss_distance(arena, seed, path) * 1e3 for seed, path in pairs])
 
 
-def told(name: str, missed: NDArray[np.float64]) -> str:
+def summary_line(name: str, missed: NDArray[np.float64]) -> str:
     """Return one line about a series of tests."""
     low, middle, high = np.percentile(missed, (10, 50, 90))
     at_home = float((missed <= HOME_MM).mean())
@@ -172,14 +172,14 @@ def draw(missed: NDArray[np.float64], target: Path) -> None:
 
 
 def main() -> None:
-    options = command_line(__doc__)
-    options.add_argument("picture", type=Path, nargs="?", help="file for a picture")
-    given = options.parse_args()
+    parser = command_line(__doc__)
+    parser.add_argument("picture", type=Path, nargs="?", help="file for a picture")
+    options = parser.parse_args()
     nominal = misses(range(1), range(1, 11))
-    print(told("the nominal robot, 10 paths", nominal), flush=True)
+    print(summary_line("the nominal robot, 10 paths", nominal), flush=True)
     for seed in (1, 2, 3):
-        print(told(f"robot {seed}, 10 paths", misses(range(seed, seed + 1), range(1, 11))), flush=True)
+        print(summary_line(f"robot {seed}, 10 paths", misses(range(seed, seed + 1), range(1, 11))), flush=True)
     missed = misses(ROBOTS, ROBOTS)
-    print(told(f"{len(ROBOTS)} robots, a path each", missed))
-    if given.picture is not None:
-        draw(missed, given.picture)
+    print(summary_line(f"{len(ROBOTS)} robots, a path each", missed))
+    if options.picture is not None:
+        draw(missed, options.picture)

@@ -105,7 +105,7 @@ def fit_sampled(tables: Sequence[MeasuredTable], sensor: int, heading: float) ->
     """Fit heading [rad] and optics of one sensor of the sampled robot, by all bearings and on axis."""
     axes = [on_axis(table, sensor) for table in tables]
 
-    def left(x: Floats) -> Floats:
+    def residuals(x: Floats) -> Floats:
         optics = Optics(x[1] * 1e5, x[2] * 100, *x[3:])
         errors = [proximity(table.view(sensor, x[0]), optics) - table.counts[:, sensor] for table in tables]
         means = [_ON_AXIS_WEIGHT * (axis @ error) for axis, error in zip(axes, errors, strict=True)]
@@ -113,7 +113,7 @@ def fit_sampled(tables: Sequence[MeasuredTable], sensor: int, heading: float) ->
 
     start = [heading, 9, 6, *USUAL]
     low, high = [-np.inf, 1, 0, 0, 0], [np.inf, 80, 20, 15, 8]
-    x = least_squares(left, start, bounds=(low, high), x_scale=[0.05, 3, 1, 1, 1], max_nfev=60).x
+    x = least_squares(residuals, start, bounds=(low, high), x_scale=[0.05, 3, 1, 1, 1], max_nfev=60).x
     return float(x[0]), Optics(x[1] * 1e5, x[2] * 100, *x[3:])
 
 
@@ -149,7 +149,7 @@ def on_axis(table: MeasuredTable, sensor: int) -> Floats:
 
 def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -> Residuals:
     """Return the residuals of a model."""
-    fit_inputs = table.counts[:, sensor]
+    measured = table.counts[:, sensor]
     modelled = proximity(table.view(sensor, heading), optics)
     axis, distances = on_axis(table, sensor), np.unique(table.distances)
 
@@ -157,10 +157,10 @@ def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -
         return float(np.interp(-511.5, -(axis @ counts), distances))
 
     return Residuals(
-        modelled - fit_inputs,
-        axis @ (modelled - fit_inputs),
-        half(modelled) - half(fit_inputs),
-        float(np.angle(np.exp(1j * (peak(table, modelled) - peak(table, fit_inputs))))),
+        modelled - measured,
+        axis @ (modelled - measured),
+        half(modelled) - half(measured),
+        float(np.angle(np.exp(1j * (peak(table, modelled) - peak(table, measured))))),
     )
 
 
@@ -212,14 +212,14 @@ def manual_residuals(
     folder: Path, sensors: Sequence[Optics], reflectances: dict[str, float]
 ) -> tuple[list[Floats], Floats, list[Floats]]:
     """Return model less robot for the manual's figures 11, 12 and 13, with reflectances by material."""
-    own, (bearings, counts) = sensors[MANUAL_SENSOR], obstacle(folder)
+    optics, (bearings, counts) = sensors[MANUAL_SENSOR], obstacle(folder)
     eleven = [
-        facing(*measured[:1], own, reflectances[name]) - measured[1]
+        facing(*measured[:1], optics, reflectances[name]) - measured[1]
         for name, measured in materials(folder).items()
     ]
     walls = zip(wooden_wall(folder), sensors, strict=False)
-    thirteen = [facing(away, each, reflectances["wood 2"]) - found for (away, found), each in walls]
-    return eleven, rod(bearings, own, reflectances["obstacle"]) - counts, thirteen
+    thirteen = [facing(distances, sensor_optics, reflectances["wood 2"]) - measured for (distances, measured), sensor_optics in walls]
+    return eleven, rod(bearings, optics, reflectances["obstacle"]) - counts, thirteen
 
 
 def fit_manual(folder: Path) -> tuple[list[Optics], dict[str, float]]:
@@ -230,16 +230,16 @@ def fit_manual(folder: Path) -> tuple[list[Optics], dict[str, float]]:
         sensors = [Optics(x[i] * 1e5, x[6 + i] * 100, x[12 + i], x[18]) for i in range(6)]
         return sensors, {"white plastic": 1.0, **dict(zip(names, x[19:].tolist(), strict=True))}
 
-    def left(x: Floats) -> Floats:
+    def residuals(x: Floats) -> Floats:
         eleven, twelve, thirteen = manual_residuals(folder, *split(x))
         # Figure 12 has ten points, the others ten times as many.
         prior = OFFSET_PRIOR * (x[12:18] - USUAL[0])
-        return np.concatenate([*eleven, twelve, *(1.5 * each for each in thirteen), prior])
+        return np.concatenate([*eleven, twelve, *(1.5 * errors for errors in thirteen), prior])
 
     start = [*[10.0] * 6, *[4.0] * 6, *[USUAL[0]] * 6, 1.5, *[0.8] * len(names)]
     low = [*[1.0] * 6, *[0.0] * 6, *[0.0] * 6, 0.0, *[0.01] * len(names)]
     high = [*[80.0] * 6, *[20.0] * 6, *[15.0] * 6, 8.0, *[2.0] * len(names)]
-    return split(least_squares(left, start, bounds=(low, high), max_nfev=60).x)
+    return split(least_squares(residuals, start, bounds=(low, high), max_nfev=60).x)
 
 
 def main() -> None:
@@ -252,8 +252,8 @@ def main() -> None:
     show_optics([optics for _, optics in fits])
     for table in tables:
         _residuals(f"radius {table.radius}", table, fits)
-    for known, unseen in (tables, tables[::-1]):
-        alone = [fit_sampled([known], sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
+    for fitted, unseen in (tables, tables[::-1]):
+        alone = [fit_sampled([fitted], sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
         _residuals(f"radius {unseen.radius}, not fitted", unseen, alone)
     sensors, reflectances = fit_manual(folder)
     print("\nkhepera1-manual")
@@ -272,10 +272,10 @@ def show_optics(sensors: Sequence[Optics]) -> None:
 
 
 def _residuals(title: str, table: MeasuredTable, fits: Sequence[tuple[float, Optics]]) -> None:
-    found = [compare(table, sensor, *fit) for sensor, fit in enumerate(fits)]
+    residuals = [compare(table, sensor, *fit) for sensor, fit in enumerate(fits)]
     print(
-        f"{title}: rms {rms([each.everywhere for each in found]):.1f} at all bearings, "
-        f"{rms([each.on_axis for each in found]):.1f} on axis, "
-        f"half scale within {max(abs(each.half) for each in found) * 1e3:.2f} mm, "
-        f"peak within {np.degrees(max(abs(each.peak) for each in found)):.1f} deg"
+        f"{title}: rms {rms([residual.everywhere for residual in residuals]):.1f} at all bearings, "
+        f"{rms([residual.on_axis for residual in residuals]):.1f} on axis, "
+        f"half scale within {max(abs(residual.half) for residual in residuals) * 1e3:.2f} mm, "
+        f"peak within {np.degrees(max(abs(residual.peak) for residual in residuals)):.1f} deg"
     )

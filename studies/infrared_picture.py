@@ -39,16 +39,16 @@ def draw(target: Path) -> None:
         lines = [Sensor(sensor).label]
         for table, name, colour in zip(tables, ("wall", "cylinder r 27 mm"), (_INK, "#e4572e"), strict=True):
             axis, millimetres = on_axis(table, sensor), np.unique(table.distances) * 1e3
-            fit_inputs = axis @ table.counts[:, sensor]
+            measured = axis @ table.counts[:, sensor]
             modelled = axis @ proximity(table.view(sensor, heading), optics)
-            panel.plot(millimetres, fit_inputs, "o", ms=3.5, color=colour, label=f"{name}, robot")
+            panel.plot(millimetres, measured, "o", ms=3.5, color=colour, label=f"{name}, robot")
             panel.plot(millimetres, modelled, color=colour, lw=1.6, label=f"{name}, twin")
-            lines.append(f"{name.split()[0]} {rms([modelled - fit_inputs]):.0f}")
+            lines.append(f"{name.split()[0]} {rms([modelled - measured]):.0f}")
             if table.radius == 0:
                 for (peer, (positions, counts)), style in zip(PEERS.items(), _STYLES, strict=True):
                     curve = np.clip(np.interp(millimetres, positions, counts), 0, 1023)
                     panel.plot(millimetres, curve, style, color=_GREY, lw=1.2, label=f"wall, {peer}")
-                    lines.append(f"{peer} {rms([curve - fit_inputs]):.0f}")
+                    lines.append(f"{peer} {rms([curve - measured]):.0f}")
         panel.set_title(lines[0], fontsize=10)
         panel.text(
             0.97,

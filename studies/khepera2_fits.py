@@ -68,15 +68,15 @@ def khepera2_report(folder: Path) -> list[Report]:
     """Return the curves of the Khepera II's sensors before white paper and another robot."""
     path = folder / "manual_data" / "iran_proximity_curves.csv"
     rows = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    found: list[Report] = []
+    curves: list[Report] = []
     for target in ("paper", "robot"):
         for side in ("front", "side"):
             part = rows[(rows["test"] == f"A0_12_{target}_{side}") & (rows["kind"] == "marker")]
             for sensor in np.unique(part["sensor_fig7_number"]).tolist():
-                mine = part[part["sensor_fig7_number"] == sensor]
-                away, counts = mine["distance_mm"] / 1e3, mine["mean_raw"].astype(np.float64)
-                found.append(Report(int(sensor), side == "side", target == "robot", away, counts))
-    return found
+                sensor_rows = part[part["sensor_fig7_number"] == sensor]
+                distances, counts = sensor_rows["distance_mm"] / 1e3, sensor_rows["mean_raw"].astype(np.float64)
+                curves.append(Report(int(sensor), side == "side", target == "robot", distances, counts))
+    return curves
 
 
 def fit_khepera2(
@@ -86,10 +86,10 @@ def fit_khepera2(
     curves = khepera2_report(folder)
 
     def split(x: Floats) -> tuple[dict[int, Optics], float]:
-        each = {i + 1: Optics(x[i] * 1e5, -x[5 + i] * 100, x[10 + i], lobe) for i in range(5)}
-        return each, float(x[15])
+        sensors = {i + 1: Optics(x[i] * 1e5, -x[5 + i] * 100, x[10 + i], lobe) for i in range(5)}
+        return sensors, float(x[15])
 
-    def left(x: Floats) -> Floats:
+    def residuals(x: Floats) -> Floats:
         sensors, shell = split(x)
         errors = [
             np.minimum(
@@ -107,7 +107,7 @@ def fit_khepera2(
 
     start = [*[2.5] * 5, *[0.9] * 5, *[USUAL[0]] * 5, 0.2]
     low, high = [*[0.3] * 5, *[0.0] * 10, 0.01], [*[20.0] * 5, *[3.0] * 5, *[15.0] * 5, 2.0]
-    return split(least_squares(left, start, bounds=(low, high), max_nfev=60).x)
+    return split(least_squares(residuals, start, bounds=(low, high), max_nfev=60).x)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +128,9 @@ class Wall:
 
     def means(self, sensor: int, days: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the distances [m] and mean counts of a sensor on some days."""
-        own = (self.sensors == sensor) & np.isin(self.days, days)
-        gaps = np.unique(self.gaps[own])
-        return gaps, np.array([self.counts[own & (self.gaps == gap)].mean() for gap in gaps])
+        rows = (self.sensors == sensor) & np.isin(self.days, days)
+        gaps = np.unique(self.gaps[rows])
+        return gaps, np.array([self.counts[rows & (self.gaps == gap)].mean() for gap in gaps])
 
 
 def pykhepera_wall(folder: Path) -> Wall:
@@ -143,20 +143,20 @@ def pykhepera_wall(folder: Path) -> Wall:
 
 def fit_wall(wall: Wall) -> tuple[float, list[float]]:
     """Fit pykhepera's robot: its gain over the manufacturer's, by the sensors ahead, and readings at rest."""
-    made, body = calibration.read("khepera2-manual")[0], BODIES["khepera2"]
+    manual, body = calibration.read("khepera2-manual")[0], BODIES["khepera2"]
     rests: list[float] = []
     gains: list[float] = []
     for sensor in range(N_SENSORS):
         gaps, counts = wall.means(sensor, FITTED_DAYS)
-        heading, bearings = np.radians(made.heading_deg[sensor]), np.full(len(gaps), FACING_DEG[sensor])
+        heading, bearings = np.radians(manual.heading_deg[sensor]), np.full(len(gaps), FACING_DEG[sensor])
         view = View.of(body.sensor_positions[sensor], heading, gaps, np.radians(bearings), 0, body.radius)
-        optics = Optics.of(made.proximity, sensor)
+        optics = Optics.of(manual.proximity, sensor)
         light = level(view, optics) + optics.threshold_counts
 
-        def left(x: Floats, light: Floats = light, counts: Floats = counts) -> Floats:
+        def residuals(x: Floats, light: Floats = light, counts: Floats = counts) -> Floats:
             return np.minimum(x[0] * light + 100 * x[1], _LIMIT) - counts
 
-        gain, rest = least_squares(left, [0.5, 0.5], bounds=(0, 5)).x
+        gain, rest = least_squares(residuals, [0.5, 0.5], bounds=(0, 5)).x
         gains += [gain] if sensor in ON_AXIS else []
         rests.append(float(rest) * 100)
     return float(np.exp(np.mean(np.log(gains)))), rests
@@ -175,11 +175,11 @@ def noise_at_rest(wall: Wall, nearest: float = 0.05) -> tuple[float, float]:
     between: list[float] = []
     far = wall.gaps >= nearest - 1e-9
     for sensor in range(N_SENSORS):
-        own = far & (wall.sensors == sensor)
+        rows = far & (wall.sensors == sensor)
         for day in np.unique(wall.days):
-            within += (np.diff(wall.counts[own & (wall.days == day)], 2) ** 2 / 6).tolist()
-        for gap in np.unique(wall.gaps[own]):
-            between.append(float(wall.counts[own & (wall.gaps == gap)].var(ddof=1)))
+            within += (np.diff(wall.counts[rows & (wall.days == day)], 2) ** 2 / 6).tolist()
+        for gap in np.unique(wall.gaps[rows]):
+            between.append(float(wall.counts[rows & (wall.gaps == gap)].var(ddof=1)))
     return float(np.sqrt(np.mean(within))), float(np.sqrt(np.mean(between)))
 
 
@@ -187,16 +187,16 @@ def main() -> None:
     """Fit both robots and print the values of both calibrations, and the noise at rest."""
     command_line(__doc__).parse_args()
     folder = reference()
-    found, shell = fit_khepera2(folder, np.radians([90, 45, 10, -10, -45, -90]).tolist())
+    optics_by_sensor, shell = fit_khepera2(folder, np.radians([90, 45, 10, -10, -45, -90]).tolist())
     print(f"khepera2-manual, sensors 1 to 5; reflectance of a robot's shell {shell:.3f}")
-    show_optics(list(found.values()))
-    made, wall = calibration.read("khepera2-manual")[0].proximity, pykhepera_wall(folder)
+    show_optics(list(optics_by_sensor.values()))
+    manual, wall = calibration.read("khepera2-manual")[0].proximity, pykhepera_wall(folder)
     gain, rests = fit_wall(wall)
     print(f"\npykhepera's robot: {gain:.2f} times the gain; at rest", np.round(rests).tolist())
     print("\nkhepera2")
-    middle = np.array(made.gain_counts_mm2) * np.sqrt(gain)
+    middle = np.array(manual.gain_counts_mm2) * np.sqrt(gain)
     print("gain_counts_mm2 =", np.round(middle, -3).tolist())
-    middle_rests = (np.array(rests) - np.array(made.threshold_counts)) / 2
+    middle_rests = (np.array(rests) - np.array(manual.threshold_counts)) / 2
     print("threshold_counts =", (-np.round(middle_rests)).tolist(), f"mean {middle_rests.mean():.0f}")
     within, between = noise_at_rest(wall)
     print(f"noise far from the wall: {within:.1f} counts within a day, {between:.1f} from day to day")

@@ -28,7 +28,7 @@ _LOOK_NS = 100_000_000
 """Time between two looks at the robot [ns]."""
 
 
-class Followed:
+class TrackedTime:
     """Time of a world, with the way of its robot.
 
     Attributes:
@@ -38,7 +38,7 @@ class Followed:
 
     def __init__(self, world: World, robot: Khepera4Robot) -> None:
         self._world, self._robot = world, robot
-        self._before, self.way, self.nearest = robot.pose, 0.0, 0
+        self._last_pose, self.path_m, self.nearest = robot.pose, 0.0, 0
 
     @property
     def time_ns(self) -> int:
@@ -50,8 +50,8 @@ class Followed:
         while (look_ns := (self._world.time_ns // _LOOK_NS + 1) * _LOOK_NS) <= time_ns:
             self._world.advance_to(look_ns)
             now = self._robot.pose
-            self.way += math.dist(now[:2], self._before[:2])
-            self._before = now
+            self.path_m += math.dist(now[:2], self._last_pose[:2])
+            self._last_pose = now
             self._robot.dspic.read(DspicRegister.PROXIMITY, 16)
             near = max(self._robot.dspic.words(DspicRegister.PROXIMITY, 8))
             self.nearest = max(self.nearest, near)
@@ -63,27 +63,27 @@ def run(folder: Path, seconds: float, seed: int, playpen: str = "arena4") -> str
     world = World(playpen, seed=seed)
     robot = world.robots[0]
     assert isinstance(robot, Khepera4Robot)
-    clock, begun = Followed(world, robot), time.monotonic()
+    clock, start_s = TrackedTime(world, robot), time.monotonic()
     leader, follower = pty.openpty()
     arguments, typed = folder / "arguments", folder / "typed"
     if typed.exists():
         os.write(leader, typed.read_bytes())
     words = shlex.split(arguments.read_text()) if arguments.exists() else []
-    kept = os.dup(1)
-    with TemporaryFile() as said:
+    saved_stdout = os.dup(1)
+    with TemporaryFile() as output:
         os.dup2(follower, 0)
-        os.dup2(said.fileno(), 1)
+        os.dup2(output.fileno(), 1)
         program = RobotProgram([str(folder / "prog"), *words], Machine(robot.dspic, clock))
         (code,) = run_programs([program], until_ns=round(seconds * 1e9))
-        os.dup2(kept, 1)
-        written = os.fstat(said.fileno()).st_size
-    passed = world.time_ns * 1e-9
-    ended = f"code {code}" if passed < seconds else "goes on"
-    taken = time.monotonic() - begun
+        os.dup2(saved_stdout, 1)
+        written = os.fstat(output.fileno()).st_size
+    simulated_s = world.time_ns * 1e-9
+    outcome = f"code {code}" if simulated_s < seconds else "goes on"
+    wall_s = time.monotonic() - start_s
     x, y, heading = robot.pose
     return (
-        f"| {folder.name} | {ended} | {passed:.1f} | {clock.way:.2f} | {x:.2f}, {y:.2f}, "
-        f"{math.degrees(heading):.0f}° | {clock.nearest} | {written / 1000:.1f} | {passed / taken:.0f} |"
+        f"| {folder.name} | {outcome} | {simulated_s:.1f} | {clock.path_m:.2f} | {x:.2f}, {y:.2f}, "
+        f"{math.degrees(heading):.0f}° | {clock.nearest} | {written / 1000:.1f} | {simulated_s / wall_s:.0f} |"
     )
 
 
@@ -94,18 +94,18 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--programs", nargs="*", metavar="NAME", help="only these")
     parser.add_argument("--here", metavar="NAME", help="this one, in this process")
-    given = parser.parse_args()
-    names = sorted(each.parent.name for each in given.folder.glob("*/prog"))
-    if given.here:
-        folder = (given.folder / given.here).resolve()
+    options = parser.parse_args()
+    names = sorted(program.parent.name for program in options.folder.glob("*/prog"))
+    if options.here:
+        folder = (options.folder / options.here).resolve()
         with TemporaryDirectory() as scratch:  # Programs write files into their working folder.
             os.chdir(scratch)
-            print(run(folder, given.seconds, names.index(given.here)), flush=True)
+            print(run(folder, options.seconds, names.index(options.here)), flush=True)
             os.chdir("/")
         return
     print("| program | end | s | m | pose | nearest | kB | x real time |\n|---|---|---|---|---|---|---|---|")
-    for name in given.programs or names:
-        command = [sys.executable, "-m", "studies", "khepera4-programs", str(given.folder)]
-        command += ["--seconds", str(given.seconds), "--here", name]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
-        print(done.stdout.strip() or f"| {name} | failed: {done.returncode} |", flush=True)
+    for name in options.programs or names:
+        command = [sys.executable, "-m", "studies", "khepera4-programs", str(options.folder)]
+        command += ["--seconds", str(options.seconds), "--here", name]
+        process = subprocess.run(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        print(process.stdout.strip() or f"| {name} | failed: {process.returncode} |", flush=True)

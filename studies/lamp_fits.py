@@ -54,7 +54,7 @@ def readings(
     return Readings("lamp", Placement(poses, distances, BULB_RADIUS), counts, power, height)
 
 
-def left_over(test: Readings, ambient: AmbientCalibration) -> Floats:
+def residuals(test: Readings, ambient: AmbientCalibration) -> Floats:
     """Return model less robot (n, 8), on the samples' scale of 1023."""
     lamp = LampTable.of(test)
     modelled = np.column_stack([ambient_counts(lamp, sensor, ambient) for sensor in range(N_SENSORS)])
@@ -72,9 +72,9 @@ def main() -> None:
         place = Placement(test.placement.poses[used], distances[used], BULB_RADIUS)
         thinned = replace(test, placement=place, counts=test.counts[used])
         # The set-up's bearings are corrected already.
-        found = fit_lamps([thinned], start, Ruler(0, 0, 0)).ambient
-        errors = left_over(test, found)
+        ambient = fit_lamps([thinned], start, Ruler(0, 0, 0)).ambient
+        errors = residuals(test, ambient)
         parts = (np.sqrt(np.mean(errors[part] ** 2)) for part in (far, ~far))
         print("filament {:.1f} mm up: rms {:.1f} from 113 mm, {:.1f} nearer".format(height * 1e3, *parts))
         if height == FILAMENT_HEIGHT:
-            print(found)
+            print(ambient)

@@ -33,8 +33,8 @@ def draw(target: Path) -> None:
         near = np.abs(tangential) <= np.radians(10)
         positions = np.unique(distances)
         means = [
-            [each[near & (distances == position)].mean() for position in positions]
-            for each in (counts, modelled)
+            [values[near & (distances == position)].mean() for position in positions]
+            for values in (counts, modelled)
         ]
         panel.plot(positions * 1e3, means[0], "o", ms=3.5, color=_INK, label="over distance [mm], robot")
         panel.plot(positions * 1e3, means[1], color=_INK, lw=1.6, label="over distance [mm], twin")

@@ -43,12 +43,12 @@ class Trial(NamedTuple):
     genes: Floats
     seeds: list[int]
 
-    def in_rollouts(self, line: int | None, planar: bool) -> Floats:
+    def rollout_fitness(self, line: int | None, planar: bool) -> Floats:
         """Return the fitness of each network in a rollout (n,)."""
         setup = EpisodeSetup(self.playpen, planar=planar, at_line=line is not None)
         return rollout(setup, NETWORK, self.seeds, SECONDS, genes=self.genes, line=line).metrics[FITNESS]
 
-    def over_khep(self, baud: int) -> Floats:
+    def khep_fitness(self, baud: int) -> Floats:
         """Return the fitness of each network over khep:// (n,)."""
         found: list[float] = []
         for genes, seed in zip(self.genes.tolist(), self.seeds, strict=True):
@@ -90,17 +90,17 @@ def main() -> int:
             }
             for kind, genes in (("random", random), ("evolved", bred[baud])):
                 trial = Trial(playpen, genes, list(range(500, 500 + len(genes))))
-                true = trial.over_khep(baud)
+                true = trial.khep_fitness(baud)
                 cells = [f"{true.mean():.4f}"]
                 for line, planar in ((baud, False), (baud, True), (None, False)):
-                    got = trial.in_rollouts(line, planar)
+                    got = trial.rollout_fitness(line, planar)
                     off, rank = got.mean() / true.mean() - 1, spearmanr(got, true)[0]
                     cells.append(f"{got.mean():.4f} ({off:+.1%}), {rank:.3f}")
                 print(f"| {name}, {len(genes)} {kind}, {baud} | " + " | ".join(cells) + " |", flush=True)
             ends: list[float] = []
             for line in bred:
                 trial = Trial(playpen, bred[line], list(range(500, 500 + N_EVOLVED)))
-                ends += [float(trial.in_rollouts(line, True).mean()), float(trial.over_khep(baud).mean())]
+                ends += [float(trial.rollout_fitness(line, True).mean()), float(trial.khep_fitness(baud).mean())]
             kept.append(f"| {name}, {baud} | " + " | ".join(f"{end:.3f}" for end in ends) + " |")
     print("\n| playpen, baud | evolved without | then over khep:// | evolved with | then over khep:// |")
     print("|---|---|---|---|---|", *kept, sep="\n")

@@ -120,7 +120,7 @@ def run(world: World, thing: Thing, controller: Controller, starts: Floats, seco
         world.drive(np.clip(np.round(speeds), -_SPEED_LIMIT, _SPEED_LIMIT))
         poses.append(world.poses.copy())
     track = np.array(poses)
-    return Track(track, np.array([thing.place(each)[0] for each in track]))
+    return Track(track, np.array([thing.place(period_poses)[0] for period_poses in track]))
 
 
 class TwinWorld:

@@ -33,15 +33,15 @@ def pose(options: Options) -> None:
                 (options.folder, playpen, seed, options.seconds, counters, options.settings)
                 for seed in _seeds(options)
             ]
-            found: list[Errors] = list(options.run(pose_errors, tasks))
-            estimate = np.concatenate([each.estimate for each in found])
-            reckoned = np.concatenate([each.reckoned for each in found])
+            runs: list[Errors] = list(options.run(pose_errors, tasks))
+            estimate = np.concatenate([run.estimate for run in runs])
+            reckoned = np.concatenate([run.reckoned for run in runs])
             asks = "N, H, D" if counters else "N, D"
-            row(playpen, asks, len(found), *_quantiles(estimate), *_quantiles(reckoned))
+            row(playpen, asks, len(runs), *_quantiles(estimate), *_quantiles(reckoned))
             if options.detail:
-                for task, each in zip(tasks, found, strict=True):
-                    row("", f"seed {task[2]}", "", *_quantiles(each.estimate), *_quantiles(each.reckoned))
-                    note(each.alarms)
+                for task, run in zip(tasks, runs, strict=True):
+                    row("", f"seed {task[2]}", "", *_quantiles(run.estimate), *_quantiles(run.reckoned))
+                    note(run.alarms)
     print("\nErrors of position in mm, of heading in degrees, over all replies to N of all runs.\n")
 
 
@@ -51,9 +51,9 @@ def pose_errors(
     """Return the errors of one run."""
     name = "counters" if counters else "sound"
     path = Recording(name, playpen, seed, seconds, asks_counters=counters).path(folder)
-    found = follow(path, playpen, settings)
-    told = [f"{each.fault} at {each.raised_ns / NS_PER_S:.1f} s" for each in found.alarms]
-    return Errors(found.errors(found.poses), found.errors(found.reckoned), told)
+    run = follow(path, playpen, settings)
+    alarm_texts = [f"{alarm.fault} at {alarm.raised_ns / NS_PER_S:.1f} s" for alarm in run.alarms]
+    return Errors(run.errors(run.poses), run.errors(run.reckoned), alarm_texts)
 
 
 def unknown(options: Options) -> None:
@@ -63,24 +63,24 @@ def unknown(options: Options) -> None:
     lost = ShadowSettings(seed=settings.seed, particles=settings.particles, known=False)
     tasks = [(options.folder, seed, lost) for seed in _seeds(options)]
     found: list[tuple[float, float]] = list(options.run(unknown_errors, tasks))
-    half, whole = np.array(found).T
+    errors_30_s, errors_60_s = np.array(found).T
     row(
         "workshop",
         len(found),
-        int((half < NEAR_MM).sum()),
-        int((whole < NEAR_MM).sum()),
-        f"{np.median(whole):.0f} mm",
+        int((errors_30_s < NEAR_MM).sum()),
+        int((errors_60_s < NEAR_MM).sum()),
+        f"{np.median(errors_60_s):.0f} mm",
     )
     if options.detail:
-        note(f"seed {task[1]}: {each:.0f} mm" for task, each in zip(tasks, whole, strict=True))
+        note(f"seed {task[1]}: {error_mm:.0f} mm" for task, error_mm in zip(tasks, errors_60_s, strict=True))
     print()
 
 
 def unknown_errors(folder: Path, seed: int, settings: ShadowSettings) -> tuple[float, float]:
     """Return the errors of position after 30 and 60 s of a run [mm]."""
-    found = follow(Recording("sound", "workshop", seed, 60).path(folder), "workshop", settings)
-    errors = found.errors(found.poses)[:, 0]
-    half = int(np.searchsorted(found.times_ns, 30 * NS_PER_S)) - 1
+    run = follow(Recording("sound", "workshop", seed, 60).path(folder), "workshop", settings)
+    errors = run.errors(run.poses)[:, 0]
+    half = int(np.searchsorted(run.times_ns, 30 * NS_PER_S)) - 1
     return float(errors[half]), float(errors[-1])
 
 

@@ -26,16 +26,16 @@ QUANTILES = 0.5, 0.75, 0.9, 0.99, 1.0
 
 def main() -> None:
     """Measure and print the delays."""
-    options = command_line(__doc__)
-    options.add_argument("--chunks", type=int, default=1500, help="chunks of each direction")
-    options.add_argument("--loops", type=int, default=4, help="endless loops beside the relay")
-    given = options.parse_args()
+    parser = command_line(__doc__)
+    parser.add_argument("--chunks", type=int, default=1500, help="chunks of each direction")
+    parser.add_argument("--loops", type=int, default=4, help="endless loops beside the relay")
+    options = parser.parse_args()
     robot, line = os.openpty()
     tty.setraw(line)
     written: dict[bool, list[int]] = {True: [], False: []}
     with ExitStack() as stack:
         log = Path(stack.enter_context(TemporaryDirectory())) / "line.mcap"
-        for _ in range(given.loops):
+        for _ in range(options.loops):
             loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
             stack.callback(loop.kill)
         with served("serve", "--relay", os.ttyname(line), "--link", f"{log}.tty", "--log", str(log)) as (
@@ -44,7 +44,7 @@ def main() -> None:
         ):
             host = os.open(path, os.O_RDWR | os.O_NOCTTY)
             tty.setraw(host)
-            for _ in range(given.chunks):
+            for _ in range(options.chunks):
                 for to_robot, ends in ((True, (host, robot)), (False, (robot, host))):
                     time.sleep(random.uniform(0.005, 0.04))
                     written[to_robot].append(time.monotonic_ns())
@@ -52,12 +52,12 @@ def main() -> None:
                     while not os.read(ends[1], 100).endswith(b"\n"):
                         pass
             os.close(host)
-        heard = read_recording(log).chunks
-    late = {way: np.array([e.time_ns for e in heard if e.to_robot == way]) - written[way] for way in written}
+        chunks = read_recording(log).chunks
+    late = {to_robot: np.array([chunk.time_ns for chunk in chunks if chunk.to_robot == to_robot]) - written[to_robot] for to_robot in written}
     least = min(each.min() for each in late.values())
     for to_robot, values in late.items():
-        found = zip(QUANTILES, np.quantile(values - least, QUANTILES) / 1e6, strict=True)
-        cells = ", ".join(f"{100 * part:g} % {value:.2f} ms" for part, value in found)
+        quantiles = zip(QUANTILES, np.quantile(values - least, QUANTILES) / 1e6, strict=True)
+        cells = ", ".join(f"{100 * part:g} % {value:.2f} ms" for part, value in quantiles)
         print(f"{'to' if to_robot else 'from'} the robot: {cells}")
     for end in (robot, line):
         os.close(end)

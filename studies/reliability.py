@@ -57,10 +57,10 @@ def claims(
         suspected: Suspicions.
         right: Function that takes a name, a time [ns] and readings, and returns whether the name is right.
     """
-    found = [Claim(each.sureness, True, right(each.fault, each.raised_ns, each.readings)) for each in alarms]
-    for each in suspected:
-        is_right = any(right(fault, each.time_ns, each.readings) for fault in each.faults)
-        found.append(Claim(each.probability, False, is_right))
+    found = [Claim(alarm.sureness, True, right(alarm.fault, alarm.raised_ns, alarm.readings)) for alarm in alarms]
+    for suspicion in suspected:
+        is_right = any(right(fault, suspicion.time_ns, suspicion.readings) for fault in suspicion.faults)
+        found.append(Claim(suspicion.probability, False, is_right))
     return found
 
 
@@ -82,17 +82,17 @@ def draw(bins: Sequence[Bin], target: Path) -> None:
     """Draw the shares that are right over the probabilities that were said."""
     figure = Figure(figsize=(5.2, 5), layout="constrained")
     panel = figure.subplots()
-    said, true = np.array([each.said for each in bins]), np.array([each.true for each in bins])
-    ends = np.array([each.interval for each in bins]).T
+    said, true = np.array([group.said for group in bins]), np.array([group.true for group in bins])
+    ends = np.array([group.interval for group in bins]).T
     panel.plot((0, 1), (0, 1), "--", color="#9a9a9a", lw=1.2, label="as often as is said")
     panel.errorbar(
         said, true, np.abs(ends - true), fmt="o", ms=4, color="#1b4965", capsize=3, label="with 95 % interval"
     )
-    for number, each in enumerate(reversed(bins)):
-        count = str(each.alarms + each.suspicions)
+    for number, group in enumerate(reversed(bins)):
+        count = str(group.alarms + group.suspicions)
         # The last bins are so narrow that their numbers stand on both sides.
         place = (4, -11) if number % 2 == 0 else (-4 - 5 * len(count), -11)
-        panel.annotate(count, (each.said, each.true), place, textcoords="offset points", fontsize=8)
+        panel.annotate(count, (group.said, group.true), place, textcoords="offset points", fontsize=8)
     panel.set(
         xlabel="probability that the shadow says",
         ylabel="share that is right",

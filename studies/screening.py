@@ -66,17 +66,17 @@ def path(setup: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[f
 
 
 def paths(title: str, scene: Playpen, driver: Driver | None) -> None:
-    """Print the distances between both."""
-    both = [EpisodeSetup(scene), EpisodeSetup(scene, planar=True)]
-    found = np.array([[path(setup, index, driver) for setup in both] for index in range(REPEATS)])
-    off = found[:, 0] - found[:, 1]
-    away_mm = np.hypot(off[..., 0], off[..., 1]) * 1e3
-    turned = np.degrees(np.abs((off[..., 2] + np.pi) % (2 * np.pi) - np.pi))
-    register_view = [
-        f"{np.median(away_mm[:, i]):8.2f} {away_mm[:, i].max():7.1f} {np.median(turned[:, i]):7.2f}"
+    """Print the distances between setups."""
+    setups = [EpisodeSetup(scene), EpisodeSetup(scene, planar=True)]
+    poses = np.array([[path(setup, index, driver) for setup in setups] for index in range(REPEATS)])
+    differences = poses[:, 0] - poses[:, 1]
+    distances_mm = np.hypot(differences[..., 0], differences[..., 1]) * 1e3
+    turned = np.degrees(np.abs((differences[..., 2] + np.pi) % (2 * np.pi) - np.pi))
+    cells = [
+        f"{np.median(distances_mm[:, i]):8.2f} {distances_mm[:, i].max():7.1f} {np.median(turned[:, i]):7.2f}"
         for i in range(len(TIMES_S))
     ]
-    print(f"{title:36}{'   '.join(register_view)}", flush=True)
+    print(f"{title:36}{'   '.join(cells)}", flush=True)
 
 
 def ranks(name: str, scene: Playpen) -> None:

@@ -25,23 +25,23 @@ from tools.command_table import command_line
 
 
 def main() -> None:
-    options = command_line(__doc__)
-    options.add_argument("folder", type=Path, nargs="?", help="folder of the recordings, kept")
-    options.add_argument("--robots", type=int, default=10, help="number of robots")
-    options.add_argument("--playpen", default="obstacles", help="name or path of the playpen")
-    options.add_argument("--seconds", type=float, default=300.0, help="length of each recording [s]")
-    options.add_argument("--particles", type=int, default=1000, help="particles of the shadow")
-    options.add_argument("--asks-counters", action="store_true", help="ask H as well")
-    given = options.parse_args()
+    parser = command_line(__doc__)
+    parser.add_argument("folder", type=Path, nargs="?", help="folder of the recordings, kept")
+    parser.add_argument("--robots", type=int, default=10, help="number of robots")
+    parser.add_argument("--playpen", default="obstacles", help="name or path of the playpen")
+    parser.add_argument("--seconds", type=float, default=300.0, help="length of each recording [s]")
+    parser.add_argument("--particles", type=int, default=1000, help="particles of the shadow")
+    parser.add_argument("--asks-counters", action="store_true", help="ask H as well")
+    options = parser.parse_args()
     Diagnosis._diagnose = lambda self, time_ns: None  # pyright: ignore[reportPrivateUsage]
-    playpen = Playpen.load(given.playpen)
+    playpen = Playpen.load(options.playpen)
     start = calibration.read(playpen.robots[0].calibration)[0]
     errors: defaultdict[str, list[tuple[float, float, float]]] = defaultdict(list)
     with TemporaryDirectory() as temporary:
-        folder = given.folder or Path(temporary)
+        folder = options.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        for seed in range(given.robots):
-            name = f"{playpen.name}_{given.seconds:g}_{'NH' if given.asks_counters else 'N'}_{seed}"
+        for seed in range(options.robots):
+            name = f"{playpen.name}_{options.seconds:g}_{'NH' if options.asks_counters else 'N'}_{seed}"
             path = folder / f"{name}.mcap"
             if not path.exists():
                 host = ("avoider", "wall follower", "wanderer")[seed % 3]
@@ -49,30 +49,30 @@ def main() -> None:
                     path,
                     playpen,
                     seed=seed,
-                    seconds=given.seconds,
+                    seconds=options.seconds,
                     host=host,
-                    asks_counters=given.asks_counters,
+                    asks_counters=options.asks_counters,
                 )
-            own = calibration.vary(start, stream(seed, "robot", 0, "spread"))
-            shadow = Shadow(playpen, ShadowSettings(particles=given.particles))
+            robot_calibration = calibration.vary(start, stream(seed, "robot", 0, "spread"))
+            shadow = Shadow(playpen, ShadowSettings(particles=options.particles))
             follower = Follower(shadow)
             for heard in read_recording(path).chunks:
                 for _ in follower.feed(heard):
                     pass
             for value, _ in learned_values(shadow.learned, start):
                 _, key, *sensor = value.path
-                part = value.value_in(own) / value.value_in(start), value.value / value.value_in(start)
-                told = value.interval / value.value_in(start) / CONFIDENCE
-                errors[key].append((part[0], part[1], told))
+                part = value.value_in(robot_calibration) / value.value_in(start), value.value / value.value_in(start)
+                deviation = value.interval / value.value_in(start) / CONFIDENCE
+                errors[key].append((part[0], part[1], deviation))
                 print(
-                    f"{seed} {key}{sensor or ''}: {part[0]:.4f}, found {part[1]:.4f} +- {told:.4f}",
+                    f"{seed} {key}{sensor or ''}: {part[0]:.4f}, found {part[1]:.4f} +- {deviation:.4f}",
                     flush=True,
                 )
     for key, rows in errors.items():
-        own, value, told = np.array(rows).T
-        off = (value - own) / told
+        actual, value, deviation = np.array(rows).T
+        off = (value - actual) / deviation
         print(
             f"{key:16} {np.mean(np.abs(off) < CONFIDENCE):4.0%} of {len(rows)} inside of 95 %, errors "
-            f"{np.sqrt(np.mean(off**2)):.2f} of the told deviation {np.median(told):.4f}; "
-            f"rms {np.sqrt(np.mean((value - own) ** 2)):.4f}, of robots {np.std(own):.4f}"
+            f"{np.sqrt(np.mean(off**2)):.2f} of the deviation deviation {np.median(deviation):.4f}; "
+            f"rms {np.sqrt(np.mean((value - actual) ** 2)):.4f}, of robots {np.std(actual):.4f}"
         )

@@ -165,29 +165,29 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
         told: Tell the shadow the robot's start; else it has the playpen as it is.
     """
     truth = Truth.load(path.with_suffix(".npz"))
-    heard = read_recording(path).chunks
+    chunks = read_recording(path).chunks
     follower = Follower(Shadow(told_playpen(playpen, truth) if told else Playpen.load(playpen), settings))
     updates: list[Update] = []
     watch = _Watch()
-    cpu_s = np.zeros(heard[-1].time_ns // NS_PER_S + 1)
-    for each in heard:
+    cpu_s = np.zeros(chunks[-1].time_ns // NS_PER_S + 1)
+    for chunk in chunks:
         began = time.process_time()
-        found = list(follower.feed(each))
-        cpu_s[each.time_ns // NS_PER_S] += time.process_time() - began
-        for update in found:
+        chunk_updates = list(follower.feed(chunk))
+        cpu_s[chunk.time_ns // NS_PER_S] += time.process_time() - began
+        for update in chunk_updates:
             watch.see(update)
             # Thousands of particles each would fill the memory.
             updates.append(replace(update, particles=np.empty((0, 3))))
-    times_ns = np.array([each.time_ns for each in updates], np.int64)
+    times_ns = np.array([update.time_ns for update in updates], np.int64)
     return Followed(
         truth,
         times_ns,
-        np.array([each.estimate.pose for each in updates]),
+        np.array([update.estimate.pose for update in updates]),
         poses_at(truth, times_ns),
-        np.array([each.reckoned for each in updates]),
-        np.array([each.estimate.covariance for each in updates]),
-        np.array([str(each.state) for each in updates]),
-        np.array([each.measured.max() for each in updates]),
+        np.array([update.reckoned for update in updates]),
+        np.array([update.estimate.covariance for update in updates]),
+        np.array([str(update.state) for update in updates]),
+        np.array([update.measured.max() for update in updates]),
         watch.raised(),
         watch.suspected,
         cpu_s,
@@ -239,12 +239,12 @@ class _Watch:
 
     def raised(self) -> list[Raised]:
         """Return the alarms in the order in which they were raised."""
-        return sorted(self._found.values(), key=lambda each: each.raised_ns)
+        return sorted(self._found.values(), key=lambda alarm: alarm.raised_ns)
 
     def _episode(self, faults: tuple[str, ...], time_ns: int) -> _Episode:
         """Return the episode that has one of these names, or a new one."""
-        self._episodes = [each for each in self._episodes if time_ns - each.seen_ns < _SAME_NS]
-        episode = next((each for each in self._episodes if set(each.faults) & set(faults)), None)
+        self._episodes = [candidate for candidate in self._episodes if time_ns - candidate.seen_ns < _SAME_NS]
+        episode = next((candidate for candidate in self._episodes if set(candidate.faults) & set(faults)), None)
         if episode is None:
             self._episodes.append(episode := _Episode(faults, time_ns, set()))
         episode.faults, episode.seen_ns = faults, time_ns

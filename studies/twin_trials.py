@@ -61,44 +61,44 @@ def alarms(options: Options) -> None:
         "wrong names",
     )
     for fault in options.faults:
-        found = list(noticeable(run_trial, fault, options))
-        if not found:
+        seed_outcomes = list(noticeable(run_trial, fault, options))
+        if not seed_outcomes:
             row(fault, 0, *[""] * 7)
             continue
-        outcomes = [each for _, each in found]
-        ends = [each for each in outcomes if each.ends]
-        times = [each.end_s for each in ends if not np.isnan(each.end_s)]
-        delays = [each.delay_s for each in outcomes if not np.isnan(each.delay_s)]
+        outcomes = [outcome for _, outcome in seed_outcomes]
+        ends = [outcome for outcome in outcomes if outcome.ends]
+        times = [outcome.end_s for outcome in ends if not np.isnan(outcome.end_s)]
+        delays = [outcome.delay_s for outcome in outcomes if not np.isnan(outcome.delay_s)]
         row(
             fault,
-            len(found),
-            sum(each.named for each in outcomes),
-            sum(each.paired for each in outcomes),
+            len(seed_outcomes),
+            sum(outcome.named for outcome in outcomes),
+            sum(outcome.paired for outcome in outcomes),
             f"{np.median(delays):.1f} s" if delays else "",
-            f"{sum(each <= FADES_NS / NS_PER_S for each in times)} of {len(ends)}" if ends else "",
+            f"{sum(end_s <= FADES_NS / NS_PER_S for end_s in times)} of {len(ends)}" if ends else "",
             len(times) if ends else "",
             f"{np.median(times):.1f}, {max(times):.1f} s" if times else "",
-            counted(Counter(name for each in outcomes for name in each.wrong)),
+            counted(Counter(name for outcome in outcomes for name in outcome.wrong)),
         )
         if options.detail:
             note(
-                f"{'' if each.named else 'NOT NAMED '}seed {seed}, {each.text} (busiest {each.busiest_s:.2f})"
-                for seed, each in found
+                f"{'' if outcome.named else 'NOT NAMED '}seed {seed}, {outcome.text} (busiest {outcome.busiest_s:.2f})"
+                for seed, outcome in seed_outcomes
             )
     print("\nRuns are those with a noticeable fault; delays and ends count from the first reply with them.\n")
 
 
 def healthy(options: Options) -> None:
     """Print alarms, states, errors and regions of sound robots."""
-    found: list[Healthy] = []
-    for each in _healthy(options):
-        found.append(each)
+    runs: list[Healthy] = []
+    for run in _healthy(options):
+        runs.append(run)
         if options.detail:
-            note([each.text])
+            note([run.text])
     head("", *HEALTHY_COLUMNS)
     hosts = options.hosts or hosts_of(options.first)
     for name in (*options.playpens, *hosts, *STARTS, NEVER_BLIND, "all"):
-        if part := [each for each in found if name in each.rows]:
+        if part := [run for run in runs if name in run.rows]:
             row(name, *healthy_cells(part))
     print(
         "\nErrors of position in mm while it is followed; regions are the 95 % told, while it is not lost.\n"
@@ -109,8 +109,8 @@ def _healthy(options: Options) -> Iterable[Healthy]:
     runs = max(round(options.hours * 3600 / options.seconds), 1)
     hosts = options.hosts or hosts_of(options.first)
     tasks = [
-        (each, options.folder, options.settings)
-        for each in healthy_recordings(
+        (recording, options.folder, options.settings)
+        for recording in healthy_recordings(
             options.playpens, hosts, options.first, runs, options.seconds, options.times
         )
     ]
@@ -118,25 +118,25 @@ def _healthy(options: Options) -> Iterable[Healthy]:
 
 
 def reliability(options: Options) -> None:
-    """Print how often what is said with a probability is right, over sound and faulty robots."""
-    said = [claim for each in _healthy(options) for claim in claims(each.alarms, each.suspected)]
+    """Print how often what is all_claims with a probability is right, over sound and faulty robots."""
+    all_claims = [claim for run in _healthy(options) for claim in claims(run.alarms, run.suspected)]
     for fault in options.faults:
-        said += [claim for _, outcome in noticeable(run_trial, fault, options) for claim in outcome.claims]
-    head("probability", "alarms", "suspicions", "said, mean", "right", "95 % interval")
-    for each in binned(said):
-        shares = (f"{100 * share:.1f} %" for share in (each.said, each.true, *each.interval))
+        all_claims += [claim for _, outcome in noticeable(run_trial, fault, options) for claim in outcome.claims]
+    head("probability", "alarms", "suspicions", "all_claims, mean", "right", "95 % interval")
+    for group in binned(all_claims):
+        shares = (f"{100 * share:.1f} %" for share in (group.said, group.true, *group.interval))
         said_share, true, low, high = shares
         row(
-            f"{100 * each.low:g} to {100 * each.high:g} %",
-            each.alarms,
-            each.suspicions,
+            f"{100 * group.low:g} to {100 * group.high:g} %",
+            group.alarms,
+            group.suspicions,
             said_share,
             true,
             f"{low} to {high}",
         )
-    print("\nA suspicion counts once in each bin that its probability enters.\n")
+    print("\nA suspicion counts once in group bin that its probability enters.\n")
     if options.picture is not None:
-        draw(binned(said), options.picture)
+        draw(binned(all_claims), options.picture)
 
 
 def stalls(options: Options) -> None:
@@ -188,48 +188,48 @@ def _jobs(count: int) -> Generator[Map]:
 
 def main() -> None:
     """Run the trials that are wanted."""
-    options = command_line(__doc__)
-    options.add_argument("trials", nargs="?", choices=SECTIONS, help="which trials; all without it")
-    options.add_argument("--runs", type=int, default=20, help="number of runs of each kind")
-    options.add_argument("--seconds", type=float, default=300.0, help="length of a run of a sound robot [s]")
-    options.add_argument("--hours", type=float, default=2.0, help="simulated hours of healthy robots")
-    options.add_argument("--fault", action="append", choices=FAULTS, help="for alarms, bounds; all without")
-    options.add_argument("--playpen", action="append", choices=ALL, help="one for healthy; all without")
-    options.add_argument(
+    parser = command_line(__doc__)
+    parser.add_argument("trials", nargs="?", choices=SECTIONS, help="which trials; all without it")
+    parser.add_argument("--runs", type=int, default=20, help="number of runs of each kind")
+    parser.add_argument("--seconds", type=float, default=300.0, help="length of a run of a sound robot [s]")
+    parser.add_argument("--hours", type=float, default=2.0, help="simulated hours of healthy robots")
+    parser.add_argument("--fault", action="append", choices=FAULTS, help="for alarms, bounds; all without")
+    parser.add_argument("--playpen", action="append", choices=ALL, help="one for healthy; all without")
+    parser.add_argument(
         "--host", action="append", choices=HOSTS, help="a host; all that a seed may have without"
     )
-    options.add_argument("--times", choices=TIMES, default="exact", help="times of the line")
-    options.add_argument("--first", type=int, default=0, help="seed of the first run")
-    options.add_argument("--particles", type=int, default=1000, help="number of particles")
-    options.add_argument("--jobs", type=int, default=1, help="number of processes")
-    options.add_argument("--keep", type=Path, help="folder of recordings, which are reused if they are there")
-    options.add_argument("--detail", action="store_true", help="print a line for each run, too")
-    options.add_argument(
+    parser.add_argument("--times", choices=TIMES, default="exact", help="times of the line")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first run")
+    parser.add_argument("--particles", type=int, default=1000, help="number of particles")
+    parser.add_argument("--jobs", type=int, default=1, help="number of processes")
+    parser.add_argument("--keep", type=Path, help="folder of recordings, which are reused if they are there")
+    parser.add_argument("--detail", action="store_true", help="print a line for each run, too")
+    parser.add_argument(
         "--picture", type=Path, help="picture of the reliability to draw, FILE.svg or FILE.png"
     )
-    given = options.parse_args()
-    with TemporaryDirectory() as scratch, _jobs(given.jobs) as run:
-        folder: Path = given.keep or Path(scratch)
+    options = parser.parse_args()
+    with TemporaryDirectory() as scratch, _jobs(options.jobs) as run:
+        folder: Path = options.keep or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        settings = ShadowSettings(particles=given.particles)
-        chosen = Options(
+        settings = ShadowSettings(particles=options.particles)
+        trial_options = Options(
             folder,
-            given.runs,
-            given.seconds,
-            given.hours,
-            given.first,
-            given.fault or list(FAULTS),
-            given.playpen or ALL,
-            given.host or (),
-            given.times,
+            options.runs,
+            options.seconds,
+            options.hours,
+            options.first,
+            options.fault or list(FAULTS),
+            options.playpen or ALL,
+            options.host or (),
+            options.times,
             settings,
-            given.detail,
-            given.picture,
+            options.detail,
+            options.picture,
             run,
         )
         try:
             for section in [given.trials] if given.trials else SECTIONS:
                 print(f"## {section}\n")
-                SECTIONS[section](chosen)
+                SECTIONS[section](trial_options)
         except (KhepTwinError, OSError) as error:
             sys.exit(str(error))

@@ -115,5 +115,5 @@ def main() -> None:
     largest = np.array([each.largest * 1e3 for each in found[1:]])
     low, middle, high = np.percentile(largest, (10, 50, 90))
     print(f"E_max of robots of the same make: median {middle:.0f} mm, 10 to 90 %: {low:.0f} to {high:.0f} mm")
-    wheels, base = np.std([each.wheels for each in found[1:]]), np.std([each.base for each in found[1:]])
+    wheels, base = np.std([mark.wheels for mark in found[1:]]), np.std([mark.base for mark in found[1:]])
     print(f"standard deviations of E_d {wheels:.4f}, of E_b {base:.4f}")

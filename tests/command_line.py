@@ -1,4 +1,4 @@
-"""`khep-twin` in this process, for what commands write: to start one takes a second of a processor."""
+"""`khep-twin` in this process, for the output of commands: a new process costs a second of CPU time."""
 
 import re
 import subprocess
@@ -30,8 +30,8 @@ def khep_twin(*words: object, folder: Path | str = ".") -> "subprocess.Completed
             code = int(end.code or 0)
     # In a fresh checkout a compilation is announced.
     compiling = r"khep_twin: (compiling with numba|numba compiles in the background).*\n"
-    told = re.sub(compiling, "", errors.getvalue())
-    return subprocess.CompletedProcess(words, code, out.getvalue(), told)
+    error_text = re.sub(compiling, "", errors.getvalue())
+    return subprocess.CompletedProcess(words, code, out.getvalue(), error_text)
 
 
 def good(*words: object, folder: Path | str = ".") -> str:

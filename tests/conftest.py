@@ -1,4 +1,4 @@
-"""What several tests need."""
+"""Fixtures and options of several tests."""
 
 import gc
 import importlib.util
@@ -67,7 +67,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if (
         config.getoption("numprocesses", None)  # not in a worker, nor without any
-        and any(Path(each).is_dir() for each in config.args)
+        and any(Path(argument).is_dir() for argument in config.args)
         and importlib.util.find_spec("numba") is not None
     ):
         config.stash[_COMPILATION] = subprocess.Popen([sys.executable, "-m", "khep_twin", "compile"])

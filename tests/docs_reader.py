@@ -1,4 +1,4 @@
-"""Reader: runs the blocks of a page in order, in its own folder, as one who copies them would.
+"""Reader: runs the blocks of a page in order, in an empty folder, as a user who copies them.
 
 Comments above a block, which a page does not show, tell how to read it:
 
@@ -38,11 +38,11 @@ BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n\n?)*)^```(\w*)[^\n]*\n(.*?)^```$", re.
 MARK = re.compile(r"<!-- (first|file|exits|long|not run): (.*?) -->")
 
 SHORTER: dict[str, Callable[[int], int]] = {
-    "--seconds": lambda given: min(given, 13),
-    "--at": lambda given: min(given, 4),
-    "--cycles": lambda given: min(given, 20),
-    "--runs": lambda given: min(-(-given // 4), 3),
-    "--pause": lambda given: 0,
+    "--seconds": lambda seconds: min(seconds, 13),
+    "--at": lambda seconds: min(seconds, 4),
+    "--cycles": lambda cycles: min(cycles, 20),
+    "--runs": lambda runs: min(-(-runs // 4), 3),
+    "--pause": lambda pause: 0,
 }
 """What a command asks for in the suite in place of what is written."""
 
@@ -72,14 +72,14 @@ class Block:
 
     def marked(self, kind: str) -> list[str]:
         """Return the texts of its marks of one kind."""
-        return [text for each, text in self.marks if each == kind]
+        return [text for mark, text in self.marks if mark == kind]
 
 
 def blocks(page: str) -> list[Block]:
     """Return all blocks of a page; the lines are those of the fences."""
     return [
-        Block(page[: found.start(2)].count("\n") + 1, found[2], found[3], tuple(MARK.findall(found[1])))
-        for found in BLOCK.finditer(page)
+        Block(page[: block.start(2)].count("\n") + 1, block[2], block[3], tuple(MARK.findall(block[1])))
+        for block in BLOCK.finditer(page)
     ]
 
 
@@ -102,13 +102,13 @@ def commands(text: str) -> Iterator[str]:
 def shortened(command: str) -> str:
     """Return a command with less of what takes time."""
     amount = re.compile(rf"({'|'.join(SHORTER)}) (\d+)\b")
-    return amount.sub(lambda found: f"{found[1]} {SHORTER[found[1]](int(found[2]))}", command)
+    return amount.sub(lambda match: f"{match[1]} {SHORTER[match[1]](int(match[2]))}", command)
 
 
 def fewer(program: str) -> str:
     """Return a program with less of what takes time."""
     amount = re.compile(rf"^({'|'.join(FEWER)}) = \d+$", re.MULTILINE)
-    return amount.sub(lambda found: f"{found[1]} = {FEWER[found[1]]}", program)
+    return amount.sub(lambda match: f"{match[1]} = {FEWER[match[1]]}", program)
 
 
 @dataclass
@@ -118,7 +118,7 @@ class Server:
     command: str
     process: "subprocess.Popen[bytes]"
     output: Path
-    taken: set[str]
+    port_names: set[str]
     logs: set[str]
 
     def end(self) -> None:
@@ -129,9 +129,9 @@ class Server:
         """
         self.process.send_signal(signal.SIGINT)
         code = self.process.wait(TIMEOUT_S)
-        told = self.output.read_text()
-        assert code in (0, 130), f"{self.command}: {code}\n{told}"
-        assert "Traceback" not in told, f"{self.command}\n{told}"
+        output_text = self.output.read_text()
+        assert code in (0, 130), f"{self.command}: {code}\n{output_text}"
+        assert "Traceback" not in output_text, f"{self.command}\n{output_text}"
 
 
 @dataclass
@@ -200,11 +200,13 @@ class Reader:
             if re.search(pattern, " ".join(words)):
                 self.left.append(f"{command}: {reason}")
                 return
-        taken = {*_values(words, "--link"), *({ROBOT, "--foxglove"} & {*words})}
-        self._make_room(words, taken)
+        port_names = {*_values(words, "--link"), *({ROBOT, "--foxglove"} & {*words})}
+        self._make_room(words, port_names)
         if command.startswith("export "):
-            told = self._run(["sh", "-ec", f"{command}; env -0"], command)
-            for name, _, value in (each.partition("=") for each in told.split("\0") if each):
+            environment = self._run(["sh", "-ec", f"{command}; env -0"], command)
+            for name, _, value in (
+                assignment.partition("=") for assignment in environment.split("\0") if assignment
+            ):
                 os.environ[name] = value
             return
         if ROBOT in command:
@@ -214,14 +216,14 @@ class Reader:
             command = command.replace(ROBOT, str(link))
             words = shlex.split(command, comments=True)
         if SERVES.search(" ".join(words)):
-            self._serve(command.removesuffix("&"), taken)
+            self._serve(command.removesuffix("&"), port_names)
         elif Path(words[0]).name == "khep-twin" and not {"|", "||", ">", "&"} & {*words}:
             typed = self.folder / ".typed"
             typed.write_text("\n" * 100)
             with typed.open() as keys, patch.object(sys, "stdin", keys):
-                done = khep_twin(*words[1:], folder=self.folder)
-            drawn = "rerun's viewer cannot draw here" not in done.stderr
-            assert done.returncode in codes or not drawn, f"{command}\n{done.stdout}{done.stderr}"
+                process = khep_twin(*words[1:], folder=self.folder)
+            drawn = "rerun's viewer cannot draw here" not in process.stderr
+            assert process.returncode in codes or not drawn, f"{command}\n{process.stdout}{process.stderr}"
             if not drawn:
                 self.left.append(f"{command}: there is no Vulkan here")
         elif re.match(r"(\.venv/bin/)?python \S+\.py\b[^|>&]*$", command):
@@ -229,14 +231,14 @@ class Reader:
         else:
             self._run(["sh", "-ec", command], command, codes)
 
-    def _make_room(self, words: list[str], taken: set[str]) -> None:
+    def _make_room(self, words: list[str], port_names: set[str]) -> None:
         """End the servers whose link or port is taken, or whose log is used."""
         for server in [*self._servers]:
-            if taken & server.taken or ("--live" not in words and server.logs & {*words}):
+            if port_names & server.port_names or ("--live" not in words and server.logs & {*words}):
                 self._servers.remove(server)
                 server.end()
 
-    def _serve(self, command: str, taken: set[str]) -> None:
+    def _serve(self, command: str, port_names: set[str]) -> None:
         """Start a command that serves; return when it has told its first line and made its link."""
         words = shlex.split(command, comments=True)
         output = self.folder / f".served-{time.monotonic_ns()}"
@@ -249,10 +251,10 @@ class Reader:
                 stderr=subprocess.STDOUT,
             )
         links, logs = _values(words, "--link"), _values(words, "--log") + _values(words, "-o")
-        self._servers.append(Server(command, process, output, taken, {*logs}))
+        self._servers.append(Server(command, process, output, port_names, {*logs}))
         deadline = time.monotonic() + TIMEOUT_S
-        made = [self.folder / link for link in links if "/" in link]
-        while "\n" not in output.read_text() or not all(link.is_symlink() for link in made):
+        link_paths = [self.folder / link for link in links if "/" in link]
+        while "\n" not in output.read_text() or not all(link.is_symlink() for link in link_paths):
             assert process.poll() is None, f"{command}: ended\n{output.read_text()}"
             assert time.monotonic() < deadline, f"{command}: told nothing\n{output.read_text()}"
             time.sleep(0.05)
@@ -261,9 +263,9 @@ class Reader:
         """Run a program whose reader presses Enter whenever it asks; return what it prints."""
         start = run_python if words[0] == sys.executable else subprocess.run
         pipe = subprocess.PIPE
-        done = start(words, cwd=self.folder, input="\n" * 100, stdout=pipe, stderr=pipe, text=True)
-        assert done.returncode in codes, f"{name}\n{done.stdout}{done.stderr}"
-        return done.stdout
+        process = start(words, cwd=self.folder, input="\n" * 100, stdout=pipe, stderr=pipe, text=True)
+        assert process.returncode in codes, f"{name}\n{process.stdout}{process.stderr}"
+        return process.stdout
 
 
 def _values(words: list[str], option: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Python processes forked from one that has imported what commands need: a start costs 20 ms, not a second.
+"""Python processes forked from one that has imported the commands: a start takes 20 ms, not a second.
 
 `Forked` is `subprocess.Popen` for `[sys.executable, "-m" | "-c" | FILE, …]`. Such a process differs from one
 that is executed in what Python reads once at its start (`PYTHONPATH`, `PYTHONHASHSEED`, …), in the name that
@@ -35,7 +35,7 @@ _SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of prctl(2): who inherits a process wh
 _ABOVE = 200
 """First descriptor that a new process uses for those which it is to give their numbers."""
 
-_HERE = dict(os.environ)
+_PARENT_ENVIRONMENT = dict(os.environ)
 _lock = threading.Lock()
 _control: socket.socket | None = None
 
@@ -48,7 +48,9 @@ def _connection() -> socket.socket:
         with other:
             nowhere, number = subprocess.DEVNULL, other.fileno()
             command = [sys.executable, __file__, str(number)]
-            server = subprocess.Popen(command, stdin=nowhere, stdout=nowhere, pass_fds=[number], env=_HERE)
+            server = subprocess.Popen(
+                command, stdin=nowhere, stdout=nowhere, pass_fds=[number], env=_PARENT_ENVIRONMENT
+            )
         atexit.register(_end, _control, server)
     return _control
 
@@ -68,15 +70,17 @@ class _Forked(subprocess.Popen[Any]):
     ) -> None:  # fmt: skip
         words = [str(word) for word in args]
         assert words[0] == sys.executable, words
-        given = {0: p2cread, 1: c2pwrite, 2: errwrite} | {each: each for each in pass_fds}
+        passed_descriptors = {0: p2cread, 1: c2pwrite, 2: errwrite} | {
+            descriptor: descriptor for descriptor in pass_fds
+        }
         request = {
             "words": words[1:],
             "folder": str(cwd or Path.cwd()),
             "environment": {**os.environ} if env is None else {**env},
-            "descriptors": [*given],
+            "descriptors": [*passed_descriptors],
             "session": bool(settings[5]),
         }
-        sources = [number if source == -1 else source for number, source in given.items()]
+        sources = [number if source == -1 else source for number, source in passed_descriptors.items()]
         with _lock:
             control, prctl = _connection(), ctypes.CDLL(None).prctl
             prctl(_SUBREAPER, 1, 0, 0, 0)
@@ -94,12 +98,12 @@ Forked = _Forked if sys.platform == "linux" else subprocess.Popen[Any]
 
 def run_python(words: list[object], **settings: Any) -> "subprocess.CompletedProcess[str]":
     """Run a program to its end, as `subprocess.run(words, text=True)` does."""
-    given = settings.pop("input", None)
+    standard_input = settings.pop("input", None)
     timeout = settings.pop("timeout", None)
     ways = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | settings
     with Forked(words, **{"text": True, **ways}) as process:
         try:
-            out, errors = process.communicate(given, timeout)
+            out, errors = process.communicate(standard_input, timeout)
         except BaseException:
             process.kill()
             raise
@@ -119,21 +123,21 @@ def _serve(control: socket.socket) -> None:
             if child := os.fork():
                 os.write(writer, str(child).encode())
                 os._exit(0)
-            for each in (control.detach(), reader, writer):
-                os.close(each)
+            for descriptor in (control.detach(), reader, writer):
+                os.close(descriptor)
             _become(json.loads(data), descriptors)
             return
         os.waitpid(parent, 0)  # now the new one is a child of who has asked
         control.send(os.read(reader, 100))
-        for each in (*descriptors, reader, writer):
-            os.close(each)
+        for descriptor in (*descriptors, reader, writer):
+            os.close(descriptor)
 
 
 def _become(request: dict[str, Any], descriptors: list[int]) -> None:
     """Take on the descriptors, folder, environment and arguments of a request, and run its program."""
-    moved = [fcntl.fcntl(each, fcntl.F_DUPFD_CLOEXEC, _ABOVE) for each in descriptors]
-    for each in descriptors:
-        os.close(each)
+    moved = [fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, _ABOVE) for descriptor in descriptors]
+    for own_descriptor in descriptors:
+        os.close(own_descriptor)
     for source, number in zip(moved, request["descriptors"], strict=True):
         os.dup2(source, number)
         os.close(source)

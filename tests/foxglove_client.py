@@ -1,4 +1,4 @@
-"""A client of Foxglove's WebSocket protocol, `foxglove.sdk.v1`, made of websockets alone."""
+"""A client of Foxglove's WebSocket protocol, `foxglove.sdk.v1`, by websockets alone."""
 
 import json
 import struct
@@ -34,19 +34,19 @@ class FoxgloveClient:
         """Wait until the topics are advertised, and subscribe to them."""
         while not set(topics) <= set(self.channels):
             self._take(self.connection.recv(10))
-        wanted = []
+        subscriptions = []
         for topic in topics:
             number = len(self._topics) + 1
             self._topics[number] = topic
-            wanted.append({"id": number, "channelId": self.channels[topic]["id"]})
-        self.connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+            subscriptions.append({"id": number, "channelId": self.channels[topic]["id"]})
+        self.connection.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
 
-    def until(self, topic: str, time_ns: int = 0) -> list[Sent]:
-        """All messages up to the first of a topic at a time or later."""
-        found: list[Sent] = []
-        while not (found and found[-1].topic == topic and found[-1].time_ns >= time_ns):
-            found += self._take(self.connection.recv(30))
-        return found
+    def receive_until(self, topic: str, time_ns: int = 0) -> list[Sent]:
+        """Return all messages up to the first of a topic at a time or later."""
+        messages: list[Sent] = []
+        while not (messages and messages[-1].topic == topic and messages[-1].time_ns >= time_ns):
+            messages += self._take(self.connection.recv(30))
+        return messages
 
     def until_time(self, time_ns: int) -> None:
         """Wait for a time of the run; it is sent beside the messages, in no fixed order with them."""
@@ -55,9 +55,9 @@ class FoxgloveClient:
 
     def _take(self, data: str | bytes) -> list[Sent]:
         if isinstance(data, str):
-            said = json.loads(data)
-            if said["op"] == "advertise":
-                self.channels |= {channel["topic"]: channel for channel in said["channels"]}
+            notice = json.loads(data)
+            if notice["op"] == "advertise":
+                self.channels |= {channel["topic"]: channel for channel in notice["channels"]}
             return []
         if data[0] == _TIME:
             self.time_ns = struct.unpack_from("<Q", data, 1)[0]

@@ -1,4 +1,4 @@
-"""Copies of a log with some of it changed, for tests of what comes of it."""
+"""Changed copies of a log, for tests of their readers."""
 
 import random
 from collections.abc import Callable, Mapping, Sequence
@@ -31,26 +31,26 @@ def rewritten(
     with path.open("rb") as file, target.open("wb") as copy:
         reader, writer = make_reader(file), Writer(copy, **written)
         writer.start()
-        for each in reader.iter_attachments():
-            if (data := attachment(each.name, each.data)) is not None:
-                writer.add_attachment(0, 0, each.name, each.media_type, data)
-        for record in filter(lambda each: metadata(each.name), reader.iter_metadata()):
+        for original in reader.iter_attachments():
+            if (data := attachment(original.name, original.data)) is not None:
+                writer.add_attachment(0, 0, original.name, original.media_type, data)
+        for record in filter(lambda metadata_record: metadata(metadata_record.name), reader.iter_metadata()):
             writer.add_metadata(record.name, {**record.metadata, **(facts or {})})
         channels: dict[str, int] = {}
-        for schema, channel, each in order([*reader.iter_messages(log_time_order=False)]):
+        for schema, channel, original in order([*reader.iter_messages(log_time_order=False)]):
             assert schema is not None
             if channel.topic not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[channel.topic] = writer.register_channel(rename(channel.topic), "cdr", number)
-            data = message(channel.topic, each.log_time, each.data)
-            time_ns = time(channel.topic, each.log_time)
+            data = message(channel.topic, original.log_time, original.data)
+            time_ns = time(channel.topic, original.log_time)
             writer.add_message(channels[channel.topic], time_ns, data, time_ns)
         writer.finish()
     return target
 
 
 def _by_time(messages: list[Any]) -> list[Any]:
-    return sorted(messages, key=lambda each: each[2].log_time)
+    return sorted(messages, key=lambda message: message[2].log_time)
 
 
 def _shuffled(messages: list[Any]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Observers that keep what they are told of a world."""
+"""Observers that store the events and samples of a world."""
 
 from khep_twin.board.uart import HostEvent
 from khep_twin.world import Observer, World
@@ -8,27 +8,27 @@ class Notes(Observer):
     """An observer that keeps the texts of events."""
 
     def __init__(self) -> None:
-        self.told: list[str] = []
+        self.events: list[str] = []
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Keep the text."""
-        self.told.append(text)
+        self.events.append(text)
 
 
 class Events:
     """An observer that notes everything with its time."""
 
     def __init__(self) -> None:
-        self.seen: list[object] = []
+        self.samples: list[object] = []
 
     def sample(self, world: World) -> None:
-        self.seen.append((world.time_ns, world.data.xpos.tobytes()))
+        self.samples.append((world.time_ns, world.data.xpos.tobytes()))
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        self.seen.append((time_ns, robot, to_robot, data))
+        self.samples.append((time_ns, robot, to_robot, data))
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        self.seen.append((time_ns, robot, event))
+        self.samples.append((time_ns, robot, event))
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        self.seen.append((time_ns, robot, text))
+        self.samples.append((time_ns, robot, text))

@@ -55,7 +55,7 @@ class PageFollower:
     def __init__(self, page: str, tree: Path, *, typing: bool = True) -> None:
         self.page, self.tree, self.typing = page, tree, typing
         self.touched: list[str] = []
-        self.shown = ""
+        self.output = ""
         for name in subprocess.check_output(LIST, cwd=ROOT, text=True).split("\0")[:-1]:
             if (ROOT / name).is_file():  # one that is deleted, and not committed yet, is not there
                 (tree / name).parent.mkdir(parents=True, exist_ok=True)
@@ -74,7 +74,7 @@ class PageFollower:
         step = ""
         for line in lines:
             if line.startswith("```"):
-                block = "".join(f"{each}\n" for each in iter(lambda: next(lines), "```"))
+                block = "".join(f"{block_line}\n" for block_line in iter(lambda: next(lines), "```"))
                 self._block(line.strip("`"), step, block)
                 step = ""
             elif (edit := EDIT.search(line)) and edit["added"]:
@@ -86,7 +86,7 @@ class PageFollower:
         """Run shell commands in the tree; return what they print."""
         outer = {"MAKEFLAGS", "MAKELEVEL", "MFLAGS"}
         env = {key: text for key, text in os.environ.items() if key not in outer and "PYTEST" not in key}
-        done = subprocess.run(
+        process = subprocess.run(
             ["sh", "-ec", command],
             cwd=self.tree,
             env={**env, "PYTHONPATH": str(self.tree), "COLUMNS": "80"},
@@ -95,15 +95,15 @@ class PageFollower:
             text=True,
             timeout=300,
         )
-        assert done.returncode == 0, f"{command}\n{done.stdout}"
-        return done.stdout
+        assert process.returncode == 0, f"{command}\n{process.stdout}"
+        return process.stdout
 
     def _block(self, language: str, step: str, block: str) -> None:
         if language in ("sh", "text"):
             if self.typing and language == "sh":
-                self.shown = self.run(block)
+                self.output = self.run(block)
             elif self.typing:
-                assert timeless(self.shown) == timeless(block)
+                assert timeless(self.output) == timeless(block)
         elif edit := EDIT.search(step):
             self._edit(edit, block)
         else:
@@ -116,15 +116,15 @@ class PageFollower:
     def _edit(self, edit: re.Match[str], added: str) -> None:
         path, (start, cut, _) = self.tree / edit["file"], edit["line"].strip().partition("…")
         lines = path.read_text().splitlines(keepends=True)
-        found = [
+        line_numbers = [
             number
             for number, line in enumerate(lines)
             if (line.strip().startswith(start.strip()) if cut else line.strip() == start)
         ]
-        assert len(found) == 1, f"{edit['file']} has {len(found)} lines {edit['line']!r}"
+        assert len(line_numbers) == 1, f"{edit['file']} has {len(line_numbers)} lines {edit['line']!r}"
         if edit["added"]:
-            added = re.match(r"\s*", lines[found[0]])[0] + added
-        lines.insert(found[0] + (edit["side"] == "after"), added)
+            added = re.match(r"\s*", lines[line_numbers[0]])[0] + added
+        lines.insert(line_numbers[0] + (edit["side"] == "after"), added)
         path.write_text("".join(lines))
         self.touched.append(edit["file"])
 

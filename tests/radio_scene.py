@@ -12,14 +12,14 @@ from khep_twin.world import World
 
 
 def playpen_with_radios(
-    places: Sequence[tuple[float, float]], more: str = "", turrets: str = '"radio"'
+    places: Sequence[tuple[float, float]], extra_tables: str = "", turrets: str = '"radio"'
 ) -> Playpen:
     """Return a playpen with a robot at each of these places [mm], and more tables."""
     robots = "".join(
         f"[[robot]]\nx_mm = {x}\ny_mm = {y}\nheading_deg = 0\nturrets = [{turrets}]\n" for x, y in places
     )
     arena = 'version = 1\nname = "radios"\n[arena]\nwidth_mm = 1000\nheight_mm = 500\n'
-    return playpen.parse(f"{arena}{more}\n{robots}", "radios.toml")
+    return playpen.parse(f"{arena}{extra_tables}\n{robots}", "radios.toml")
 
 
 class Message(NamedTuple):
@@ -77,11 +77,11 @@ class Air:
 
     def read(self, number: int) -> list[Message]:
         """Reads and removes all messages of a radio."""
-        found: list[Message] = []
+        messages: list[Message] = []
         while self.status(number) & RadioStatus.RECEIVED:
             sender, length, *data = map(int, self.electronics[number - 1].receive(b"R").split(b",")[3:])
-            found.append(Message(sender, bytes(data[:length])))
-        return found
+            messages.append(Message(sender, bytes(data[:length])))
+        return messages
 
     def tick(self, order: Sequence[int] | None = None) -> None:
         """Runs a control period of the turrets, robot by robot in this order."""
@@ -92,4 +92,4 @@ class Air:
             self.bodies[robot].drive()
 
     def registers(self) -> list[list[int]]:
-        return [each.registers.tolist() for each in self.electronics]
+        return [radio.registers.tolist() for radio in self.electronics]

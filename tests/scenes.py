@@ -19,9 +19,9 @@ def table(kind: str, **values: object) -> str:
     return f"[[{kind}]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 
-def robot(x_mm: float, y_mm: float, heading_deg: float = 0, **more: object) -> str:
+def robot(x_mm: float, y_mm: float, heading_deg: float = 0, **values: object) -> str:
     """Return the table of a robot."""
-    return table("robot", x_mm=x_mm, y_mm=y_mm, heading_deg=heading_deg, **more)
+    return table("robot", x_mm=x_mm, y_mm=y_mm, heading_deg=heading_deg, **values)
 
 
 def hosted(playpen: Playpen, **options: Any) -> Khepera:

@@ -24,11 +24,11 @@ class SchedulingDelay:
         self._ends.set()
         self._thread.join()
 
-    def excuse(self, most: float) -> None:
+    def excuse(self, limit: float) -> None:
         """Skip the test if the machine was later than it may be for what is asserted next [s]."""
-        if self.worst > most:
+        if self.worst > limit:
             pytest.skip(
-                f"this machine is busy: it woke a sleeper {self.worst:.3f} s late, the test bears {most} s"
+                f"this machine is busy: it woke a sleeper {self.worst:.3f} s late, the test bears {limit} s"
             )
 
     def _sleep(self) -> None:

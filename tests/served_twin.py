@@ -1,4 +1,4 @@
-"""`khep-twin serve`, and other commands that serve, in their own processes."""
+"""`khep-twin serve`, and other commands that serve, in separate processes."""
 
 import os
 import select
@@ -48,7 +48,7 @@ def ask(port: serial.SerialBase, request: bytes) -> bytes:
 
 
 def answer(host: int, request: bytes, expected: bytes, timeout: float) -> bytes:
-    """What a host gets at a descriptor: as much as it expects, or less if nothing more comes in time [s]."""
+    """Return a host's reply at a descriptor: as many bytes as expected, or fewer after the time-out [s]."""
     os.write(host, request)
     reply, end = b"", time.monotonic() + timeout
     while len(reply) < len(expected) and select.select([host], [], [], max(end - time.monotonic(), 0))[0]:
@@ -57,7 +57,7 @@ def answer(host: int, request: bytes, expected: bytes, timeout: float) -> bytes:
 
 
 def exchange(path: str, request: bytes, expected: bytes, timeout: float = 1.0) -> bytes:
-    """What a plain host gets: it opens a terminal, asks for an `answer`, and closes."""
+    """Return the reply to a plain host, which opens a terminal, sends a request, and closes it."""
     host = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         return answer(host, request, expected, timeout)
@@ -72,8 +72,8 @@ def connected(url: str, timeout: float = 20.0) -> socket.socket:
 
 
 def all_of(host: socket.socket) -> bytes:
-    """What a host gets until the other end closes."""
+    """Return all bytes until the other end closes."""
     got = b""
-    while more := host.recv(1000):
-        got += more
+    while chunk := host.recv(1000):
+        got += chunk
     return got

@@ -27,8 +27,8 @@ def updates() -> Iterator[Update]:
         x = 0.2 + 0.02 * time_ns * 1e-9
         covariance = np.array([[4e-6, 1e-6, 0], [1e-6, 9e-6, 0], [0, 0, 1e-3]])
         particles = np.tile((x, 0.15, math.pi / 2), (250, 1)) + np.linspace(-0.01, 0.01, 250)[:, None]
-        asked = time_ns % (100 * MS) == 0
-        proximity = np.arange(8.0) if asked else nothing
+        has_light = time_ns % (100 * MS) == 0
+        proximity = np.arange(8.0) if has_light else nothing
         yield Update(
             time_ns,
             PoseEstimate(time_ns, (x, 0.15, 0.25), covariance),
@@ -36,7 +36,7 @@ def updates() -> Iterator[Update]:
             particles,
             expected,
             nothing if time_ns == 0 else measured,
-            Residuals(proximity, nothing, np.array([1.0, -2.0]), 0.001 if asked else math.nan),
+            Residuals(proximity, nothing, np.array([1.0, -2.0]), 0.001 if has_light else math.nan),
             PoseState.FOLLOWED if time_ns < 2000 * MS else PoseState.UNSURE,
             (SUSPICION,) if 800 * MS <= time_ns < 1000 * MS else (),
             (ALARM,) if 1000 * MS <= time_ns < 2000 * MS else (),

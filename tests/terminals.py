@@ -1,4 +1,4 @@
-"""Terminals of tests: what a person sees of what is written."""
+"""Terminals of tests: the visible text after all output."""
 
 import re
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The benchmarks run and keep what they find; how fast anything is, no test asks."""
+"""The benchmarks run and save their records; no test asserts a speed."""
 
 import importlib
 import importlib.util
@@ -63,15 +63,15 @@ def test_a_ratio_is_of_the_same_round() -> None:
 
 
 def test_rows_take_turns_and_the_first_round_does_not_count() -> None:
-    told: list[str] = []
+    lines: list[str] = []
     times = itertools.chain([100.0, 100.0], itertools.repeat(1.0))
 
     def run(name: str) -> Taken:
-        told.append(name)
+        lines.append(name)
         return Taken(next(times))
 
     table = measure("scene", [Row(name, 1, lambda name=name: run(name)) for name in "ab"], 2)
-    assert told == ["a", "b"] * 3
+    assert lines == ["a", "b"] * 3
     assert [row.best for row in table.results] == [row.median for row in table.results] == [1, 1]
 
 
@@ -88,14 +88,14 @@ def test_the_printed_table_is_aligned_and_fits_a_screen() -> None:
 
 
 def test_results_survive_their_file_and_tell_nothing_of_where_they_were_made(tmp_path: Path) -> None:
-    kept = record.Record(
+    saved = record.Record(
         "2001-02-03", record.load(), record.machine(), record.versions({"peer": "1"}), (trivial(),)
     )
-    path = record.save(kept, tmp_path)
+    path = record.save(saved, tmp_path)
     assert path.name.startswith("2001-02-03-")
-    found = record.read(path)
-    assert repr(found) == repr(kept)
-    assert text(found.tables) == text(kept.tables)
+    loaded = record.read(path)
+    assert repr(loaded) == repr(saved)
+    assert text(loaded.tables) == text(saved.tables)
     written = path.read_text()
     assert not [word for word in (platform.node(), str(Path.home())) if len(word) > 1 and word in written]
 
@@ -104,9 +104,9 @@ def test_the_results_that_are_kept_can_be_read() -> None:
     paths = sorted(record.FOLDER.rglob("*.toml"))
     assert paths
     for path in paths:
-        found = record.read(path)
-        assert found.name == path.name
-        assert text(found.tables)
+        loaded = record.read(path)
+        assert loaded.name == path.name
+        assert text(loaded.tables)
 
 
 def test_what_is_no_record_is_an_error_of_one_line(tmp_path: Path) -> None:
@@ -176,17 +176,17 @@ def test_an_archive_in_kheperax_without_kheperax_is_one_line() -> None:
 
 def test_kheperax_gets_every_wall_of_a_playpen() -> None:
     maze = Playpen.load("looping-maze")
-    told = peers.scene(maze)
-    assert len(told["walls_mm"]) == len(maze.arena.outline_mm) + len(maze.walls[0].points_mm)
-    assert told["walls_mm"][-1] == (*maze.walls[0].points_mm[-1], *maze.walls[0].points_mm[0])
+    peer_scene = peers.scene(maze)
+    assert len(peer_scene["walls_mm"]) == len(maze.arena.outline_mm) + len(maze.walls[0].points_mm)
+    assert peer_scene["walls_mm"][-1] == (*maze.walls[0].points_mm[-1], *maze.walls[0].points_mm[0])
     assert peers.scene(Playpen.load("default"))["walls_mm"] == []
 
 
 def test_kheperax_gets_the_sides_of_all_that_stands_around() -> None:
     blocks = growth.twenty_blocks()
-    told = peers.scene(blocks)["walls_mm"]
-    assert len(told) == 4 * len(blocks.blocks)
-    for block, first in zip(blocks.blocks, told[::4], strict=True):
+    walls_mm = peers.scene(blocks)["walls_mm"]
+    assert len(walls_mm) == 4 * len(blocks.blocks)
+    for block, first in zip(blocks.blocks, walls_mm[::4], strict=True):
         assert math.dist(first[:2], first[2:]) == pytest.approx(block.length_mm)
     round_one = Playpen.load("obstacles")
     sides = peers.corners(round_one.cylinders[0].footprint)

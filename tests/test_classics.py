@@ -31,6 +31,6 @@ def test_a_classic_experiment_runs_and_draws(name: str, tmp_path: Path) -> None:
     if name in NEEDS_CMAES and importlib.util.find_spec("cmaes") is None:
         pytest.skip("cmaes is not installed")
     words = [FOLDER / f"{name}.py", *SHORTER[name].split(), "--picture", "classic.png"]
-    done = run_python([sys.executable, *words], cwd=tmp_path, timeout=600)
-    assert done.returncode == 0, done.stderr
+    process = run_python([sys.executable, *words], cwd=tmp_path, timeout=600)
+    assert process.returncode == 0, process.stderr
     assert list(tmp_path.glob("classic*.png"))

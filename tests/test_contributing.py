@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md: who follows its recipes literally, in a copy of the tree, sees what the page shows."""
+"""CONTRIBUTING.md: its recipes, followed literally in a copy of the tree, have the results on the page."""
 
 import re
 from pathlib import Path
@@ -21,7 +21,7 @@ def test_there_are_three_recipes_on_a_short_page() -> None:
 def test_a_newcomer_who_follows_a_recipe_sees_what_it_shows(recipe: str, tmp_path: Path) -> None:
     follower = PageFollower(PAGE, tmp_path)
     follower.follow(recipe)
-    assert follower.shown
+    assert follower.output
 
 
 @CHECKOUT
@@ -43,9 +43,9 @@ def test_the_page_names_all_targets_of_the_makefile() -> None:
 
 
 def test_the_files_and_pages_on_it_are_there() -> None:
-    made = {step["file"] for step in CREATE.finditer(PAGE)}
+    created = {step["file"] for step in CREATE.finditer(PAGE)}
     named = re.findall(r"`((?:khep_twin|tests|checks|tools|docs)/[^` ]*)`", PAGE) + re.findall(
         r"\]\(([^)#]+)", PAGE
     )
     assert len(named) > 10
-    assert not [name for name in named if name not in made and not (ROOT / name).exists()]
+    assert not [name for name in named if name not in created and not (ROOT / name).exists()]

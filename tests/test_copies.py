@@ -1,4 +1,4 @@
-"""Copies by `copy.deepcopy` and `pickle`: made anew of the arguments, or refused with advice."""
+"""Copies by `copy.deepcopy` and `pickle`: constructed from the arguments, or refused with advice."""
 
 import copy
 import pickle
@@ -18,7 +18,7 @@ from khep_twin.world import World
 
 WAYS = [
     pytest.param(copy.deepcopy, id="deepcopy"),
-    pytest.param(lambda each: pickle.loads(pickle.dumps(each)), id="pickle"),
+    pytest.param(lambda original: pickle.loads(pickle.dumps(original)), id="pickle"),
 ]
 OPTIONS: dict[str, Any] = {"planar": True, "compiled": False, "seconds": 0.5}
 SPEEDS = np.full(2, 0.5, np.float32)
@@ -43,12 +43,12 @@ def test_a_copy_of_a_gymnasium_environment_goes_on_with_its_episodes(way: Way) -
 @pytest.mark.parametrize("way", WAYS)
 def test_a_copy_of_many_goes_on_with_their_episodes(way: Way) -> None:
     gymnasium = pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
-    many = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=2, threads=2, **OPTIONS)
-    many.reset(seed=3)
-    other = way(many)
-    assert (other.reset()[0] == many.reset()[0]).all()
-    for each in (many, other):
-        each.close()
+    vectorized = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=2, threads=2, **OPTIONS)
+    vectorized.reset(seed=3)
+    other = way(vectorized)
+    assert (other.reset()[0] == vectorized.reset()[0]).all()
+    for environment in (vectorized, other):
+        environment.close()
 
 
 @pytest.mark.parametrize("way", WAYS)

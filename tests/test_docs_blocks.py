@@ -1,4 +1,4 @@
-"""docs/*.md: who copies the blocks of a page into a folder, in order, has no error.
+"""docs/*.md: the blocks of a page, copied into a folder in order, run without an error.
 
 Runs are shortened here; `make long LONG=docs-blocks` takes them as they are written, runs the long ones, too,
 and lists what cannot run in a test.
@@ -62,7 +62,7 @@ def test_the_blocks_of_a_page_run_in_order(
     monkeypatch.delenv("DISPLAY", raising=False)
     reader = Reader(tmp_path)
     reader.read(page.read_text(), languages)
-    print("\n".join(f"{page.name}, not run: {each}" for each in reader.left))
+    print("\n".join(f"{page.name}, not run: {block}" for block in reader.left))
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.stem)
@@ -88,18 +88,18 @@ def parse(command: Any, name: str, words: list[str]) -> None:
     """
     context = command.make_context(name, words)
     if isinstance(command, typer.core.TyperGroup):
-        name, found, rest = command.resolve_command(context, [*context._protected_args, *context.args])
-        parse(found, str(name), rest)
+        name, subcommand, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        parse(subcommand, str(name), rest)
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.stem)
 def test_the_imports_of_a_page_are_there(page: Path) -> None:
     for block in blocks(page.read_text()):
-        for each in ast.walk(ast.parse(block.text)) if block.language == "python" else ():
-            if isinstance(each, ast.ImportFrom) and str(each.module).startswith("khep_twin"):
-                module = importlib.import_module(str(each.module))
-                assert all(found.name == "*" or hasattr(module, found.name) for found in each.names), (
-                    each.module
+        for node in ast.walk(ast.parse(block.text)) if block.language == "python" else ():
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("khep_twin"):
+                module = importlib.import_module(str(node.module))
+                assert all(alias.name == "*" or hasattr(module, alias.name) for alias in node.names), (
+                    node.module
                 )
 
 

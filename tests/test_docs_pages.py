@@ -28,8 +28,8 @@ SEPARATORS = {"|", "&&", "||", ";", "&", ">", "2>", ">>"}
 def blocks(language: str) -> Iterator[tuple[Path, str]]:
     for page in PAGES:
         if "reference" not in page.parts:
-            for found, text in BLOCK.findall(page.read_text(encoding="utf-8")):
-                if found == language:
+            for block_language, text in BLOCK.findall(page.read_text(encoding="utf-8")):
+                if block_language == language:
                     yield page, text
 
 
@@ -37,8 +37,8 @@ def commands() -> Iterator[tuple[str, list[str]]]:
     """The words of each command in a block for the shell, and its page."""
     for page, text in blocks("sh"):
         line = ""
-        for more in text.replace("\\\n", " ").splitlines():
-            line += more
+        for part in text.replace("\\\n", " ").splitlines():
+            line += part
             try:
                 words = shlex.split(line, comments=True)
             except ValueError:  # a quotation over several lines
@@ -55,7 +55,9 @@ COMMANDS = list(commands())
 COMMAND_LINE = typer.main.get_command(app)
 
 
-@pytest.mark.parametrize(("page", "text"), [*blocks("python")], ids=lambda each: getattr(each, "stem", ""))
+@pytest.mark.parametrize(
+    ("page", "text"), [*blocks("python")], ids=lambda parameter: getattr(parameter, "stem", "")
+)
 def test_a_program_compiles(page: Path, text: str) -> None:
     compile(text, page.name, "exec")
 
@@ -86,8 +88,8 @@ def unknown(words: list[str]) -> list[str]:
     while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
         command = command.commands[rest[0]]
         context = command.make_context(rest.pop(0), [], parent=context, resilient_parsing=True)
-    _, more, _ = command.make_parser(context).parse_args(rest)
-    return more
+    _, unparsed, _ = command.make_parser(context).parse_args(rest)
+    return unparsed
 
 
 @pytest.mark.parametrize(("page", "words"), named("make"), ids=str)
@@ -108,5 +110,5 @@ def test_the_program_of_branches_goes_on_from_a_log(
 
 
 def test_the_playpen_of_the_page_about_them_is_right() -> None:
-    (shown,) = [text for page, text in blocks("toml") if page.name == "playpens.md"]
-    assert playpen.parse(shown, "playpens.md").name == "mine"
+    (example,) = [text for page, text in blocks("toml") if page.name == "playpens.md"]
+    assert playpen.parse(example, "playpens.md").name == "mine"

@@ -1,4 +1,4 @@
-"""Tests of the errors' fields: programs find what the text says without reading it."""
+"""Tests of the errors' fields: programs read them instead of the text."""
 
 import pickle
 from pathlib import Path

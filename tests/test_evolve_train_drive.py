@@ -72,6 +72,6 @@ def test_what_is_trained_keeps_its_period_on_the_line(
     assert isinstance(controller, TaskController)
     with Khepera("khep://obstacles?mode=3", baudrate=38400) as robot:
         controller.start(robot)
-        begun = robot.time
+        start_s = robot.time
         controller.cycle(robot)
-        assert robot.time - begun == pytest.approx(0.05)
+        assert robot.time - start_s == pytest.approx(0.05)

@@ -34,15 +34,17 @@ ENDS = {
 
 
 def ended(example: Path, folder: Path, *words: str) -> str:
-    """What an example says to its end."""
-    done = run_python([sys.executable, example, *words], cwd=folder, timeout=600)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    """Return the output of an example that runs to its end."""
+    process = run_python([sys.executable, example, *words], cwd=folder, timeout=600)
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 @pytest.mark.parametrize(
     "example",
-    [each for each in EXAMPLES if each.stem not in ("06_aggregation", "07_baton")],  # which run below
+    [
+        example for example in EXAMPLES if example.stem not in ("06_aggregation", "07_baton")
+    ],  # which run below
     ids=lambda path: path.stem,
 )
 def test_an_example_runs_on_a_twin_in_its_own_process(example: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What each command does to the board, as transcripts written from the manual's facts."""
+"""Effects of each command on the board, as transcripts written from the manual's facts."""
 
 import pytest
 from hypothesis import given
@@ -151,7 +151,7 @@ def test_rubbish_is_answered_line_by_line_in_plain_ascii(chunks: list[bytes]) ->
 
 
 @pytest.mark.parametrize(
-    ("rom", "mode", "baud", "told"),
+    ("rom", "mode", "baud", "remedy"),
     [
         ("5.02", 1, 38400, "for 38400 baud: serve --mode 3, or khep://...?mode=3"),
         ("5.02", 3, 9600, "for 9600 baud: serve --mode 1, or khep://...?mode=1"),
@@ -167,9 +167,9 @@ def test_rubbish_is_answered_line_by_line_in_plain_ascii(chunks: list[bytes]) ->
     ],
 )
 def test_the_remedy_for_another_speed_is_the_mode_that_has_it(
-    rom: str, mode: int, baud: int, told: str
+    rom: str, mode: int, baud: int, remedy: str
 ) -> None:
-    assert Firmware(ROMS[rom], mode).remedy(baud) == told
+    assert Firmware(ROMS[rom], mode).remedy(baud) == remedy
 
 
 def test_the_remedy_for_a_speed_that_the_tool_serial_has_left_is_a_restart() -> None:

@@ -53,9 +53,9 @@ NAMES_OF_PACKAGES = {PACKAGE / "__init__.py", PACKAGE / "lab" / "__init__.py"}
 
 
 def modules() -> list[Path]:
-    """All that the package imports: templates, in assets, are programs of their users."""
-    found = (path for path in PACKAGE.rglob("*.py") if PACKAGE / "assets" not in path.parents)
-    return sorted(path for path in found if path not in NAMES_OF_PACKAGES)
+    """Return all modules of the package, without the templates in assets, which are programs of users."""
+    paths = (path for path in PACKAGE.rglob("*.py") if PACKAGE / "assets" not in path.parents)
+    return sorted(path for path in paths if path not in NAMES_OF_PACKAGES)
 
 
 def part_of(name: str) -> str:
@@ -80,7 +80,7 @@ def name_of(path: Path) -> str:
     return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
 
 
-def imported_modules(path: Path, known: Container[str]) -> set[str]:
+def imported_modules(path: Path, known_modules: Container[str]) -> set[str]:
     """Return the modules that a module imports, or whose names it does, also those for its types alone."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
@@ -88,8 +88,8 @@ def imported_modules(path: Path, known: Container[str]) -> set[str]:
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
             members = [f"{node.module}.{alias.name}" for alias in node.names]
-            names.update(member if member in known else node.module for member in members)
-    return {name for name in names if name in known}
+            names.update(member if member in known_modules else node.module for member in members)
+    return {name for name in names if name in known_modules}
 
 
 def place_of(part: str) -> int:
@@ -98,13 +98,13 @@ def place_of(part: str) -> int:
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_a_module_imports_only_from_packages_before_its_own(path: Path) -> None:
-    own = part_of(".".join(path.relative_to(PACKAGE).with_suffix("").parts))
+    own_part = part_of(".".join(path.relative_to(PACKAGE).with_suffix("").parts))
     for name in imports_of(path):
         package, _, rest = name.partition(".")
         if package != "khep_twin" or rest in ("", "__version__"):
             continue
         part = part_of(rest)
-        assert part == own or place_of(part) < place_of(own), f"{path.name} imports {name}"
+        assert part == own_part or place_of(part) < place_of(own_part), f"{path.name} imports {name}"
 
 
 def test_no_module_imports_itself_by_way_of_others_not_even_for_its_types() -> None:

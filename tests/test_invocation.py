@@ -53,6 +53,6 @@ def test_another_installation_on_the_path_is_not_taken_for_this_one(
 
 def test_what_is_pasted_into_a_shell_arrives_as_it_was(environment: Path) -> None:
     words = ["view", "b\udcfcse % \\n.mcap", "my log.mcap", "größe.mcap", "it's $HOME.mcap", "a;b", "a\tb"]
-    shown = subprocess.run(["sh", "-c", command(*words)], capture_output=True, check=True)
-    assert os.fsdecode(shown.stdout).splitlines() == words
+    process = subprocess.run(["sh", "-c", command(*words)], capture_output=True, check=True)
+    assert os.fsdecode(process.stdout).splitlines() == words
     assert command(*words).isprintable() or "\t" in words[-1]

@@ -1,4 +1,4 @@
-"""docs/lessons: a learner who does what the lessons say, in an empty folder, sees what they show."""
+"""docs/lessons: the lessons, followed in an empty folder, have the results that they show."""
 
 import os
 import re
@@ -63,19 +63,19 @@ def test_a_teacher_who_follows_the_page_of_challenges_sees_what_it_shows(tmp_pat
     lesson = tutorial.blocks(LESSONS[0].read_text())
     (stop,) = [block.text for block in lesson if block.file]
     (tmp_path / "stop.py").write_text(stop)
-    shown = ""
+    output = ""
     for block in tutorial.blocks(page):
         if block.file:
             (tmp_path / block.file).write_text(block.text)
         elif block.language == "text":
-            assert shown == block.text
+            assert output == block.text
         else:
             shell = ["sh", "-ec"] if block.language == "sh" else [sys.executable, "-c"]
-            done = subprocess.run(
+            process = subprocess.run(
                 [*shell, block.text], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True
             )
-            assert done.returncode == 0, done.stderr
-            shown = done.stdout
+            assert process.returncode == 0, process.stderr
+            output = process.stdout
     assert khep_twin("challenge", "show", tmp_path / "mine.toml").returncode == 0
 
 

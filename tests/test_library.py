@@ -1,4 +1,4 @@
-"""The shipped playpens: each runs the Braitenberg controller for a while, and says what it is."""
+"""The shipped playpens: each runs the Braitenberg controller for a while, and has a description."""
 
 import pytest
 from shares import share

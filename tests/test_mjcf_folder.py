@@ -28,5 +28,5 @@ def test_the_list_has_every_playpen_and_nothing_else_lies_there() -> None:
     names = playpen.names()
     listed = (FOLDER / "README.md").read_text(encoding="utf-8")
     assert all(f"[{name}]({name}.xml)" in listed for name in names)
-    there = {each.name for each in FOLDER.iterdir()}
-    assert there == {"README.md", *(f"{name}{end}" for name in names for end in (".xml", ".png"))}
+    file_names = {path.name for path in FOLDER.iterdir()}
+    assert file_names == {"README.md", *(f"{name}{end}" for name in names for end in (".xml", ".png"))}

@@ -50,9 +50,11 @@ def test_a_notebook_is_kept_without_outputs(path: Path) -> None:
 @pytest.mark.parametrize("ended", NOTEBOOKS[:1], ids=["01_first_drive"], indirect=True)
 def test_the_first_drive_shows_the_twin_and_both_controllers(ended: nbformat.NotebookNode) -> None:
     pytest.importorskip("rerun_notebook", reason="rerun-notebook, the extra [notebook], is not installed")
-    widgets = [each for each in outputs(ended) if WIDGET in each.get("data", {})]
-    assert any("rerun_notebook" in each.data["text/plain"] for each in widgets)
-    shares = [float(each.data["text/plain"]) for each in outputs(ended) if _is_share(each)]
+    widgets = [cell_output for cell_output in outputs(ended) if WIDGET in cell_output.get("data", {})]
+    assert any("rerun_notebook" in cell_output.data["text/plain"] for cell_output in widgets)
+    shares = [
+        float(cell_output.data["text/plain"]) for cell_output in outputs(ended) if _is_share(cell_output)
+    ]
     assert len(shares) == 2
     assert all(0 <= share < 0.5 for share in shares)
 
@@ -60,23 +62,23 @@ def test_the_first_drive_shows_the_twin_and_both_controllers(ended: nbformat.Not
 @pytest.mark.long
 @pytest.mark.parametrize("ended", NOTEBOOKS[1:2], ids=["02_sensor_model"], indirect=True)
 def test_the_sensor_model_has_its_curve_and_threshold(ended: nbformat.NotebookNode) -> None:
-    said = "".join(each.get("text", "") for each in outputs(ended))
-    found = re.search(r"sd (\d+) counts .*\n300 counts at (\d+) mm", said)
-    assert found is not None, said
-    assert 5 < int(found[1]) < 40
-    assert 20 < int(found[2]) < 30
-    assert any("image/png" in each.get("data", {}) for each in outputs(ended))
+    text = "".join(cell_output.get("text", "") for cell_output in outputs(ended))
+    match = re.search(r"sd (\d+) counts .*\n300 counts at (\d+) mm", text)
+    assert match is not None, text
+    assert 5 < int(match[1]) < 40
+    assert 20 < int(match[2]) < 30
+    assert any("image/png" in cell_output.get("data", {}) for cell_output in outputs(ended))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("ended", NOTEBOOKS[2:], ids=["03_evolve"], indirect=True)
 def test_the_evolved_network_drives_in_mujoco_as_in_the_plane(ended: nbformat.NotebookNode) -> None:
-    said = "".join(each.get("text", "") for each in outputs(ended))
-    found = re.search(r"fitness (\S+) in the plane, (\S+) in MuJoCo", said)
-    assert found is not None, said
-    assert float(found[1]) > 0.1
-    assert abs(float(found[1]) - float(found[2])) < 0.1
-    assert sum("image/png" in each.get("data", {}) for each in outputs(ended)) == 2
+    text = "".join(cell_output.get("text", "") for cell_output in outputs(ended))
+    match = re.search(r"fitness (\S+) in the plane, (\S+) in MuJoCo", text)
+    assert match is not None, text
+    assert float(match[1]) > 0.1
+    assert abs(float(match[1]) - float(match[2])) < 0.1
+    assert sum("image/png" in cell_output.get("data", {}) for cell_output in outputs(ended)) == 2
 
 
 def _is_share(output: nbformat.NotebookNode) -> bool:

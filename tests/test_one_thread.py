@@ -24,18 +24,18 @@ SPEEDS = np.full(2, 0.5, np.float32)
 
 def error_elsewhere(call: Callable[[], object]) -> str:
     """Return the error of a call in another thread; empty if there is none."""
-    told: list[str] = [""]
+    messages: list[str] = [""]
 
     def run() -> None:
         try:
             call()
         except RuntimeError as error:
-            told[0] = str(error)
+            messages[0] = str(error)
 
     thread = threading.Thread(target=run)
     thread.start()
     thread.join()
-    return told[0]
+    return messages[0]
 
 
 class Intruder:
@@ -165,8 +165,10 @@ def test_a_port_is_used_by_one_thread_at_a_time() -> None:
         intruder.calls = list(uses.values())
         port.write(b"O\n")
         assert port.readline().startswith(b"o,")
-        told = [f"{name.replace('readline', 'read')}: another thread is inside this Serial" for name in uses]
-        assert [error.split(";")[0] for error in intruder.errors] == told
+        messages = [
+            f"{name.replace('readline', 'read')}: another thread is inside this Serial" for name in uses
+        ]
+        assert [error.split(";")[0] for error in intruder.errors] == messages
         # Between two calls it may pass to another thread.
         assert error_elsewhere(lambda: port.write(b"B\n")) == ""
         assert port.readline() == b"b,5.02,5.01\r\n"

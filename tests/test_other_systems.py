@@ -1,4 +1,4 @@
-"""Systems without pseudo-terminals, inotify and Unix's locks: what needs none of them runs there."""
+"""Systems without pseudo-terminals, inotify and Unix's locks: all code that needs none of them runs."""
 
 import subprocess
 import sys
@@ -54,7 +54,7 @@ def served(*arguments: str) -> Iterator[str]:
 
 
 def test_every_module_but_those_of_terminals_is_imported() -> None:
-    done = run(
+    process = run(
         "import pkgutil, khep_twin\n"
         "names = [each.name for each in pkgutil.walk_packages(khep_twin.__path__, 'khep_twin.')]\n"
         f"for name in sorted(set(names) - {ALONE!r}):\n"
@@ -63,13 +63,13 @@ def test_every_module_but_those_of_terminals_is_imported() -> None:
         "        __import__(name)\n"
         "print(len(names))"
     )
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 200
+    assert process.returncode == 0, process.stderr
+    assert int(process.stdout) > 200
 
 
 def test_a_twin_is_driven_in_lock_step_and_its_log_is_read_recovered_and_repeated(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    done = run(
+    process = run(
         "from pathlib import Path\n"
         "from khep_twin.host import Khepera\n"
         "from khep_twin.lab.experiment.repeat import repeat\n"
@@ -86,8 +86,8 @@ def test_a_twin_is_driven_in_lock_step_and_its_log_is_read_recovered_and_repeate
         "print(recover(part).path.name, len(read_log(log).robots), repeat(read_recorded(log)))",
         str(log),
     )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[1] == "run.recovered.mcap 1 None"
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.splitlines()[1] == "run.recovered.mcap 1 None"
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
@@ -102,16 +102,16 @@ def test_hosts_on_the_network_are_served(kind: str) -> None:
 
 
 def test_a_terminal_is_refused_in_one_line_that_names_the_network() -> None:
-    done = run(COMMAND, "serve", "default")
-    assert done.returncode == 1
-    assert done.stderr.splitlines()[-1].endswith("or --rfc2217 127.0.0.1:5000")
-    assert "no pseudo-terminals; expected --tcp 127.0.0.1:5000" in done.stderr
-    assert "Traceback" not in done.stderr
+    process = run(COMMAND, "serve", "default")
+    assert process.returncode == 1
+    assert process.stderr.splitlines()[-1].endswith("or --rfc2217 127.0.0.1:5000")
+    assert "no pseudo-terminals; expected --tcp 127.0.0.1:5000" in process.stderr
+    assert "Traceback" not in process.stderr
 
 
 def test_the_page_offers_a_network_port_for_its_robot() -> None:
-    done = run("from khep_twin.ports.endpoints import open_any_port\nprint(open_any_port(9600).path)")
-    assert done.stdout.startswith("socket://127.0.0.1:"), done.stderr
+    process = run("from khep_twin.ports.endpoints import open_any_port\nprint(open_any_port(9600).path)")
+    assert process.stdout.startswith("socket://127.0.0.1:"), process.stderr
 
 
 @pytest.mark.parametrize(
@@ -126,8 +126,10 @@ def test_a_command_without_its_package_names_what_installs_it(
 ) -> None:
     program = f"import runpy, sys\nsys.modules[{package!r}] = None\n{COMMAND}"
     command = [sys.executable, "-c", program, *words]
-    done = run_python(command, timeout=300, cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stderr.startswith(f"khep-twin: {package} is not installed; to install it: "), done.stderr
-    assert f"pip install '{package}<" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    process = run_python(command, timeout=300, cwd=tmp_path)
+    assert process.returncode == 1
+    assert process.stderr.startswith(f"khep-twin: {package} is not installed; to install it: "), (
+        process.stderr
+    )
+    assert f"pip install '{package}<" in process.stderr
+    assert len(process.stderr.splitlines()) == 1

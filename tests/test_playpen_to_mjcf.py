@@ -1,4 +1,4 @@
-"""From a playpen to a scene."""
+"""Conversion of a playpen to a scene."""
 
 import math
 from pathlib import Path
@@ -43,9 +43,9 @@ def test_wheels_and_supports_arrive_in_the_model(robot: mujoco.MjModel) -> None:
         rim = robot.geom(f"{side}_rim").size
         assert (rim[0], 2 * rim[1]) == pytest.approx((units.WHEEL_RADIUS, units.WHEEL_WIDTH))
         assert robot.geom(f"{side}_rim").pos == pytest.approx(wheel.pos)
-        around = units.WHEEL_MASS * units.WHEEL_RADIUS**2 / 2
-        across = around / 2 + units.WHEEL_MASS * units.WHEEL_WIDTH**2 / 12
-        assert wheel.inertia == pytest.approx((across, across, around), rel=1e-5)
+        axle_inertia = units.WHEEL_MASS * units.WHEEL_RADIUS**2 / 2
+        across = axle_inertia / 2 + units.WHEEL_MASS * units.WHEEL_WIDTH**2 / 12
+        assert wheel.inertia == pytest.approx((across, across, axle_inertia), rel=1e-5)
         assert robot.dof_armature[robot.joint(f"{side}_axle").dofadr[0]] == pytest.approx(units.ROTOR_INERTIA)
     front, back = robot.geom("front_support"), robot.geom("back_support")
     assert front.pos[0] == pytest.approx(units.SUPPORT_POSITION)
@@ -224,16 +224,16 @@ def test_a_khepera_2_has_its_own_body_and_senses() -> None:
         'version = 1\nname = "two"\n[arena]\nwidth_mm = 600\nheight_mm = 400\n'
         '[[robot]]\nmodel = "khepera2"\nx_mm = 300\ny_mm = 200\nheading_deg = 0\n'
     )
-    found = playpen.parse(text, "two")
-    assert (found.robots[0].calibration, found.robots[0].rom) == ("khepera2", "khepera2")
-    model = to_spec(found).compile()
+    two_robots = playpen.parse(text, "two")
+    assert (two_robots.robots[0].calibration, two_robots.robots[0].rom) == ("khepera2", "khepera2")
+    model = to_spec(two_robots).compile()
     assert model.geom_size[model.geom("khepera0/shell").id][0] == 0.035
     assert model.body_mass[1:].sum() == pytest.approx(0.080)
     inertia = model.body_inertia[model.body("khepera0/base").id]
     np.testing.assert_allclose(sorted(inertia), [2.745e-05, 2.745e-05, 4.41e-05], rtol=0.01)
     wheels = [model.body(f"khepera0/{side}_wheel").pos[1] for side in ("left", "right")]
     assert wheels == [0.0275, -0.0275]
-    world = World(found, noise=False)
+    world = World(two_robots, noise=False)
     world.robots[0].send(b"D,10,10\n")
     world.advance_to(2_000_000_000)
     x, y, _ = world.robots[0].pose

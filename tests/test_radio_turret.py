@@ -1,4 +1,4 @@
-"""Radios in a world: what hosts send and read over their serial lines, and what a run is when repeated."""
+"""Radios in a world: messages of hosts over their serial lines, and repeated runs."""
 
 from pathlib import Path
 
@@ -47,9 +47,9 @@ def test_two_hosts_talk_to_each_other() -> None:
 
     def second(robot: Khepera) -> list[object]:
         radio = Radio(robot)
-        heard = radio.wait_for_message()
+        message = radio.wait_for_message()
         radio.broadcast(bytes(range(240, 256)))
-        return [heard, radio.wait_until_sent(), radio.status()]
+        return [message, radio.wait_until_sent(), radio.status()]
 
     outcomes = run_together(PAIR, [first, second], TwinOptions(seed=1))
     assert outcomes[0] == [True, RadioMessage(2, bytes(range(240, 256))), None, RadioStatus.READY]
@@ -83,13 +83,13 @@ def test_a_robot_without_a_radio_is_an_error() -> None:
 
 def test_a_robot_that_drives_away_is_out_of_range() -> None:
     world = World(playpen_with_radios([(200, 250), (400, 250)], "[radio]\nrange_mm = 205\n"))
-    heard = []
+    messages = []
     for x in (0.400, 0.404, 0.406, 0.404):
         move_robot.place_robot(world, 1, x * 1000, 250, 0)
         world.robots[0].send(line(2, b"?"))
         world.advance_to(world.time_ns + 600 * MS)
-        heard.append(register(world, 1, RadioRegister.RECEIVED))
-    assert heard == [1, 2, 2, 3]
+        messages.append(register(world, 1, RadioRegister.RECEIVED))
+    assert messages == [1, 2, 2, 3]
 
 
 def test_a_message_takes_its_time_in_the_air() -> None:
@@ -120,17 +120,17 @@ def talk(world: World, until_ms: int) -> None:
 def test_a_world_goes_on_bit_for_bit_from_a_snapshot_with_a_message_in_the_air(compiled: bool) -> None:
     world = World(LOSSY, seed=4, compiled=compiled)
     talk(world, 1000)
-    taken = world.snapshot()
+    snapshot = world.snapshot()
     phases = {register(world, robot, RadioRegister.PHASE) for robot in range(3)}
     assert RadioPhase.IN_AIR in phases
     talk(world, 3000)
     outcome = world.snapshot()
     assert sum(register(world, robot, RadioRegister.RECEIVED) for robot in range(3)) > 3
     other = World(LOSSY, seed=4, compiled=not compiled)
-    for each in (other, world):
-        each.restore(taken)
-        talk(each, 3000)
-        assert each.snapshot() == outcome
+    for restored in (other, world):
+        restored.restore(snapshot)
+        talk(restored, 3000)
+        assert restored.snapshot() == outcome
 
 
 def test_another_seed_loses_other_messages() -> None:
@@ -143,16 +143,16 @@ def test_another_seed_loses_other_messages() -> None:
 
 def test_a_log_of_three_robots_repeats(tmp_path: Path) -> None:
     def chatter(robot: Khepera) -> int:
-        radio, heard = Radio(robot), 0
+        radio, n_received = Radio(robot), 0
         for number in range(8):
             radio.broadcast(bytes([number]))
             radio.wait_until_sent()
-            heard += radio.receive() is not None
-        return heard
+            n_received += radio.receive() is not None
+        return n_received
 
     path = tmp_path / "run.mcap"
-    heard = run_together(LOSSY, [chatter] * 3, TwinOptions(seed=2, log=str(path)))
-    assert min(heard) > 0
+    received_counts = run_together(LOSSY, [chatter] * 3, TwinOptions(seed=2, log=str(path)))
+    assert min(received_counts) > 0
     assert repeat(read_recorded_run(path)) is None
 
 

@@ -1,4 +1,4 @@
-"""What the README shows works as it stands."""
+"""The README: its commands and programs run as they stand."""
 
 import re
 from pathlib import Path
@@ -55,11 +55,14 @@ def test_the_two_commands_are_the_makefiles() -> None:
 def test_the_picture_is_the_one_that_make_run_leaves(tmp_path: Path) -> None:
     if not tutorial.same_numbers():
         pytest.skip(f"another machine than the picture's; here it is {tutorial.made_with()}")
-    done = CliRunner().invoke(app, tutorial.make_run(tmp_path))
-    assert done.exit_code == 0, done.output
-    with Image.open(tmp_path / "run.png") as made, Image.open(tutorial.PICTURES / "run.png") as shown:
-        assert made.size == shown.size
-        pixels = [np.asarray(picture.convert("RGB"), np.int16) for picture in (made, shown)]
+    result = CliRunner().invoke(app, tutorial.make_run(tmp_path))
+    assert result.exit_code == 0, result.output
+    with (
+        Image.open(tmp_path / "run.png") as new_image,
+        Image.open(tutorial.PICTURES / "run.png") as page_image,
+    ):
+        assert new_image.size == page_image.size
+        pixels = [np.asarray(picture.convert("RGB"), np.int16) for picture in (new_image, page_image)]
     other = np.abs(pixels[0] - pixels[1]).max(axis=2) > 40
     # A tenth of the way, two lines wide, are some 800 pixels.
     assert other.sum() < 100, "another path than the README's picture shows; `tools tutorial` draws it anew"

@@ -1,4 +1,4 @@
-"""The reference has every public thing, from its docstring, in pages that need no network."""
+"""The reference has every public name with its docstring, in pages that need no network."""
 
 import os
 import re
@@ -23,18 +23,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reference")
     command = [sys.executable, "-W", "error", "-m", "tools", "reference", str(folder)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT, check=False)
+    assert process.returncode == 0, process.stderr
     return folder
 
 
-def shown(page: Path) -> str:
+def visible_text(page: Path) -> str:
     """The text of a page."""
     return unescape(re.sub(r"<[^>]+>", "", page.read_text()))
 
 
 def test_a_page_has_methods_with_their_units_and_arguments(folder: Path) -> None:
-    page = shown(folder / "khep_twin" / "host.html")
+    page = visible_text(folder / "khep_twin" / "host.html")
     assert "Drive the wheels at these speeds [pulses/10 ms = 8 mm/s]" in page
     assert re.search(r"wheel_base:\s+Distance of the wheels", page)
 
@@ -59,9 +59,9 @@ def test_what_programs_use_has_a_place(folder: Path, module: str, name: str) -> 
 def test_the_names_of_the_front_door_come_first(folder: Path) -> None:
     assert "url=./khep_twin.html" in (folder / "index.html").read_text()
     page = (folder / "khep_twin.html").read_text()
-    given = [name for name in khep_twin.__all__ if isinstance(getattr(khep_twin, name), type | FunctionType)]
-    assert len(given) > 25
-    assert not [name for name in given if f'id="{name}"' not in page]
+    names = [name for name in khep_twin.__all__ if isinstance(getattr(khep_twin, name), type | FunctionType)]
+    assert len(names) > 25
+    assert not [name for name in names if f'id="{name}"' not in page]
 
 
 def test_the_pages_need_no_network(folder: Path) -> None:

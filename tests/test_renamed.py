@@ -15,6 +15,8 @@ def describe(kind: str = "none") -> str:
 @renamed_arguments(what="kind")
 @dataclass(frozen=True)
 class Port:
+    """A class with a renamed field."""
+
     kind: str
     what = renamed_attribute("what", "kind")
 

@@ -1,4 +1,4 @@
-"""docs/security.md: the tests that it names exist, and nothing listens but what it lists."""
+"""docs/security.md: its tests exist, and only the listed parts listen."""
 
 import ast
 import re
@@ -34,12 +34,12 @@ LISTENERS, STATEMENTS = (
 @cache
 def calls(path: Path) -> set[str]:
     """Names of the functions and methods that a file calls, or gives to one that may call them."""
-    found = [each for each in ast.walk(ast.parse(path.read_text())) if isinstance(each, ast.Call)]
-    called = [name for each in found for name in (each.func, *each.args)]
+    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    called = [name for call in calls for name in (call.func, *call.args)]
     return {
-        each.attr if isinstance(each, ast.Attribute) else each.id
-        for each in called
-        if isinstance(each, ast.Attribute | ast.Name)
+        name_node.attr if isinstance(name_node, ast.Attribute) else name_node.id
+        for name_node in called
+        if isinstance(name_node, ast.Attribute | ast.Name)
     }
 
 
@@ -53,7 +53,9 @@ def test_every_test_that_the_page_names_is_there() -> None:
     assert len(named) > 40
     for file, name in named:
         tree = ast.parse((ROOT / file).read_text())
-        assert name in {each.name for each in tree.body if isinstance(each, ast.FunctionDef)}, (file, name)
+        assert name in {
+            statement.name for statement in tree.body if isinstance(statement, ast.FunctionDef)
+        }, (file, name)
 
 
 def test_every_statement_has_a_test() -> None:
@@ -64,16 +66,16 @@ def test_every_statement_has_a_test() -> None:
 
 
 def test_nothing_listens_but_what_the_page_lists() -> None:
-    found = users("create_server", "bind", "openpty", "start_server", "serve_web", "serve_grpc")
-    found |= {str(path.relative_to(ROOT)) for path in SOURCES if '"--bind"' in path.read_text()}
-    found |= {str(path.relative_to(ROOT)) for path in SOURCES if "ray.init(" in path.read_text()}
-    assert found == set(re.findall(r"`(khep_twin/[\w/]+\.py)`", "".join(map(str, LISTENERS))))
+    listeners = users("create_server", "bind", "openpty", "start_server", "serve_web", "serve_grpc")
+    listeners |= {str(path.relative_to(ROOT)) for path in SOURCES if '"--bind"' in path.read_text()}
+    listeners |= {str(path.relative_to(ROOT)) for path in SOURCES if "ray.init(" in path.read_text()}
+    assert listeners == set(re.findall(r"`(khep_twin/[\w/]+\.py)`", "".join(map(str, LISTENERS))))
 
 
 def test_code_comes_from_where_the_page_says_alone() -> None:
-    found = users("exec", "eval", "exec_module", "import_module", "entry_points")
+    executors = users("exec", "eval", "exec_module", "import_module", "entry_points")
     part = PAGE.split("## Trusted")[1].split("\n## ")[0]
-    assert found == set(re.findall(r"`(khep_twin/[\w/]+\.py)`", part))
+    assert executors == set(re.findall(r"`(khep_twin/[\w/]+\.py)`", part))
 
 
 def test_nothing_is_unpickled() -> None:
@@ -88,7 +90,7 @@ def test_every_address_that_is_given_by_default_is_of_this_machine_alone() -> No
     assert is_loopback(LOCALHOST)
     assert is_loopback(LOOPBACK)
     assert design.__defaults__ is not None
-    listen = [each for each in design.__defaults__ if isinstance(each, str) and ":" in each]
+    listen = [default for default in design.__defaults__ if isinstance(default, str) and ":" in default]
     assert listen == ["127.0.0.1:0"]
     assert is_loopback(parse_address(":5000")[0])
 
@@ -96,9 +98,9 @@ def test_every_address_that_is_given_by_default_is_of_this_machine_alone() -> No
 @pytest.mark.parametrize("option", ["tcp", "rfc2217"])
 @pytest.mark.parametrize("address", ["0.0.0.0:0", "[::]:0", "10.0.0.1:5000", "robot.example:5000"])
 def test_a_served_robot_is_for_other_machines_only_where_that_is_asked_for(option: str, address: str) -> None:
-    given: dict[str, str | None] = {"tcp": None, "rfc2217": None, option: address}
+    addresses: dict[str, str | None] = {"tcp": None, "rfc2217": None, option: address}
     endpoints = open_endpoints(
-        {0: 9600}, link=None, tcp=given["tcp"], rfc2217=given["rfc2217"], allow_remote=False
+        {0: 9600}, link=None, tcp=addresses["tcp"], rfc2217=addresses["rfc2217"], allow_remote=False
     )
     with pytest.raises(PortError, match="--allow-remote"), endpoints:
         pass

@@ -23,7 +23,7 @@ def scene(*tables: str, x_mm: float = 300, y_mm: float = 250, heading_deg: float
 
 
 def counts(text: str, registers: list[int]) -> np.ndarray:
-    """What a quiet robot that stands still reads."""
+    """Return the readings of a robot at rest without noise."""
     return World(playpen.parse(text, "scene"), noise=False).robots[0].registers[registers]
 
 
@@ -41,10 +41,10 @@ def test_a_robot_never_sees_its_own_wheels(tmp_path: Path, radius_mm: float, bas
     path = tmp_path / "wide.toml"
     path.write_text(dump(sides.model_copy(update={"wheels": wheels})))
     text = scene(*lamps, x_mm=500, y_mm=500).replace("[[robot]]", f'[[robot]]\ncalibration = "{path}"')
-    found = counts(text, [*PROXIMITY, *AMBIENT])
-    assert found[:8].tolist() == [0] * 8
+    readings = counts(text, [*PROXIMITY, *AMBIENT])
+    assert readings[:8].tolist() == [0] * 8
     # Nor do they stand in the light.
-    assert found[8:].tolist() == counts(scene(*lamps, x_mm=500, y_mm=500), AMBIENT).tolist()
+    assert readings[8:].tolist() == counts(scene(*lamps, x_mm=500, y_mm=500), AMBIENT).tolist()
 
 
 # Distance at half scale of each sensor before a wall, as derived from the samples [mm].
@@ -55,10 +55,10 @@ HALF_SCALE_MM = [23.8, 23.8, 22.5, 19.3, 25.2, 27.6, 22.5, 26.9]
 @pytest.mark.parametrize("sensor", range(8))
 def test_half_scale_before_a_wall_is_where_the_sampled_robot_has_it(sensor: int, off_deg: int) -> None:
     # Taken at the bearing where the sensor sees the wall best, which is about its own.
-    ahead, offs = round(KHEPERA1.heading_deg[sensor]), range(-off_deg, off_deg + 1, 6)
+    heading, offs = round(KHEPERA1.heading_deg[sensor]), range(-off_deg, off_deg + 1, 6)
 
     def best(distance_mm: float) -> int:
-        return max(facing_wall(distance_mm, (ahead + off) % 360)[sensor] for off in offs)
+        return max(facing_wall(distance_mm, (heading + off) % 360)[sensor] for off in offs)
 
     half_mm = HALF_SCALE_MM[sensor]
     assert best(half_mm + 2.5) < 511 < best(half_mm - 2.5)
@@ -91,14 +91,14 @@ def pair(calibrated: str, x_mm: float, y_mm: float) -> np.ndarray:
 
 def test_a_khepera_ii_reads_another_one_as_the_manufacturers_report_has_it() -> None:
     # 10 mm from the faces of the front sensors, and of the right one, to the other's shell.
-    ahead, tangential = (pair("khepera2-manual", *at) for at in ((30 + 10 + 35, 0), (0, -26.6 - 10 - 35)))
-    assert ahead[1:5].tolist() == pytest.approx([105, 223, 271, 102], abs=22)
+    frontal, tangential = (pair("khepera2-manual", *at) for at in ((30 + 10 + 35, 0), (0, -26.6 - 10 - 35)))
+    assert frontal[1:5].tolist() == pytest.approx([105, 223, 271, 102], abs=22)
     assert tangential[5] == pytest.approx(274, abs=12)
 
 
 def test_with_the_default_calibration_robots_see_each_other_just_before_they_touch() -> None:
-    found = [pair("khepera1", 2 * BODY_RADIUS * 1e3 + gap_mm, 0)[[2, 3]].tolist() for gap_mm in (4, 7, 12)]
-    assert found == [[1023, 501], [348, 11], [0, 0]]
+    pairs = [pair("khepera1", 2 * BODY_RADIUS * 1e3 + gap_mm, 0)[[2, 3]].tolist() for gap_mm in (4, 7, 12)]
+    assert pairs == [[1023, 501], [348, 11], [0, 0]]
 
 
 def block_ahead(height_mm: float) -> str:
@@ -114,13 +114,13 @@ def test_a_rod_of_4_mm_moved_sideways_changes_proximity_smoothly(calibrated: str
     rod = f"[[cylinder]]\nx_mm = {300 + 27.5 + gap_mm + 2}\ny_mm = 250\nradius_mm = 2\nheight_mm = 50\n"
     text = scene(rod).replace("[[robot]]", f'[[robot]]\ncalibration = "{calibrated}"')
     world = World(playpen.parse(text, "scene"), noise=False)
-    robot, found = world.robots[0], []
+    robot, scans = world.robots[0], []
     for aside_mm in np.arange(-10, 10, 0.05).tolist():
         # The robot passes the rod, which is the same.
         world.data.qpos[robot.indices.pose + 1] = 0.25 + aside_mm / 1e3
         world.scan()
-        found.append(robot.registers[PROXIMITY][:6])
-    read = np.array(found)
+        scans.append(robot.registers[PROXIMITY][:6])
+    read = np.array(scans)
     assert np.abs(np.diff(read, axis=0)).max() <= 20  # of a noise of 22
     # No kinks either, where a reading is not clipped: steps change by 1 count at most, which is rounding.
     free = (read > 5) & (read < 1023)
@@ -135,10 +135,10 @@ def test_lower_things_are_read_the_weaker_the_lower_they_are() -> None:
         scene(block_ahead(height)).replace("[[robot]]", '[[robot]]\ncalibration = "khepera2-manual"')
         for height in heights
     ]
-    found = [counts(each, PROXIMITY)[2] for each in text]
+    right_counts = [counts(scene_text, PROXIMITY)[2] for scene_text in text]
     empty = counts(scene().replace("[[robot]]", '[[robot]]\ncalibration = "khepera2-manual"'), PROXIMITY)[2]
-    assert found == sorted(found)
-    assert found[0] - empty < 30 < found[1] - empty < (found[-1] - empty) / 4
+    assert right_counts == sorted(right_counts)
+    assert right_counts[0] - empty < 30 < right_counts[1] - empty < (right_counts[-1] - empty) / 4
 
 
 def test_paint_on_the_floor_is_not_seen() -> None:
@@ -218,12 +218,12 @@ def test_bright_light_takes_from_proximity_what_is_left_of_the_converters_range(
 def test_a_khepera_2_never_reads_0_with_noise_in_the_dark_and_in_bright_light(lamp: str) -> None:
     text = scene(lamp, x_mm=500, y_mm=500).replace("[[robot]]", '[[robot]]\nmodel = "khepera2"')
     world = World(playpen.parse(text, "scene"), seed=1)
-    seen: list[int] = []
+    history: list[int] = []
     for scan in range(200):
         world.advance_to((scan + 1) * 20_000_000)
-        seen += world.robots[0].registers[PROXIMITY].tolist()
+        history += world.robots[0].registers[PROXIMITY].tolist()
     # In bright light nothing is left but the lowest step.
-    assert min(seen) == 4 if lamp else min(seen) > 4
+    assert min(history) == 4 if lamp else min(history) > 4
 
 
 def test_a_reading_is_as_old_as_the_sensors_turn_in_the_scan() -> None:
@@ -240,14 +240,14 @@ def test_a_reading_is_as_old_as_the_sensors_turn_in_the_scan() -> None:
         left_10.append(int(world.robots[0].registers[PROXIMITY][2]))
     # The scan comes to it, the third, in the third of eight steps, with the pose at the step's start.
     for turn in (2, 10):
-        there = facing_wall(1000 - BODY_RADIUS * 1000 - x_mm[turn])[2]
+        facing_counts = facing_wall(1000 - BODY_RADIUS * 1000 - x_mm[turn])[2]
         assert left_10[turn : turn + 8][: 16 - turn] == [left_10[turn]] * min(8, 16 - turn)
-        assert left_10[turn] == pytest.approx(there, abs=6)
+        assert left_10[turn] == pytest.approx(facing_counts, abs=6)
     assert left_10[10] > left_10[2] + 50
 
 
 def readings(text: str, registers: list[int], seconds: int = 30) -> np.ndarray:
-    """What a noisy robot that stands still reads, one row per scan."""
+    """Return the readings of a noisy robot at rest, one row per scan."""
     world = World(playpen.parse(text, "scene"), seed=1)
     rows = []
     while world.time_ns < seconds * 10**9:

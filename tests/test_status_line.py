@@ -65,7 +65,7 @@ def test_an_output_that_is_no_terminal_is_left_alone() -> None:
 def test_no_line_is_shown_where_another_program_may_print_on_the_terminal(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader, writer = os.pipe() if kind == "pipe" else (each.detach() for each in socket.socketpair())
+    reader, writer = os.pipe() if kind == "pipe" else (endpoint.detach() for endpoint in socket.socketpair())
     with at_a_terminal() as terminal, open(writer, "w") as piped, redirect_stdout(piped):
         with status_line() as line, announced("begun", lambda: "amid", lambda: "ended"):
             assert line is None
@@ -127,14 +127,14 @@ def test_a_relay_never_writes_onto_the_status_line_of_its_shadow(
     monkeypatch.setenv("TERM", "xterm")
 
     @contextmanager
-    def beside(words: Sequence[str], stop: object) -> Iterator[SimpleNamespace]:
+    def run_beside(words: Sequence[str], stop: object) -> Iterator[SimpleNamespace]:
         print("\r\033[K2.4 s  100, 200 mm +- 5, 0 degrees  no alarm", end="", file=sys.stderr)
         yield SimpleNamespace(listener=None, finish=lambda: 0)
 
     def relays(*_: object, **__: object) -> None:
         print_end(2_500_000_000, 0, LogOptions(), None)
 
-    monkeypatch.setattr(shadow_process, "run_shadow", beside)
+    monkeypatch.setattr(shadow_process, "run_shadow", run_beside)
     monkeypatch.setattr(shadow, "relay_robot", relays)
     with at_a_terminal() as terminal, (tmp_path / "out.txt").open("w") as file:
         with redirect_stdout(terminal if output == "terminal" else file):
@@ -176,18 +176,18 @@ def test_a_run_on_a_real_terminal_has_its_lines_to_themselves(
     pid, descriptor = pty.fork()
     if pid == 0:
         os.execv(sys.executable, [sys.executable, *words])
-    shown = bytearray()
+    screen = bytearray()
     try:
         while part := os.read(descriptor, 4096):
-            shown += part
+            screen += part
     except OSError:  # the terminal has gone with the program
         pass
     os.close(descriptor)
     assert os.waitpid(pid, 0)[1] == 0
     terminal = Terminal()
-    terminal.write(shown.decode().replace("\r\n", "\n"))
-    assert "running  [" in shown.decode()
-    own = "from the controller"
+    terminal.write(screen.decode().replace("\r\n", "\n"))
+    assert "running  [" in screen.decode()
+    controller_text = "from the controller"
     assert [re.sub(r"^run +(\d).*", r"run \1", line) for line in terminal.screen] == [
-        *(own, own, "run 1", own, own, "run 2", "")
+        *(controller_text, controller_text, "run 1", controller_text, controller_text, "run 2", "")
     ]

@@ -48,8 +48,8 @@ def test_a_contact_is_as_deep_as_the_robot_reaches_into_a_wall(thickness_mm: flo
         looked += 1
         data.qpos[start : start + 2] = x, y
         mujoco.mj_fwdPosition(model, data)
-        found = [contact.dist for contact in data.contact if shell in contact.geom]
-        assert -min(found) == pytest.approx(depth, abs=0.0001), (x, y)
+        depths = [contact.dist for contact in data.contact if shell in contact.geom]
+        assert -min(depths) == pytest.approx(depth, abs=0.0001), (x, y)
 
 
 WALLS = """

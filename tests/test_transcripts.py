@@ -1,4 +1,4 @@
-"""Golden transcripts: what is said on the line, word for word, on every kind of port."""
+"""Golden transcripts: the bytes on the line, word for word, on every kind of port."""
 
 import re
 import time
@@ -46,7 +46,7 @@ def behind_a_pty(url: str) -> Iterator[Any]:
 
 def play(transcript: Path, port: Any) -> None:
     wait = getattr(port, "sleep", time.sleep)
-    asked, until = b"", 0.0
+    request, deadline = b"", 0.0
     for number, line in enumerate(transcript.read_text().splitlines(), 1):
         kind, _, text = line.partition(" ")
         place = f"{transcript.name}, line {number}: {line}"
@@ -54,24 +54,24 @@ def play(transcript: Path, port: Any) -> None:
             case "#" | "":
                 pass
             case ">":
-                asked = text.encode() + b"\n"
-                port.write(asked)
+                request = text.encode() + b"\n"
+                port.write(request)
             case ">>":
                 port.write(text.encode().decode("unicode_escape").encode("latin-1"))
             case "<":
                 reply = port.read_until(b"\n")
                 pattern = re.escape(text).replace(r"\*", "[^,]*") + "\r\n"
                 # On a busy machine a served twin may be behind: what follows a wait is asked again.
-                while time.monotonic() < until and not re.fullmatch(pattern, reply.decode("ascii")):
-                    port.write(asked)
+                while time.monotonic() < deadline and not re.fullmatch(pattern, reply.decode("ascii")):
+                    port.write(request)
                     reply = port.read_until(b"\n")
                 assert re.fullmatch(pattern, reply.decode("ascii")), f"{place}: came {reply!r}"
                 if text.startswith("serial "):
                     port.baudrate = int(text.removeprefix("serial "))
-                until = 0.0
+                deadline = 0.0
             case "~":
                 wait(float(text))
-                until = time.monotonic() + 10.0 if wait is time.sleep else 0.0
+                deadline = time.monotonic() + 10.0 if wait is time.sleep else 0.0
             case ".":
                 before, port.timeout = port.timeout, float(text)
                 assert port.read(1) == b"", place
@@ -80,13 +80,13 @@ def play(transcript: Path, port: Any) -> None:
                 raise ValueError(place)
 
 
-CASES = [(in_process, each) for each in TRANSCRIPTS]
+CASES = [(in_process, transcript) for transcript in TRANSCRIPTS]
 
 
 @pytest.mark.parametrize(
     ("way_in", "transcript"),
-    CASES + share([(behind_a_pty, each) for each in TRANSCRIPTS], 2),
-    ids=lambda each: getattr(each, "stem", "") or each.__name__,
+    CASES + share([(behind_a_pty, transcript) for transcript in TRANSCRIPTS], 2),
+    ids=lambda parameter: getattr(parameter, "stem", "") or parameter.__name__,
 )
 def test_what_is_said_is_what_is_written(transcript: Path, way_in: Any) -> None:
     with way_in(url_of(transcript)) as port:

@@ -1,4 +1,4 @@
-"""docs/turrets.md: who follows it literally, in a copy of the tree, sees what the page shows."""
+"""docs/turrets.md: the page, followed literally in a copy of the tree, has the results that it shows."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ def test_the_package_on_the_page_works_and_the_turret_with_a_body_is_added_to_it
     follower = PageFollower(PAGE, tmp_path)
     for recipe in ("A turret of your own", "A turret with a body"):
         follower.follow(recipe)
-        assert follower.shown
+        assert follower.output
     python = [name for name in follower.touched if name.endswith(".py")]
     assert len(python) == 4
     follower.run(f".venv/bin/ruff check --ignore D103 {' '.join(python)}")

@@ -1,4 +1,4 @@
-"""docs/tutorial.md: a reader who does what it says sees what it says."""
+"""docs/tutorial.md: the tutorial, followed literally, has the results that it shows."""
 
 from pathlib import Path
 
@@ -25,8 +25,14 @@ def test_a_reader_who_follows_the_tutorial_sees_what_it_shows(
         for block in BLOCKS[1 : len(tutorial.blocks(part))]:  # the first one has brought the reader here
             person.follow(block)
     for name in set(pictures) - set(person.undrawn):
-        with Image.open(tmp_path / name) as made, Image.open(tutorial.PICTURES / f"tutorial_{name}") as shown:
-            assert shown.size == (tutorial.WIDTH, round(made.height * tutorial.WIDTH / made.width)), name
+        with (
+            Image.open(tmp_path / name) as new_image,
+            Image.open(tutorial.PICTURES / f"tutorial_{name}") as page_image,
+        ):
+            assert page_image.size == (
+                tutorial.WIDTH,
+                round(new_image.height * tutorial.WIDTH / new_image.width),
+            ), name
     if person.undrawn:
         pytest.skip(f"{', '.join(person.undrawn)}: not drawn, as there is no Vulkan here")
 

@@ -40,30 +40,30 @@ def run_with_duty(twin: Episode, duty: int, seconds: float) -> None:
 def forces(twin: Episode) -> dict[str, float]:
     """Normal forces of the robot's contacts [N]."""
     model, force = twin.world.model, np.zeros(6)
-    found = dict.fromkeys(("left_tyre", "right_tyre", "front_support", "back_support", "shell"), 0.0)
+    forces_by_geom = dict.fromkeys(("left_tyre", "right_tyre", "front_support", "back_support", "shell"), 0.0)
     for number, contact in enumerate(twin.data.contact):
         mujoco.mj_contactForce(model, twin.data, number, force)
         for geom in contact.geom.tolist():
             name = model.geom(geom).name.rpartition("/")[2]
-            if name in found:
-                found[name] += float(force[0])
-    return found
+            if name in forces_by_geom:
+                forces_by_geom[name] += float(force[0])
+    return forces_by_geom
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_the_wheels_carry_nearly_all_of_the_robot(model: str) -> None:
     twin = episode(model=model)
     twin.run(1.0)
-    body, found = units.BODIES[model], forces(twin)
+    body, contact_forces = units.BODIES[model], forces(twin)
     weight = body.mass * units.GRAVITY
     # Moments about the axle: the mass behind it stands on the back support.
     mass_behind = body.mass - 2 * units.WHEEL_MASS
     lever = units.CENTRE_OF_MASS_BEHIND * units.MASS / (units.MASS - 2 * units.WHEEL_MASS)
-    behind = mass_behind * units.GRAVITY * lever / body.support_position
-    assert found["back_support"] == pytest.approx(behind, rel=0.01)
-    assert found["front_support"] == 0
-    assert found["left_tyre"] == pytest.approx((weight - behind) / 2, rel=0.001)
-    assert found["left_tyre"] + found["right_tyre"] > 0.97 * weight
+    back_load = mass_behind * units.GRAVITY * lever / body.support_position
+    assert contact_forces["back_support"] == pytest.approx(back_load, rel=0.01)
+    assert contact_forces["front_support"] == 0
+    assert contact_forces["left_tyre"] == pytest.approx((weight - back_load) / 2, rel=0.001)
+    assert contact_forces["left_tyre"] + contact_forces["right_tyre"] > 0.97 * weight
     assert abs(twin.data.qpos[2]) < 1e-6  # tyres neither sunk in nor above the floor
 
 
@@ -86,10 +86,10 @@ def test_a_tyre_slips_at_friction_times_its_load_and_not_before(heading_deg: flo
     assert (twin.data.qpos[7] - start) * units.WHEEL_RADIUS < 0.5e-3
     run_with_duty(twin, 90, 1.0)
     assert twin.data.qvel[6] * units.WHEEL_RADIUS > 0.02
-    found = forces(twin)
+    contact_forces = forces(twin)
     # Spinning evenly, the motor's torque is that of the tyre and of the gear.
     torque = float(twin.data.actuator_force[0]) - motors.friction_torque_n_m
-    load = (found["left_tyre"] + found["right_tyre"]) / 2
+    load = (contact_forces["left_tyre"] + contact_forces["right_tyre"]) / 2
     assert torque == pytest.approx(TYRE_FRICTION * load * units.WHEEL_RADIUS, rel=0.03)
     assert torque == pytest.approx(2.36e-3, rel=0.2)  # that of the whole weight
 
@@ -100,8 +100,13 @@ def test_at_full_duty_a_robot_accelerates_by_the_friction_of_its_slipping_tyres(
     before, impulse = float(twin.data.qvel[0]), 0.0
     for _ in range(24):
         twin.step(1)
-        found = forces(twin)
-        impulse += TYRE_FRICTION * (found["left_tyre"] + found["right_tyre"]) * units.STEP_NS * 1e-9
+        contact_forces = forces(twin)
+        impulse += (
+            TYRE_FRICTION
+            * (contact_forces["left_tyre"] + contact_forces["right_tyre"])
+            * units.STEP_NS
+            * 1e-9
+        )
         assert twin.data.qvel[6] * units.WHEEL_RADIUS - twin.data.qvel[0] > 0.05
     assert (float(twin.data.qvel[0]) - before) * units.MASS == pytest.approx(impulse, rel=0.03)
     assert impulse / 0.06 > 0.6 * TYRE_FRICTION * units.MASS * units.GRAVITY
@@ -112,13 +117,13 @@ def test_a_robot_pushes_with_its_tyres_friction(model: str) -> None:
     radius_mm = units.BODIES[model].radius * 1e3
     twin = episode(x_mm=WALL_X_MM - radius_mm - 0.5, model=model)
     run_with_duty(twin, 100, 1.5)
-    found = forces(twin)
+    contact_forces = forces(twin)
     weight = units.BODIES[model].mass * units.GRAVITY
-    assert found["shell"] == pytest.approx(
-        TYRE_FRICTION * (found["left_tyre"] + found["right_tyre"]), rel=0.01
+    assert contact_forces["shell"] == pytest.approx(
+        TYRE_FRICTION * (contact_forces["left_tyre"] + contact_forces["right_tyre"]), rel=0.01
     )
     # About 0.6 N for the Khepera: the whole weight less what the wall's push puts on the back support.
-    assert 0.8 < found["shell"] / (TYRE_FRICTION * weight) < 1.03
+    assert 0.8 < contact_forces["shell"] / (TYRE_FRICTION * weight) < 1.03
 
 
 @pytest.mark.parametrize(
@@ -133,8 +138,8 @@ def test_a_robot_that_drives_into_a_wall_neither_chatters_nor_hops(speed: int, h
         twin.step(1)
         velocities.append(twin.data.qvel[:2].copy())
         heights.append(float(twin.data.qpos[2]))
-        found = forces(twin)
-        loads.append(min(found["left_tyre"], found["right_tyre"]))
+        contact_forces = forces(twin)
+        loads.append(min(contact_forces["left_tyre"], contact_forces["right_tyre"]))
     away = np.array(velocities) - np.mean(velocities, axis=0)
     assert np.hypot(*away.T).max() < 1e-3
     assert np.ptp(heights) < 2e-6
@@ -150,10 +155,10 @@ def test_a_robot_at_rest_or_at_constant_speed_stays_on_wheels_and_back_support(s
     heights, fronts, backs = [], [], []
     for _ in range(200):
         twin.step(1)
-        found = forces(twin)
+        contact_forces = forces(twin)
         heights.append(float(twin.data.qpos[2]))
-        fronts.append(found["front_support"])
-        backs.append(found["back_support"])
+        fronts.append(contact_forces["front_support"])
+        backs.append(contact_forces["back_support"])
     assert max(fronts) == 0
     assert min(backs) > 0
     # The controller's duty changes by whole pulses, which the springs of the tyres show.
@@ -176,8 +181,8 @@ def test_a_robot_that_reverses_tips_by_less_than_a_degree(speed: int) -> None:
 
 def test_gears_hold_below_the_dead_zone_of_the_duty() -> None:
     motors = MotorCalibration()
-    whole = motors.stall_torque_n_m + motors.friction_torque_n_m
-    dead = units.DUTY_LIMIT * motors.friction_torque_n_m / whole
+    total_torque = motors.stall_torque_n_m + motors.friction_torque_n_m
+    dead = units.DUTY_LIMIT * motors.friction_torque_n_m / total_torque
     assert dead == pytest.approx(12.1, abs=0.1)
     for duty, moves in ((math.floor(dead), False), (math.ceil(dead) + 1, True)):
         twin = episode()

@@ -145,14 +145,14 @@ def test_every_register_holds_a_conversion_at_the_start() -> None:
 
 
 def test_how_time_is_cut_does_not_change_the_run() -> None:
-    whole, cut = (World(Playpen.load("obstacles"), seed=3) for _ in range(2))
-    for world in (whole, cut):
+    uninterrupted, cut = (World(Playpen.load("obstacles"), seed=3) for _ in range(2))
+    for world in (uninterrupted, cut):
         world.robots[0].send(b"D,10,8\n")
-    whole.advance_to(2 * NS_PER_S)
+    uninterrupted.advance_to(2 * NS_PER_S)
     while cut.time_ns < 2 * NS_PER_S:
         cut.advance_to(min(cut.time_ns + 1_234_567, 2 * NS_PER_S))
-    np.testing.assert_array_equal(whole.data.qpos, cut.data.qpos)
-    np.testing.assert_array_equal(whole.robots[0].registers, cut.robots[0].registers)
+    np.testing.assert_array_equal(uninterrupted.data.qpos, cut.data.qpos)
+    np.testing.assert_array_equal(uninterrupted.robots[0].registers, cut.robots[0].registers)
 
 
 def test_the_same_seed_gives_the_same_counts_and_another_does_not() -> None:
@@ -260,19 +260,19 @@ def test_the_next_exchange_is_that_of_a_whole_command_or_of_the_next_byte_of_an_
 def test_a_scan_sees_lamps_as_they_are_now() -> None:
     lamp = "[[lamp]]\nx_mm = 360\ny_mm = 250\npower_w = 5\nblink_period_s = 0.1\n"
     world = World(playpen.parse(playpen.dump(Playpen.load("default")) + lamp, "blinking"), noise=False)
-    found: list[list[int]] = []
+    readings: list[list[int]] = []
     for time_ns in (140_000_000, 160_000_000):  # on, and off since 150 ms
         world.advance_to(time_ns)
         world.scan()
-        found.append(world.robots[0].registers[AMBIENT].tolist())
-    assert min(found[0]) < 200
-    assert min(found[1]) > 450
+        readings.append(world.robots[0].registers[AMBIENT].tolist())
+    assert min(readings[0]) < 200
+    assert min(readings[1]) > 450
 
 
 def test_a_world_of_a_compiled_scene_is_whole_at_once_and_the_same_as_that_of_the_playpen() -> None:
-    found = Playpen.load("two-lamps")
-    world, other = World(SceneModel.of(found), seed=2), World(found, seed=2)
+    two_lamps = Playpen.load("two-lamps")
+    world, other = World(SceneModel.of(two_lamps), seed=2), World(two_lamps, seed=2)
     assert (world.time_ns, len(world.robots), world.observers) == (0, 1, [])
-    for each in (world, other):
-        each.advance(0.1)
+    for changed_world in (world, other):
+        changed_world.advance(0.1)
     assert world.snapshot() == other.snapshot()

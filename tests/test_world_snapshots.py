@@ -1,4 +1,4 @@
-"""Snapshots: a world goes on from one bit for bit, wherever it is restored."""
+"""Snapshots: a restored world continues bit for bit, in any world of its playpen."""
 
 import zlib
 from collections.abc import Callable
@@ -53,7 +53,7 @@ CASES: dict[str, Case] = {
     ),
     **{
         f"all faults at random times, {seed}": (
-            lambda more="" if seed % 2 else PUSHED: arena(more),
+            lambda extra_tables="" if seed % 2 else PUSHED: arena(extra_tables),
             {"faults": drawn_faults(seed)},
         )
         for seed in range(6)
@@ -69,16 +69,16 @@ def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
     seed, end_ns = int(rng.integers(1000)), 3_500_000_000
     world = World(scene(), seed=seed, compiled=False, **options)  # type: ignore[arg-type]
     drive(world, seed, int(rng.integers(1, end_ns - 1_500_000_000)))
-    taken = world.snapshot()
+    snapshot = world.snapshot()
     worlds = [world, World(scene(), seed=seed, compiled=True, **options)]  # type: ignore[arg-type]
     drive(worlds[1], seed + 1, 700_000_000)
     outcomes: list[tuple[list[object], bytes]] = []
-    for each in [*worlds, worlds[0]]:
-        each.restore(taken)
-        assert each.snapshot() == taken
-        each.observers = [events := Events()]
-        drive(each, seed, end_ns)
-        outcomes.append((events.seen, each.snapshot()))
+    for restored in [*worlds, worlds[0]]:
+        restored.restore(snapshot)
+        assert restored.snapshot() == snapshot
+        restored.observers = [events := Events()]
+        drive(restored, seed, end_ns)
+        outcomes.append((events.samples, restored.snapshot()))
     assert outcomes[0] == outcomes[1] == outcomes[2]
     assert len(outcomes[0][0]) > 100
 
@@ -86,14 +86,14 @@ def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
 def test_another_seed_changes_what_follows_and_nothing_else() -> None:
     world = World(arena(), compiled=False)
     world.advance_to(1_000_000_000)
-    taken = world.snapshot()
+    snapshot = world.snapshot()
     before = world.state()
     world.reseed(1)
     streams = {"simulation": before.simulation, "lamps_stream": before.lamps_stream}
     assert world.state()._replace(**streams) == before
     drawn: list[list[int]] = []
     for seed in (1, 2, 1):
-        world.restore(taken)
+        world.restore(snapshot)
         world.reseed(seed)
         world.advance_to(1_100_000_000)
         drawn.append(world.robots[0].registers.tolist())
@@ -117,14 +117,14 @@ def test_a_snapshot_keeps_that_a_run_has_ended() -> None:
 def test_a_snapshot_of_another_scene_is_refused_and_changes_nothing() -> None:
     world = World(arena(), compiled=False)
     for other in (World(arena(LAMPS)), World(Playpen.load("default")), World(arena(), vary=True)):
-        taken = other.snapshot()
+        snapshot = other.snapshot()
         before = world.snapshot()
         if other.scene == world.scene:  # lamps are part of the state
-            world.restore(taken)
+            world.restore(snapshot)
             assert len(world.lamps.names) == len(other.lamps.names)
             continue
         with pytest.raises(SnapshotError, match="of another scene"):
-            world.restore(taken)
+            world.restore(snapshot)
         assert world.snapshot() == before
 
 
@@ -132,10 +132,16 @@ def test_a_snapshot_of_another_scene_is_refused_and_changes_nothing() -> None:
 def test_a_damaged_snapshot_gives_one_line(count: int) -> None:
     world = World(arena(PUSHED, turrets=("gripper",)), compiled=False)
     world.advance_to(500_000_000)
-    taken = world.snapshot()
+    snapshot = world.snapshot()
     rng = np.random.default_rng(5)
-    head, text = taken[:26], zlib.decompress(taken[26:])
-    damaged = [b"", taken[:20], taken[:-5], head[:8] + b"\2\0" + taken[10:], head + zlib.compress(b"[1]")]
+    head, text = snapshot[:26], zlib.decompress(snapshot[26:])
+    damaged = [
+        b"",
+        snapshot[:20],
+        snapshot[:-5],
+        head[:8] + b"\2\0" + snapshot[10:],
+        head + zlib.compress(b"[1]"),
+    ]
     for _ in range(count):
         place = int(rng.integers(len(text)))
         changed = bytearray(text)
@@ -147,7 +153,7 @@ def test_a_damaged_snapshot_gives_one_line(count: int) -> None:
             world.restore(data)
         except SnapshotError as error:
             refused.append(str(error))
-        world.restore(taken)
-        assert world.snapshot() == taken
+        world.restore(snapshot)
+        assert world.snapshot() == snapshot
     assert len(refused) > count // 6
     assert all(len(line.splitlines()) == 1 for line in refused)

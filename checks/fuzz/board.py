@@ -42,13 +42,13 @@ def check(data: bytes) -> None:
             replies += firmware.receive(piece)
             sent += piece
     lines = [line for line in sent.replace(b"\r", b"\n").split(b"\n")[:-1] if line]
-    told = replies.split(b"\r\n")
+    reply_lines = replies.split(b"\r\n")
     assert replies.isascii(), replies
-    assert told.pop() == b"", replies
-    assert b"\r" not in b"".join(told), replies
-    assert b"\n" not in b"".join(told), replies
-    assert len(told) >= len(lines), (lines, told)
-    assert all(told), replies
+    assert reply_lines.pop() == b"", replies
+    assert b"\r" not in b"".join(reply_lines), replies
+    assert b"\n" not in b"".join(reply_lines), replies
+    assert len(reply_lines) >= len(lines), (lines, reply_lines)
+    assert all(reply_lines), replies
     for register in DUTIES:
         assert -255 <= firmware.register_view[register] <= 255
     for wheel in (LEFT, RIGHT):
@@ -61,13 +61,13 @@ def check(data: bytes) -> None:
 def seeds(folder: Path) -> None:
     """Write the hosts' bytes of the transcripts as seed inputs."""
     for transcript in TRANSCRIPTS.glob("*.txt"):
-        said = [line[2:] for line in transcript.read_text().splitlines() if line.startswith("> ")]
-        for number, line in enumerate(said):
+        host_lines = [line[2:] for line in transcript.read_text().splitlines() if line.startswith("> ")]
+        for number, line in enumerate(host_lines):
             (folder / f"{transcript.stem}-{number}").write_bytes(b"\x40" + line.encode() + b"\n\xfe")
-        (folder / transcript.stem).write_bytes(b"\x40" + "\n".join(said).encode() + b"\n")
+        (folder / transcript.stem).write_bytes(b"\x40" + "\n".join(host_lines).encode() + b"\n")
 
 
 def main() -> None:
-    """Run libFuzzer with its own options."""
+    """Run libFuzzer with options of the command line."""
     modules = ("khep_twin", "khep_twin.firmware", "khep_twin.board.gripper_body")
     fuzz(check, seeds, modules, "-max_len=512")

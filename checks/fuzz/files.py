@@ -3,7 +3,7 @@
     python -m checks fuzz-files toml 1000000 --jobs 2
 
 Each input depends on the kind's seeds and its number alone, so that a finding is reproducible:
-`--first NUMBER` begins there. A job may use 512 MB more than after all imports; an input that takes 2 s is a
+`--first NUMBER` starts there. A job may use 512 MB more than after all imports. An input that takes 2 s is a
 finding, and 10 s end the job.
 """
 
@@ -71,26 +71,26 @@ def toml_target(data: bytes) -> None:
         text = data.decode()
     except UnicodeDecodeError:
         return
-    told = ""
+    message = ""
     try:
         playpen.parse(text, "x.toml")
     except PlaypenError as error:
-        told = str(error)
-    assert told.replace("\n", "").isprintable(), told
-    assert all(re.match(r"x\.toml:(\d+:)? ", line) for line in told.split("\n") if told), told
+        message = str(error)
+    assert message.replace("\n", "").isprintable(), message
+    assert all(re.match(r"x\.toml:(\d+:)? ", line) for line in message.split("\n") if message), message
 
 
 def bitmap_target(data: bytes) -> None:
-    """Check a bitmap and the playpen made of it."""
+    """Check a bitmap and the playpen converted from it."""
     from khep_twin.errors import BitmapError, MatError
     from khep_twin.playpen import bitmap, bitmap_files
 
-    told = ""
+    message = ""
     try:
         bitmap.to_playpen(bitmap_files.decode(data).solid, "x", mm_per_pixel=5.0)
     except (BitmapError, MatError) as error:
-        told = str(error)
-    assert told.isprintable(), told
+        message = str(error)
+    assert message.isprintable(), message
 
 
 def network_target(data: bytes) -> None:
@@ -98,13 +98,13 @@ def network_target(data: bytes) -> None:
     from khep_twin.episodes import network_file
     from khep_twin.errors import ControllerError
 
-    told = ""
+    message = ""
     try:
         network_file.decode(data, Path("x.npz"))
     except ControllerError as error:
-        told = str(error)
-    assert told.isprintable(), told
-    assert len(told) < 1000, told
+        message = str(error)
+    assert message.isprintable(), message
+    assert len(message) < 1000, message
 
 
 TARGETS: dict[str, Callable[[bytes], None]] = {
@@ -129,7 +129,7 @@ PLAIN = b"P1\n# plain\n4 4\n1111 1001\n1001 1111\n", b"P2\n4 3\n255\n0 0 0 0 0 9
 
 
 def seeds_of(kind: str) -> list[bytes]:
-    """Return the whole files that inputs of a kind are made of."""
+    """Return the undamaged files from which inputs of a kind are derived."""
     if kind == "picture":
         return [*_pictures(), *PLAIN]
     return [path.read_bytes() for path in sorted(CORPUS.glob(f"*.{kind}"))]
@@ -156,7 +156,7 @@ def _saved(picture: Image.Image, name: str, **options: object) -> bytes:
     return file.getvalue()
 
 
-def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
+def mutate(seeds: list[bytes], kind: str, number: int) -> bytes:
     """Return the input of a number."""
     rng = random.Random(number)
     data = bytearray(rng.choice(seeds))
@@ -183,22 +183,22 @@ def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
                 data[place : place + len(token)] = token
     # Most damage is caught by checksums; half of them are corrected.
     is_corrected = kind in ("png", "npz") and rng.random() < 0.5
-    return (_with_right_sums if kind == "png" else _repacked)(bytes(data)) if is_corrected else bytes(data)
+    return (_fix_checksums if kind == "png" else _repack)(bytes(data)) if is_corrected else bytes(data)
 
 
-def _repacked(data: bytes) -> bytes:
-    """Return an NPZ file whose arrays are packed anew; one whose index is damaged stays as it is."""
+def _repack(data: bytes) -> bytes:
+    """Return an NPZ file whose arrays are packed again; a file with a damaged index stays unchanged."""
     packed = BytesIO()
     with suppress(zipfile.BadZipFile, ValueError, NotImplementedError):
-        with zipfile.ZipFile(BytesIO(data)) as archive, zipfile.ZipFile(packed, "w") as made:
-            for each in archive.infolist():
+        with zipfile.ZipFile(BytesIO(data)) as archive, zipfile.ZipFile(packed, "w") as target:
+            for entry in archive.infolist():
                 # Behind 30 bytes and the name, in which another length may stand than in the index.
-                start = each.header_offset + 30 + len(each.filename)
-                made.writestr(zipfile.ZipInfo(each.filename), data[start : start + each.file_size])
+                start = entry.header_offset + 30 + len(entry.filename)
+                target.writestr(zipfile.ZipInfo(entry.filename), data[start : start + entry.file_size])
     return packed.getvalue() or data
 
 
-def _with_right_sums(data: bytes) -> bytes:
+def _fix_checksums(data: bytes) -> bytes:
     place, parts = 8, [data[:8]]
     while place + 12 <= len(data):
         size = int.from_bytes(data[place : place + 4], "big")
@@ -221,9 +221,9 @@ def run(kind: str, runs: int, first: int) -> None:
     status = Path("/proc/self/status").read_text()
     now = 1024 * int(status.split("VmSize:")[1].split()[0])
     resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY, now + MEMORY))
-    begun, slowest = time.perf_counter(), (0.0, first)
+    run_start, slowest = time.perf_counter(), (0.0, first)
     for number in range(first, first + runs):
-        data = mutated(seeds, kind, number)
+        data = mutate(seeds, kind, number)
         signal.setitimer(signal.ITIMER_REAL, 10)
         start = time.perf_counter()
         try:
@@ -235,7 +235,7 @@ def run(kind: str, runs: int, first: int) -> None:
         assert slowest[0] < SECONDS, f"{kind} input {number} took {slowest[0]:.1f} s"
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
-        f"{kind}: {runs} inputs from {first} in {time.perf_counter() - begun:.0f} s, "
+        f"{kind}: {runs} inputs from {first} in {time.perf_counter() - run_start:.0f} s, "
         f"the slowest {slowest[0] * 1000:.0f} ms (input {slowest[1]}), {peak:.0f} MB"
     )
 
@@ -247,12 +247,12 @@ def main() -> int:
     parser.add_argument("runs", type=int, nargs="?", default=200_000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
-    given = parser.parse_args()
-    if given.jobs == 1:
-        run(given.kind, given.runs, given.first)
+    options = parser.parse_args()
+    if options.jobs == 1:
+        run(options.kind, options.runs, options.first)
         return 0
-    share = -(-given.runs // given.jobs)
-    command = [sys.executable, "-m", "checks", "fuzz-files", given.kind, str(share), "--first"]
-    firsts = range(given.first, given.first + share * given.jobs, share)
+    share = -(-options.runs // options.jobs)
+    command = [sys.executable, "-m", "checks", "fuzz-files", options.kind, str(share), "--first"]
+    firsts = range(options.first, options.first + share * options.jobs, share)
     jobs = [subprocess.Popen([*command, str(first)]) for first in firsts]
     return max(bool(job.wait()) for job in jobs)

@@ -19,7 +19,7 @@ RUNS = 1_000_000
 def fuzz(
     check: Callable[[bytes], None], seeds: Callable[[Path], None], modules: Sequence[str], *options: str
 ) -> None:
-    """Fuzz with libFuzzer's own options from the command line; does not return.
+    """Fuzz with libFuzzer's options from the command line; does not return.
 
     Args:
         check: Use of one input; an exception is a finding.
@@ -47,13 +47,13 @@ def fuzz(
 def run_libfuzzer(target: str, runs: int, folder: Path) -> None:
     """Run so many inputs of a libFuzzer target; fail with its finding, skip without atheris."""
     pytest.importorskip("atheris")
-    done = run_target(target, f"-runs={runs}", "-seed=1", folder=folder)
-    assert f"Done {runs} runs" in done.stderr
+    process = run_target(target, f"-runs={runs}", "-seed=1", folder=folder)
+    assert f"Done {runs} runs" in process.stderr
 
 
 def run_target(target: str, *words: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a fuzz target in a folder; return its output, fail with its finding."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "checks", target, *words],
         capture_output=True,
         text=True,
@@ -62,5 +62,5 @@ def run_target(target: str, *words: str, folder: Path) -> subprocess.CompletedPr
         timeout=300,
         check=False,
     )
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done
+    assert process.returncode == 0, process.stderr[-2000:]
+    return process

@@ -59,15 +59,15 @@ class Record:
 
     def times_ns(self) -> list[int]:
         """Return the times of a chunk's messages [ns]."""
-        found = [
-            MESSAGE_HEAD.unpack_from(each.content)[2]
-            for each in self.inner
-            if each.opcode == Opcode.MESSAGE and len(each.content) >= MESSAGE_HEAD.size
+        message_times_ns = [
+            MESSAGE_HEAD.unpack_from(record.content)[2]
+            for record in self.inner
+            if record.opcode == Opcode.MESSAGE and len(record.content) >= MESSAGE_HEAD.size
         ]
-        return found or [0]
+        return message_times_ns or [0]
 
 
-def taken_apart(data: bytes) -> list[Record]:
+def parse_records(data: bytes) -> list[Record]:
     """Return the records of a whole log, without its index."""
     records: list[Record] = []
     place = len(MCAP0_MAGIC)
@@ -95,24 +95,24 @@ def _inner(data: bytes) -> list[Record]:
     return records
 
 
-def put_together(records: Sequence[Record]) -> bytes:
+def assemble_log(records: Sequence[Record]) -> bytes:
     """Return a whole log of records, with an index of them."""
     data = bytearray(MCAP0_MAGIC)
     index: list[bytes] = []
     kinds = (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA)
     counts = dict.fromkeys(kinds, 0)
-    known: list[bytes] = []
+    definitions: list[bytes] = []
     last_ns = 0
     for record in records:
         offset, written = len(data), record.bytes()
         data += written
-        for each in (record, *record.inner):
-            if each.opcode in counts:
-                counts[Opcode(each.opcode)] += 1
+        for entry in (record, *record.inner):
+            if entry.opcode in counts:
+                counts[Opcode(entry.opcode)] += 1
         if record.opcode == Opcode.CHUNK:
             index.append(_chunk_index(record, offset, len(written)))
             kinds = (Opcode.SCHEMA, Opcode.CHANNEL)
-            known += [each.bytes() for each in record.inner if each.opcode in kinds]
+            definitions += [entry.bytes() for entry in record.inner if entry.opcode in kinds]
             last_ns = max(last_ns, *record.times_ns())
         elif record.opcode == Opcode.ATTACHMENT:
             index.append(bytes_of(AttachmentIndex(offset, len(written), 0, 0, 0, "", "")))
@@ -131,7 +131,7 @@ def put_together(records: Sequence[Record]) -> bytes:
         message_end_time=last_ns,
         schema_count=0,
     )
-    data += b"".join([*known, bytes_of(statistics), *index])
+    data += b"".join([*definitions, bytes_of(statistics), *index])
     return bytes(data + bytes_of(Footer(start, 0, 0)) + MCAP0_MAGIC)
 
 
@@ -162,8 +162,8 @@ def bytes_of(record: McapRecord) -> bytes:
 
 def with_chunk(records: Sequence[Record], change: Callable[[Record], Record]) -> list[Record]:
     """Return records with the last chunk changed."""
-    last = max(place for place, each in enumerate(records) if each.opcode == Opcode.CHUNK)
-    return [change(each) if place == last else each for place, each in enumerate(records)]
+    last = max(index for index, record in enumerate(records) if record.opcode == Opcode.CHUNK)
+    return [change(record) if index == last else record for index, record in enumerate(records)]
 
 
 def with_packed(records: Sequence[Record], packed: bytes, size: int) -> list[Record]:

@@ -19,8 +19,8 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from checks.fuzz.libfuzzer import fuzz
-from checks.fuzz.log_mutations import Record, taken_apart
-from checks.fuzz.logs import ODD, STEP, cooked, folder, said, write_steps
+from checks.fuzz.log_mutations import Record, parse_records
+from checks.fuzz.logs import ODD, STEP, cooked, error_text, folder, write_steps
 
 MODULES = (
     "khep_twin.log.viewer.replay",
@@ -67,7 +67,7 @@ def records() -> tuple[Record, ...]:
         twin.robot.send(b"N\nD,5,5\n")
         twin.advance_to(120_000_000)
         twin.world.log_event(0, "x")
-    return tuple(taken_apart(path.read_bytes()))
+    return tuple(parse_records(path.read_bytes()))
 
 
 def changed_text(record: Record, which: int, word: bytes) -> Record:
@@ -78,8 +78,8 @@ def changed_text(record: Record, which: int, word: bytes) -> Record:
     text = record.content[start + 8 : -4]
     words = list(WORD.finditer(text))
     if words:
-        found = words[which % len(words)]
-        text = text[: found.start()] + word + text[found.end() :]
+        match = words[which % len(words)]
+        text = text[: match.start()] + word + text[match.end() :]
     return replace(record, content=record.content[:start] + struct.pack("<Q", len(text)) + text + bytes(4))
 
 
@@ -88,7 +88,7 @@ def log_of(data: bytes) -> bytes:
     first = records()
     if data and data[0] & IN_TEXT and len(data) > STEP:
         attachment, which, word, _ = struct.unpack("<BHHB", data[1 : 1 + STEP])
-        places = [place for place, each in enumerate(first) if each.opcode == Opcode.ATTACHMENT]
+        places = [index for index, record in enumerate(first) if record.opcode == Opcode.ATTACHMENT]
         place = places[attachment % len(places)]
         other = changed_text(first[place], which, WORDS[word % len(WORDS)])
         first = (*first[:place], other, *first[place + 1 :])
@@ -101,14 +101,14 @@ def check(data: bytes) -> None:
 
     Raises:
         AssertionError: An error has several lines, or a use left files behind.
-        Exception: Any error other than khep_twin's own is a finding.
+        Exception: Any error that is no KhepTwinError is a finding.
     """
     path = folder() / "x.mcap"
     path.write_bytes(log_of(data))
     use = USES[(data[0] if data else 0) % IN_TEXT % len(USES)]
-    line = said(use, path)
+    line = error_text(use, path)
     assert line.isprintable(), line
-    rest = {each.name for each in folder().iterdir()} - {"x.mcap", "base.mcap"}
+    rest = {file.name for file in folder().iterdir()} - {"x.mcap", "base.mcap"}
     assert not rest, rest
 
 
@@ -150,7 +150,7 @@ def branch_same(path: Path) -> None:
 
 
 def branch_changed(path: Path) -> None:
-    """Take a run up, and go on with another seed."""
+    """Resume a run with another seed."""
     _branch(path, seed=3)
 
 
@@ -158,21 +158,21 @@ def _branch(path: Path, seed: int | None) -> None:
     from khep_twin.lab.experiment.branch import BranchPlan, branch
     from khep_twin.log.recorded import BranchPoint
 
-    made = path.with_name("branch.mcap")
+    output = path.with_name("branch.mcap")
     try:
-        branch(BranchPlan(path, BranchPoint(60_000_000, seed=seed), seconds=0.05), made)
+        branch(BranchPlan(path, BranchPoint(60_000_000, seed=seed), seconds=0.05), output)
     finally:
-        for each in (made, path.with_name("branch.mcap.part")):
-            each.unlink(missing_ok=True)
+        for file in (output, path.with_name("branch.mcap.part")):
+            file.unlink(missing_ok=True)
 
 
 def conform(path: Path) -> None:
     """Check the protocol in a log."""
     from khep_twin.lab.conformance.recording.conform import conform_recording
 
-    found = conform_recording(path)
-    found.text()
-    found.json()
+    conformance = conform_recording(path)
+    conformance.text()
+    conformance.json()
 
 
 def follow(path: Path) -> None:
@@ -196,7 +196,7 @@ def seeds(target: Path) -> None:
 
 
 def main() -> None:
-    """Run libFuzzer with its own options."""
+    """Run libFuzzer with options of the command line."""
     folder()
     records()
     fuzz(check, seeds, MODULES, "-max_len=61", "-len_control=0", "-rss_limit_mb=6000")

@@ -2,8 +2,8 @@
 
     python -m checks fuzz-logs -runs=1000000      with atheris (libFuzzer)
 
-The first byte chooses the use of the log, and whether the whole file is damaged at the end, too. The others
-are steps of six bytes: operation, record, position, and value. `check` has the conditions.
+The first byte selects the use of the log, and whether the file as a whole is damaged at the end. The others
+are steps of six bytes: operation, record, position, and value. `check` states the conditions.
 """
 
 import atexit
@@ -19,7 +19,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from checks.fuzz.libfuzzer import fuzz
-from checks.fuzz.log_mutations import Record, put_together, taken_apart
+from checks.fuzz.log_mutations import Record, assemble_log, parse_records
 
 MODULES = (
     "content",
@@ -59,23 +59,23 @@ def base() -> tuple[Record, ...]:
             twin.robot.send(b"N\n")
             twin.advance_to(20_000_000)
             twin.world.log_event(0, "x")
-        return tuple(small(record) for record in taken_apart(path.read_bytes()))
+        return tuple(small(record) for record in parse_records(path.read_bytes()))
 
 
 def small(record: Record) -> Record:
     """Return a record without its long parts."""
     if record.opcode == Opcode.CHUNK:
         dropped = {
-            struct.unpack_from("<H", each.content)[0]
-            for each in record.inner
-            if each.opcode == Opcode.CHANNEL and any(name.encode() in each.content for name in SMALL)
+            struct.unpack_from("<H", entry.content)[0]
+            for entry in record.inner
+            if entry.opcode == Opcode.CHANNEL and any(name.encode() in entry.content for name in SMALL)
         }
-        kept = (
-            each
-            for each in record.inner
-            if each.opcode == Opcode.SCHEMA or struct.unpack_from("<H", each.content)[0] not in dropped
+        entries = (
+            entry
+            for entry in record.inner
+            if entry.opcode == Opcode.SCHEMA or struct.unpack_from("<H", entry.content)[0] not in dropped
         )
-        short = (shortened(each) if each.opcode == Opcode.SCHEMA else each for each in kept)
+        short = (shorten(entry) if entry.opcode == Opcode.SCHEMA else entry for entry in entries)
         return replace(record, inner=tuple(short))
     if record.opcode == Opcode.ATTACHMENT:
         (name,) = struct.unpack_from("<I", record.content, 16)
@@ -85,7 +85,7 @@ def small(record: Record) -> Record:
     return record
 
 
-def shortened(schema: Record) -> Record:
+def shorten(schema: Record) -> Record:
     """Return a schema without its text."""
     place = 2
     for _ in range(2):
@@ -132,12 +132,12 @@ class Step:
             case _:
                 return content[:place] + struct.pack("<H", self.value % 2**16) + content[place + 2 :]
 
-    def done(self, records: list[Record]) -> list[Record]:
+    def apply(self, records: list[Record]) -> list[Record]:
         """Return records with one of them changed, removed, doubled, moved or of another kind."""
         which = self.which % len(records)
         record, rest = records[which], [*records[:which], *records[which + 1 :]]
         if record.opcode == Opcode.CHUNK and self.kind < 0xE0 and record.inner:
-            inner = replace(self, which=self.value).done(list(record.inner))
+            inner = replace(self, which=self.value).apply(list(record.inner))
             return [*records[:which], replace(record, inner=tuple(inner)), *records[which + 1 :]]
         match self.kind // 32:
             case 7 if self.kind % 4 == 0:
@@ -161,8 +161,8 @@ def cooked(data: bytes, first: tuple[Record, ...] | None = None) -> bytes:
     choice, steps = data[0] if data else 0, list(struct.iter_unpack("<BBHH", whole_steps(data[1:])))
     last = steps.pop() if steps and choice & DAMAGED else None
     for step in steps:
-        records = Step(*step).done(records)
-    log = put_together([each if each.opcode else replace(each, opcode=1) for each in records])
+        records = Step(*step).apply(records)
+    log = assemble_log([record if record.opcode else replace(record, opcode=1) for record in records])
     if last is not None:
         kind, which, place, value = last
         log = Step(kind, 0, (which << 16 | place) % (len(log) + 1), value).changed(log)
@@ -178,9 +178,9 @@ def whole_steps(data: bytes) -> bytes:
 def folder() -> Path:
     """Return a folder for the logs, in memory if possible, which is removed with the process."""
     shared = Path("/dev/shm")
-    made = Path(tempfile.mkdtemp(prefix="khep-fuzz-", dir=shared if shared.is_dir() else None))
-    atexit.register(shutil.rmtree, made, ignore_errors=True)
-    return made
+    path = Path(tempfile.mkdtemp(prefix="khep-fuzz-", dir=shared if shared.is_dir() else None))
+    atexit.register(shutil.rmtree, path, ignore_errors=True)
+    return path
 
 
 def check(data: bytes) -> None:
@@ -188,16 +188,16 @@ def check(data: bytes) -> None:
 
     Raises:
         AssertionError: An error has several lines, or a recovered log cannot be read.
-        Exception: Any error other than khep_twin's own is a finding.
+        Exception: Any error that is no KhepTwinError is a finding.
     """
     path = folder() / "x.mcap"
     path.write_bytes(cooked(data))
     use = USES[(data[0] if data else 0) % 128 % len(USES)]
-    line = said(use, path)
+    line = error_text(use, path)
     assert line.isprintable(), line
 
 
-def said(use: Callable[[Path], object], path: Path) -> str:
+def error_text(use: Callable[[Path], object], path: Path) -> str:
     """Return the error of a use of a log, empty for a result."""
     from khep_twin.errors import KhepTwinError
 
@@ -248,9 +248,9 @@ def rescue(path: Path) -> None:
     from khep_twin.log.reader import read_log
     from khep_twin.log.recover import recover
 
-    found = recover(path)
-    line = said(read_log, found.path)
-    found.path.unlink()
+    recovery = recover(path)
+    line = error_text(read_log, recovery.path)
+    recovery.path.unlink()
     # These records are not a log of khep_twin.
     assert not line or "no log of khep_twin" in line or ": metadata: robots = " in line, line
 
@@ -275,7 +275,7 @@ def write_steps(target: Path, n_uses: int) -> None:
 
 
 def main() -> None:
-    """Run libFuzzer with its own options."""
+    """Run libFuzzer with options of the command line."""
     folder()
     base()
     names = [f"khep_twin.log.{name}" for name in MODULES]

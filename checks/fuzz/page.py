@@ -2,9 +2,9 @@
 
     python -m checks fuzz-page -runs=1000000      with atheris (libFuzzer)
 
-An input is up to four requests, each a recipe: one of the page's own requests, and steps of four bytes that
-change its JSON, its head, its path, its lengths or its bytes, or add messages of a websocket. The bytes go
-through the server's connection, guard and routes (`page_in_memory`). `check` has the conditions.
+An input is up to four requests, each a recipe: one of the page's requests, and steps of four bytes that
+change its JSON, its head, its path, its lengths or its bytes, or add messages of a websocket. The bytes pass
+through the server's connection, guard and routes (`page_in_memory`). `check` states the conditions.
 """
 
 import json
@@ -52,12 +52,12 @@ class Touched:
     """
 
     def __init__(self, inside: Path) -> None:
-        self.found: list[str] = []
+        self.findings: list[str] = []
         self._inside = str(inside)
         self.registry = ""
         ours = (Path(sys.prefix), Path(sys.base_prefix), ROOT, Path("/usr"), Path("/sys"))
-        self._known = tuple(str(each.resolve()) for each in ours)
-        self._searched = {os.path.realpath(each) for each in sys.path}  # for modules
+        self._allowed_roots = tuple(str(path.resolve()) for path in ours)
+        self._searched = {os.path.realpath(path) for path in sys.path}  # for modules
         self.on = False
         sys.addaudithook(self._look)
 
@@ -65,24 +65,26 @@ class Touched:
         if not self.on or (event not in WATCHED and event not in FORBIDDEN):
             return
         if event in FORBIDDEN:
-            self.found.append(f"{event} {words!r:.200}")
+            self.findings.append(f"{event} {words!r:.200}")
             return
         writes = event not in ("open", "os.listdir", "os.scandir")
         if event == "open":
             writes = bool((words[2] or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC))
         for path in words[: 2 if event == "os.rename" else 1]:
             if isinstance(path, str | bytes | os.PathLike):
-                self.on = False  # its own look at the path does not count
+                self.on = False  # its access to the path does not count
                 place = os.path.realpath(os.fsdecode(path))
                 self.on = True
                 if not self._allowed(place, writes):
-                    self.found.append(f"{event} {place}")
+                    self.findings.append(f"{event} {place}")
 
     def _allowed(self, place: str, writes: bool) -> bool:
         if any(place == folder or place.startswith(folder + "/") for folder in (self._inside, self.registry)):
             return True
         return not writes and (
-            place in self._searched or place.startswith(self._known) or place.startswith(("/proc/", "/dev"))
+            place in self._searched
+            or place.startswith(self._allowed_roots)
+            or place.startswith(("/proc/", "/dev"))
         )
 
 
@@ -98,7 +100,7 @@ class Place:
         self.make()
 
     def make(self) -> None:
-        """Make everything anew."""
+        """Replace all files and folders by new ones."""
         shutil.rmtree(self.above, ignore_errors=True)
         for folder in (self.root / "sub", self.above / "outside"):
             folder.mkdir(parents=True)
@@ -116,7 +118,7 @@ class Place:
         self.state = self.look()
 
     def look(self) -> dict[str, tuple[int, ...]]:
-        """Return what identifies the state of each file."""
+        """Return the identifying state of each file."""
         return dict(self._states(str(self.above)))
 
     def outside(self, states: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
@@ -129,7 +131,7 @@ class Place:
                 is_folder = entry.is_dir(follow_symlinks=False)
                 is_ours = entry.path in (str(self.root), str(self.root / "sub"))
                 stat = entry.stat(follow_symlinks=False)
-                # A folder's time changes with a temporary file, too.
+                # A folder's time changes with a temporary file as well.
                 yield (
                     entry.path,
                     (stat.st_mode,) if is_ours else (stat.st_ino, stat.st_size, stat.st_mtime_ns),
@@ -144,14 +146,14 @@ def designer() -> tuple[Place, Touched, Any]:
     from checks.fuzz.page_in_memory import Designer
 
     place = Place()
-    found = Designer(place.root)
-    warm = found.opened()  # what is imported and made once does not count
+    designer = Designer(place.root)
+    warm = designer.opened()  # imports and caches do not count
     for number in range(len(BASES)):
         for pieces in requests_of(bytes([0, number, 0])):
             warm.say(pieces)
     warm.close()
     place.make()
-    return place, Touched(place.root), found
+    return place, Touched(place.root), designer
 
 
 def check(data: bytes) -> None:
@@ -159,8 +161,8 @@ def check(data: bytes) -> None:
 
     Raises:
         AssertionError: An answer is no HTTP or above 499, a refusal is not a clear line or has changed a
-            file, a stranger's request is accepted, something outside the folder is touched, or its content
-            told.
+            file, a stranger's request is accepted, or a file outside the folder is touched or its content
+            sent.
     """
     from khep_twin.ports.link import private_folder
 
@@ -180,44 +182,46 @@ def check(data: bytes) -> None:
                 touched.on = False
             check_answers(b"".join(pieces), sent, before != place.look())
             assert place.outside(place.look()) == place.outside(place.state)
-            assert not touched.found, str(touched.found)
+            assert not touched.findings, str(touched.findings)
     finally:
-        touched.found.clear()
+        touched.findings.clear()
         browser.close()
     for record in designer_.errors.records:
         raise AssertionError(record.getMessage()) from (record.exc_info or (None, None))[1]
 
 
-def check_answers(asked: bytes, sent: bytes, changed: bool) -> None:
-    """Check what one connection was answered, and whether files were changed."""
+def check_answers(request: bytes, sent: bytes, changed: bool) -> None:
+    """Check the answers of one connection, and that refused requests changed no file."""
     from checks.fuzz.page_in_memory import answers
 
-    found = answers(sent)
+    responses = answers(sent)
     assert SECRET.encode() not in sent, sent[:200]
-    is_stranger = TOKEN not in asked or HOST not in asked or (b"POST" in asked[:9] and ORIGIN not in asked)
-    for status, head, body in found:
+    is_stranger = (
+        TOKEN not in request or HOST not in request or (b"POST" in request[:9] and ORIGIN not in request)
+    )
+    for status, head, body in responses:
         assert status < 500, (status, body[:300])
-        assert not (is_stranger and status < 400), (status, asked[:300])
+        assert not (is_stranger and status < 400), (status, request[:300])
         is_uvicorns = status in (400, 426) and b"application/json" not in head
-        is_sockets = status == 101 or b"websocket" in asked.lower()
+        is_sockets = status == 101 or b"websocket" in request.lower()
         assert is_uvicorns or is_sockets or b"content-security-policy" in head, head
-        if status >= 400 and (body or not (is_sockets or b"HEAD" in asked)):
+        if status >= 400 and (body or not (is_sockets or b"HEAD" in request)):
             check_refusal(head, body)
-    assert not changed or any(status < 400 for status, _, _ in found), found
+    assert not changed or any(status < 400 for status, _, _ in responses), responses
 
 
 def check_refusal(head: bytes, body: bytes) -> None:
     """Check that a refusal is one clear line for each problem."""
     if b"application/json" in head:
-        told = json.loads(body)["error"]
-        assert told, body
-        assert all(line.isprintable() and line.strip() for line in told.split("\n")), body
-        assert len(told) < 100_000, len(told)
+        error = json.loads(body)["error"]
+        assert error, body
+        assert all(line.isprintable() and line.strip() for line in error.split("\n")), body
+        assert len(error) < 100_000, len(error)
     else:
         text = body.decode("utf-8")
         if text.startswith("Failed to open a WebSocket"):  # in the words of the library websockets
             return
-        if text.startswith("1e\r\nInvalid HTTP request received.\r\n"):  # uvicorn's own, in chunks
+        if text.startswith("1e\r\nInvalid HTTP request received.\r\n"):  # uvicorn's replies, in chunks
             return
         assert text.count("\n") <= 1, body
         assert text.strip().isprintable(), body
@@ -234,7 +238,7 @@ def seeds(target: Path) -> None:
 
 
 def main() -> None:
-    """Run libFuzzer with its own options."""
+    """Run libFuzzer with options of the command line."""
     from checks.fuzz.logs import folder
 
     folder()

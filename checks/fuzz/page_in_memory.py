@@ -1,8 +1,8 @@
 """The designer's page without sockets and threads: its connection, guard, and routes, for a fuzz target.
 
-Bytes of a browser go into the server's own `PageConnection`, over a transport in memory, through uvicorn,
-the guard and the routes. A session has its real world, with no thread that runs it: its jobs wait. No port is
-opened, and no picture rendered, which would take a second each.
+Bytes of a browser pass through the server's `PageConnection`, over a transport in memory, and through
+uvicorn, the guard and the routes. A session has its real world, but no thread that runs it: its jobs wait. No
+port is opened, and no picture rendered, which would take a second each.
 """
 
 import asyncio
@@ -80,7 +80,7 @@ class Transport(asyncio.Transport):
         self.closed = True
 
     def get_write_buffer_size(self) -> int:
-        """Return 0: the browser takes everything at once."""
+        """Return 0: the browser takes all bytes immediately."""
         return 0
 
     abort = close
@@ -88,7 +88,7 @@ class Transport(asyncio.Transport):
 
 
 class Session(twin_session.TwinActor):
-    """Session with a world whose time stands still; it does what is requested at once."""
+    """Session with a world whose time stands still, and which carries out requests immediately."""
 
     def begin(self) -> None:
         """Open the world."""
@@ -119,7 +119,7 @@ class Requests:
         self.speed, self.paused = 1.0, False
 
     def request(self, action: Callable[[], None]) -> None:
-        """Do what a page requests."""
+        """Carry out a request of a page."""
         action()
 
     def step(self) -> None:
@@ -148,12 +148,12 @@ class Waiting(challenges.Challenges):
     """Challenges whose programs are never started."""
 
     def _start(self, message: Mapping[str, object], work: Callable[..., None]) -> None:
-        """Report what would be scored."""
+        """Publish the message without scoring."""
         self._publish(message)
 
 
 class Errors(logging.Handler):
-    """Handler that keeps what the server reports."""
+    """Handler that keeps the server's error records."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
@@ -165,23 +165,23 @@ class Errors(logging.Handler):
 
 
 class Designer:
-    """Designer of one folder; `errors` has what its server reported."""
+    """Designer of one folder; `errors` holds the error records of its server."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.errors = folder, Errors()
         self.loop = asyncio.new_event_loop()
-        self.take_over()
+        self.patch_slow_parts()
         logging.getLogger("uvicorn.error").propagate = False
         for name in ("uvicorn.error", "asyncio"):
             logging.getLogger(name).addHandler(self.errors)
 
-    def take_over(self) -> None:
-        """Replace what needs threads, ports or a second for a picture."""
+    def patch_slow_parts(self) -> None:
+        """Replace functions that need threads, ports or a second for a picture."""
 
-        async def at_once(function: Callable[..., Any], *words: Any) -> Any:
+        async def call_directly(function: Callable[..., Any], *words: Any) -> Any:
             return function(*words)
 
-        page_answers.run_in_threadpool = at_once
+        page_answers.run_in_threadpool = call_directly
         session_actions.TwinActor, session_actions.RobotActor = Session, Unopened  # pyright: ignore
         routes.Challenges = Waiting  # pyright: ignore
         file_actions.render = lambda playpen, path: b"\x89PNG" + repr(playpen.name).encode()  # pyright: ignore
@@ -214,9 +214,9 @@ class Browser:
 
     def say(self, pieces: list[bytes]) -> bytes:
         """Send bytes over a new connection, and close it; return all that was answered."""
-        return self._loop.run_until_complete(asyncio.wait_for(self._said(pieces), TIMEOUT_S))
+        return self._loop.run_until_complete(asyncio.wait_for(self._send_pieces(pieces), TIMEOUT_S))
 
-    async def _said(self, pieces: list[bytes]) -> bytes:
+    async def _send_pieces(self, pieces: list[bytes]) -> bytes:
         transport = Transport()
         if not self._config.loaded:
             self._config.load()
@@ -252,12 +252,12 @@ class Browser:
 
 
 def answers(sent: bytes) -> list[Answer]:
-    """Return the answers in what a connection has sent; a websocket's messages are the body of its 101.
+    """Return the answers in the bytes that a connection sent; a websocket's messages are the body of its 101.
 
     Raises:
         AssertionError: It is no sequence of answers.
     """
-    found: list[Answer] = []
+    responses: list[Answer] = []
     while sent:
         head = ANSWER.match(sent)
         assert head, sent[:200]
@@ -269,6 +269,6 @@ def answers(sent: bytes) -> list[Answer]:
         size = len(rest) if length is None else int(length[1])
         if rest.startswith(b"HTTP/1.") or status == 304:  # of a HEAD
             size = 0
-        found.append(Answer(status, head[2], rest[:size]))
+        responses.append(Answer(status, head[2], rest[:size]))
         sent = rest[size:]
-    return found
+    return responses

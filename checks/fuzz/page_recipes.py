@@ -62,7 +62,7 @@ ACTIONS: dict[str, dict[str, Any]] = {
 """Requests of each action that the page could send."""
 
 BASES: list[tuple[str, str, Any]] = [
-    *(("POST", f"/do/{name}", asked) for name, asked in ACTIONS.items()),
+    *(("POST", f"/do/{name}", arguments) for name, arguments in ACTIONS.items()),
     ("POST", "/do/start", {**ACTIONS["start"], "log": "new.mcap"}),
     ("POST", "/do/save", {**ACTIONS["save"], "file": "a.toml", "overwrite": True}),
     ("GET", "/", None),
@@ -150,7 +150,7 @@ class Request:
     def change(self, kind: int, a: int, b: int, c: int) -> None:
         """Take one step."""
         header = HEADERS[a % len(HEADERS)]
-        rest = [each for each in self.headers if each[0] != header]
+        rest = [pair for pair in self.headers if pair[0] != header]
         match kind % 16:
             case 0 | 1 | 2 | 3 | 4 if isinstance(self.content, dict):
                 self._change_json(self.content, kind % 16, a, b, c)
@@ -201,7 +201,7 @@ class Request:
         """Return the bytes of the request, in pieces of a size; 0 for one piece."""
         body = self.content if isinstance(self.content, bytes) else b""
         if isinstance(self.content, dict):
-            # Python's own JSON has NaN and half characters, which hosts may send.
+            # Python's JSON has NaN and half characters, which hosts may send.
             body = json.dumps(self.content).encode()
         headers = list(self.headers)
         if self.chunked:
@@ -209,17 +209,19 @@ class Request:
             body = b"%x\r\n%s\r\n0\r\n\r\n" % (len(body), body)
         elif self.size is not None or self.method == b"POST":
             headers.append((b"Content-Length", b"%d" % len(body) if self.size is None else self.size))
-        head = b"".join(b"%s: %s\r\n" % each for each in headers)
+        head = b"".join(b"%s: %s\r\n" % pair for pair in headers)
         data = b"%s %s HTTP/1.1\r\n%s\r\n%s" % (self.method, self.path, head, body)
         for place, kind, value in self.edits:
             place %= len(data) + 1
             odd = TEXTS[value % len(TEXTS)] if kind % 2 else bytes([value])
             data = data[:place] + odd + data[place + kind // 16 % 3 :]
-        whole = [data, self.frames] if self.frames else [data]
+        chunks = [data, self.frames] if self.frames else [data]
         if not size:
-            return whole
+            return chunks
         return [
-            each[at : at + size] for each in whole for at in range(0, len(each), max(size, len(each) // 50))
+            data_chunk[at : at + size]
+            for data_chunk in chunks
+            for at in range(0, len(data_chunk), max(size, len(data_chunk) // 50))
         ]
 
 
@@ -233,7 +235,7 @@ def places_in(content: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def frame(first: int, payload: bytes, masked: bool = True, size: int = 0) -> bytes:
-    """Return a frame of a websocket; a size of 1 to 3 tells a wrong length."""
+    """Return a frame of a websocket; a size of 1 to 3 states a wrong length."""
     length = len(payload) + (0, 1, 300, 70_000)[size]
     first = first if first > 15 else 0x80 | first
     if length < 126:

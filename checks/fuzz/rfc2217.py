@@ -58,13 +58,13 @@ def check(data: bytes) -> None:
     choice = data[0] if data else 0
     stream = cooked(data[1:]) if choice & RECIPE else data[1:]
     size = choice % RECIPE + 1
-    taken, answers, settings, fault = outcome([stream])
-    assert (taken, answers, settings, fault) == outcome(
+    received, answers, settings, fault = outcome([stream])
+    assert (received, answers, settings, fault) == outcome(
         [stream[at : at + size] for at in range(0, len(stream), size)]
     )
-    wanted, is_faulty = without_negotiation(stream, LONGEST)
-    wanted = wanted.replace(b"\r\0", b"\r")  # one line end, as in Telnet
-    assert taken == wanted, (taken, wanted)
+    expected, is_faulty = without_negotiation(stream, LONGEST)
+    expected = expected.replace(b"\r\0", b"\r")  # one line end, as in Telnet
+    assert received == expected, (received, expected)
     assert bool(fault) == is_faulty, fault
     assert len(fault) < 300, fault
     assert LOWEST_BAUD <= settings[0] <= HIGHEST_BAUD, settings
@@ -79,10 +79,10 @@ def outcome(pieces: list[bytes]) -> tuple[bytes, bytes, tuple[int, int], str]:
 
     answers = bytearray()
     negotiator = Negotiator(9600, answers.extend)
-    taken = b"".join(map(negotiator.decode, pieces))
+    received = b"".join(map(negotiator.decode, pieces))
     settings = negotiator.settings()
-    assert without_negotiation(negotiator.encode(taken), 0) == (taken, False)
-    return taken, bytes(answers), (settings.baud, settings.stop_bits), negotiator.fault
+    assert without_negotiation(negotiator.encode(received), 0) == (received, False)
+    return received, bytes(answers), (settings.baud, settings.stop_bits), negotiator.fault
 
 
 def without_negotiation(stream: bytes, longest: int) -> tuple[bytes, bool]:
@@ -143,21 +143,21 @@ def cooked(recipe: bytes) -> bytes:
     """Return the host's bytes of a recipe, whose steps are a kind and bytes of detail."""
     stream, rest = b"", iter(recipe)
     for step in rest:
-        more, size = next(rest, 0), next(rest, 0)
+        code, size = next(rest, 0), next(rest, 0)
         value = bytes(next(rest, 0) for _ in range(size % 7)).replace(b"\xff", b"\xff\xff")
         match step % 8:
             case 0 | 1 | 2:
-                stream += BEGIN + bytes([more % 16]) + value + END
+                stream += BEGIN + bytes([code % 16]) + value + END
             case 3:
-                stream += bytes([IAC, WILL + size % 4, (0, 1, 3, OPTION, more)[more % 5]])
+                stream += bytes([IAC, WILL + size % 4, (0, 1, 3, OPTION, code)[code % 5]])
             case 4:
-                stream += bytes([IAC, more])
+                stream += bytes([IAC, code])
             case 5:
-                stream += BEGIN + bytes([more]) * size
+                stream += BEGIN + bytes([code]) * size
             case 6:
                 stream += bytes([IAC, IAC]) + value
             case _:
-                stream += bytes([more]) + value
+                stream += bytes([code]) + value
     return stream
 
 
@@ -173,5 +173,5 @@ def seeds(folder: Path) -> None:
 
 
 def main() -> None:
-    """Run libFuzzer with its own options."""
+    """Run libFuzzer with options of the command line."""
     fuzz(check, seeds, ("serial.rfc2217", "khep_twin.ports.negotiation"), "-max_len=48")

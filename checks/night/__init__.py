@@ -1,1 +1,1 @@
-"""A night of all long checks, in parts that accumulate, and the page of what they found."""
+"""A night of all long checks, in parts that accumulate, and the page of their findings."""

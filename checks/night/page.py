@@ -1,4 +1,4 @@
-"""Page of the long checks, in Markdown: a row for each part, and what was found."""
+"""Page of the long checks, in Markdown: a row for each part, and the findings."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ def number(value: float) -> str:
     )
 
 
-def took(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Return a time in hours, minutes or seconds."""
     if seconds >= 3600:
         return f"{seconds / 3600:.1f} h"
@@ -24,7 +24,7 @@ def state(row: dict[str, Any]) -> str:
     """Return a part's state in a few words."""
     if row["findings"]:
         return f"{len(row['findings'])} finding" + "s" * (len(row["findings"]) > 1)
-    if row["done"] >= row["part"].wanted:
+    if row["done"] >= row["part"].total:
         return "nothing found"
     return "nothing found so far" if row["done"] else "not run"
 
@@ -36,16 +36,16 @@ def markdown(rows: Rows, now: str) -> str:
     for row in rows:
         part = row["part"]
         cells = [
-            f"**{part.name}**: {part.what}",
+            f"**{part.name}**: {part.description}",
             number(row["done"]),
-            f"{number(part.wanted)} {part.unit}",
-            took(row["seconds"]) if row["seconds"] else "",
+            f"{number(part.total)} {part.unit}",
+            format_duration(row["seconds"]) if row["seconds"] else "",
             state(row),
             row["date"],
             ", ".join(row["commits"]),
         ]
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    lines += ["", "The last command of each part, and what it told:", ""]
+    lines += ["", "The last command of each part, and its output:", ""]
     for row in rows:
         if row["command"]:
             lines.append(f"- {row['part'].name}: `{row['command']}`")
@@ -59,6 +59,6 @@ def markdown(rows: Rows, now: str) -> str:
 
 def summary(rows: Rows) -> str:
     """Return the state of all parts in a sentence."""
-    whole = sum(row["done"] >= row["part"].wanted for row in rows)
+    n_complete = sum(row["done"] >= row["part"].total for row in rows)
     findings = sum(len(row["findings"]) for row in rows)
-    return f"{whole} of {len(rows)} parts are whole; {findings or 'no'} finding{'s' * (findings != 1)}."
+    return f"{n_complete} of {len(rows)} parts are whole; {findings or 'no'} finding{'s' * (findings != 1)}."

@@ -1,4 +1,4 @@
-"""Parts of a night of long checks: what each runs, how many, and where its output says how many it was."""
+"""Parts of a night of long checks: command and count of each, and the pattern of the count in its output."""
 
 import os
 import re
@@ -17,8 +17,8 @@ class Share(NamedTuple):
 
     Attributes:
         number: Number of the share, from 0; another number, another draw.
-        first: Count of what the part has done before.
-        count: Count that is wanted of it.
+        first: Count that the part has completed before.
+        count: Requested count of the share.
     """
 
     number: int
@@ -41,32 +41,32 @@ class Part:
     """Part of a night.
 
     Attributes:
-        name: Name, as `LONG` of the Makefile has it.
-        what: Description for the page.
+        name: Name, as in `LONG` of the Makefile.
+        description: Description for the page.
         unit: Unit of its counts.
-        wanted: Count of a whole night.
-        share: Largest count of one process, which is what an interruption loses at most.
+        total: Count of a whole night.
+        share: Largest count of one process, and so the largest loss by an interruption.
         words: Options for Python, with names of `Share.filled`.
-        done: Pattern of the count in the output, all that are found are added; without a group, each is one.
+        count_pattern: Pattern of the count in the output; matches are added, or counted without a group.
         figures: Pattern of further lines to keep.
-        under_way: Pattern of the count in the output of an interrupted process; the last counts.
+        progress_pattern: Pattern of the count in the output of an interrupted process; the last match counts.
         variables: Variables of its process, in the form of a shell, with names of `Share.filled`.
         alone: True if it measures times, and needs all cores.
-        least: Smallest share that makes sense.
+        minimum: Smallest useful share.
     """
 
     name: str
-    what: str
+    description: str
     unit: str
-    wanted: float
+    total: float
     share: float
     words: str
-    done: str
+    count_pattern: str
     figures: str = r"(?!)"
-    under_way: str = r"(?!)"
+    progress_pattern: str = r"(?!)"
     variables: str = ""
     alone: bool = False
-    least: float = 1
+    minimum: float = 1
 
     def command(self, share: Share) -> list[str]:
         """Return the command of a share."""
@@ -74,64 +74,72 @@ class Part:
 
     def environment(self, share: Share) -> dict[str, str]:
         """Return the variables of a share's process."""
-        return dict(each.split("=", 1) for each in share.filled(self.variables).split())
+        return dict(pair.split("=", 1) for pair in share.filled(self.variables).split())
 
     def count(self, output: str) -> float:
-        """Return the count that a finished process has told."""
-        found = re.findall(self.done, output, re.MULTILINE)
-        return sum(map(float, found)) if re.compile(self.done).groups else len(found)
+        """Return the count in the output of a finished process."""
+        counts = re.findall(self.count_pattern, output, re.MULTILINE)
+        return sum(map(float, counts)) if re.compile(self.count_pattern).groups else len(counts)
 
     def count_under_way(self, output: str) -> float:
-        """Return the count that an interrupted process had told."""
-        told = re.findall(self.under_way, output, re.MULTILINE)
-        return float(told[-1]) if told else 0.0
+        """Return the last count in the output of an interrupted process."""
+        counts = re.findall(self.progress_pattern, output, re.MULTILINE)
+        return float(counts[-1]) if counts else 0.0
 
-    def kept(self, output: str) -> list[str]:
+    def shown_lines(self, output: str) -> list[str]:
         """Return the lines of the output that are shown on the page."""
-        return [found.group().strip() for found in re.finditer(self.figures, output, re.MULTILINE)]
+        return [match.group().strip() for match in re.finditer(self.figures, output, re.MULTILINE)]
 
 
-def fuzzed(name: str, what: str, wanted: float, share: float) -> Part:
+def fuzz_part(name: str, description: str, total: float, share: float) -> Part:
     """Return a part that libFuzzer does, with other seeds in each share."""
     return Part(
         name,
-        what,
+        description,
         "inputs",
-        wanted,
+        total,
         share,
         f"-m checks {name} -runs={{count}} -seed={{seed}}",
-        done=r"^Done (\d+) runs in ",
+        count_pattern=r"^Done (\d+) runs in ",
         figures=r"(?<=DONE   )cov: \d+ ft: \d+",
-        under_way=r"^#(\d+)\t",
+        progress_pattern=r"^#(\d+)\t",
     )
 
 
-def files(kind: str, what: str, wanted: float) -> Part:
+def files_part(kind: str, description: str, total: float) -> Part:
     """Return a part of damaged files of a kind."""
     words = f"-m checks fuzz-files {kind} {{count}} --first {{first}}"
-    done = rf"^{kind}: (\d+) inputs"
-    return Part(f"fuzz-{kind}", what, "files", wanted, 25_000, words, done, r"the slowest .*$")
+    pattern = rf"^{kind}: (\d+) inputs"
+    return Part(f"fuzz-{kind}", description, "files", total, 25_000, words, pattern, r"the slowest .*$")
 
 
-def numbered(name: str, what: str, unit: str, wanted: float, share: float) -> Part:
+def numbered_part(name: str, description: str, unit: str, total: float, share: float) -> Part:
     """Return a part whose cases have numbers."""
     words = f"-m checks {name} {{count}} --first {{first}}"
-    return Part(name, what, unit, wanted, share, words, rf"^(\d+) {unit}[ ,]", r"\d+ findings$")
+    return Part(name, description, unit, total, share, words, rf"^(\d+) {unit}[ ,]", r"\d+ findings$")
 
 
-def whole(
-    name: str, what: str, words: str, variables: str = "", figures: str = r"(?!)", *, alone: bool = False
+def single_run(
+    name: str,
+    description: str,
+    words: str,
+    variables: str = "",
+    figures: str = r"(?!)",
+    *,
+    alone: bool = False,
 ) -> Part:
     """Return a part that runs as a whole, once."""
-    done = r"^(?:\d+ passed|\d+ tests, \d+ failed|\d+ of \d+ mutants caught|TOTAL )"
-    return Part(name, what, "runs", 1, 1, words, done, figures, variables=variables, alone=alone)
+    pattern = r"^(?:\d+ passed|\d+ tests, \d+ failed|\d+ of \d+ mutants caught|TOTAL )"
+    return Part(name, description, "runs", 1, 1, words, pattern, figures, variables=variables, alone=alone)
 
 
-def killed(kind: str, what: str, wanted: float, share: float) -> Part:
+def kills_part(kind: str, description: str, total: float, share: float) -> Part:
     """Return a part of kills at random times."""
     words = f"-m checks kills {kind} {{count}} --jobs {{cores}} --seed {{first}}"
-    done = rf"^{kind} killed (\d+) times"
-    return Part(f"kills-{kind}", what, "kills", wanted, share, words, done, r"^lost by .*$", alone=True)
+    pattern = rf"^{kind} killed (\d+) times"
+    return Part(
+        f"kills-{kind}", description, "kills", total, share, words, pattern, r"^lost by .*$", alone=True
+    )
 
 
 PARTS = (
@@ -142,11 +150,11 @@ PARTS = (
         1000,
         10,
         "-m checks simulate run --hours {count} --jobs 1 --first {seeds}",
-        done=r"^([\d.]+) simulated hours in ",
+        count_pattern=r"^([\d.]+) simulated hours in ",
         figures=r"^.*simulated s per s of processor time$",
-        least=0.05,
+        minimum=0.05,
     ),
-    fuzzed("fuzz-board", "arbitrary bytes on the robot's line", 10_000_000, 250_000),
+    fuzz_part("fuzz-board", "arbitrary bytes on the robot's line", 10_000_000, 250_000),
     Part(
         "model",
         "random commands, each reply compared with a model of the board",
@@ -154,7 +162,7 @@ PARTS = (
         1_000_000,
         25_000,
         f"{PYTEST} tests/board/test_board_against_model.py -k thousands",
-        done=r"^\.?(\d+) commands agree",
+        count_pattern=r"^\.?(\d+) commands agree",
         variables="KHEP_COMMANDS={count} KHEP_FIRST={seeds}",
     ),
     Part(
@@ -164,7 +172,7 @@ PARTS = (
         100_000,
         2_000,
         f"{PYTEST} tests/ports/test_random_hosts.py",
-        done=r"^\.?(\d+) reconnects",
+        count_pattern=r"^\.?(\d+) reconnects",
         figures=r"\d+ in doubt.*$",
         variables="KHEP_OPENINGS={half} KHEP_FIRST={seeds}",
     ),
@@ -175,58 +183,60 @@ PARTS = (
         72,
         24,
         "-m checks day {count} --seed {seed}",
-        done=r"([\d.]+) h  [^\n]*\n(?=closed in)",
+        count_pattern=r"([\d.]+) h  [^\n]*\n(?=closed in)",
         figures=r"^.* MB more than after the first minute$",
-        least=0.05,
+        minimum=0.05,
     ),
-    files("toml", "damaged playpens", 500_000),
-    files("mat", "damaged MAT files", 100_000),
-    files("png", "damaged PNGs", 100_000),
-    files("picture", "damaged pictures of other formats", 200_000),
-    files("npz", "damaged networks", 100_000),
-    fuzzed("fuzz-logs", "changed logs, read, exported and recovered", 250_000, 25_000),
-    fuzzed("fuzz-log-uses", "changed logs, viewed, repeated, branched and checked", 50_000, 5_000),
-    fuzzed("fuzz-page", "requests to the designer's page", 100_000, 10_000),
-    fuzzed("fuzz-rfc2217", "negotiations over network ports", 1_000_000, 100_000),
-    numbered(
+    files_part("toml", "damaged playpens", 500_000),
+    files_part("mat", "damaged MAT files", 100_000),
+    files_part("png", "damaged PNGs", 100_000),
+    files_part("picture", "damaged pictures of other formats", 200_000),
+    files_part("npz", "damaged networks", 100_000),
+    fuzz_part("fuzz-logs", "changed logs, read, exported and recovered", 250_000, 25_000),
+    fuzz_part("fuzz-log-uses", "changed logs, viewed, repeated, branched and checked", 50_000, 5_000),
+    fuzz_part("fuzz-page", "requests to the designer's page", 100_000, 10_000),
+    fuzz_part("fuzz-rfc2217", "negotiations over network ports", 1_000_000, 100_000),
+    numbered_part(
         "edges",
-        "random playpens at the edge of what the check lets pass, driven through at full speed",
+        "random playpens at the limits of the check, driven through at full speed",
         "playpens",
         2_000,
         100,
     ),
-    numbered("branches", "random logs resumed at random moments, unchanged and changed", "logs", 200, 20),
-    numbered(
+    numbered_part(
+        "branches", "random logs resumed at random moments, unchanged and changed", "logs", 200, 20
+    ),
+    numbered_part(
         "recordings",
         "logs of sound robots with random hosts, in which conform must find nothing",
         "logs",
         300,
         50,
     ),
-    whole(
+    single_run(
         "docs-blocks",
-        "every block of the pages, the long ones, too, as a reader who copies it",
+        "every block of the pages, the long ones as well, as a reader who copies it",
         f"{PYTEST} -n 0 tests/test_docs_blocks.py",
         "KHEP_DOCS=all",
         r"^\.?(\S+\.md, not run: .*)$",
     ),
-    whole("long-tests", "tests of the suite that are marked long", f"{PYTEST} -n 0 -m long tests"),
-    whole("pyserial", "pyserial's own tests on a looped-back line", "-m checks pyserial"),
-    whole(
+    single_run("long-tests", "tests of the suite that are marked long", f"{PYTEST} -n 0 -m long tests"),
+    single_run("pyserial", "pyserial's tests on a looped-back line", "-m checks pyserial"),
+    single_run(
         "coverage",
         "lines of ports, log and host that two hours of all scenarios run",
         "-m checks simulate coverage",
         figures=r"^TOTAL .*$",
     ),
-    whole(
+    single_run(
         "mutants",
         "broken builds, which the simulation must catch",
         "-m checks simulate mutants --jobs {cores}",
         figures=r"^\d+ of \d+ mutants .*$",
         alone=True,
     ),
-    killed("serve", "served twins killed at random times, their logs recovered", 200, 50),
-    killed("run", "runs killed at random times, their logs recovered", 40, 20),
+    kills_part("serve", "served twins killed at random times, their logs recovered", 200, 50),
+    kills_part("run", "runs killed at random times, their logs recovered", 40, 20),
     Part(
         "worker-kills",
         "Ray's workers killed in a sweep, each result once",
@@ -234,7 +244,7 @@ PARTS = (
         100,
         100,
         "-m checks worker-kills --tasks {twice} --kills {count} --seed {seed}",
-        done=r"^(\d+) workers killed in ",
+        count_pattern=r"^(\d+) workers killed in ",
         figures=r"each is there once.*$",
         alone=True,
     ),
@@ -245,7 +255,7 @@ PARTS = (
         400_000,
         400_000,
         "-m checks determinism",
-        done=r"^(\d+) steps, [^\n]*\n(?=(?:[^\n]*\n)*the same\n)",
+        count_pattern=r"^(\d+) steps, [^\n]*\n(?=(?:[^\n]*\n)*the same\n)",
         figures=r"^the same$",
         alone=True,
     ),
@@ -256,18 +266,18 @@ PARTS = (
         1000,
         100,
         "-m checks signals {count} --jobs {cores} --seed {first}",
-        done=r"^(\d+) signals, ",
+        count_pattern=r"^(\d+) signals, ",
         figures=r"\d+ with faults.*$",
         alone=True,
     ),
-    whole(
+    single_run(
         "rubbish",
         "hosts that misbehave for a minute each, and thousands that open a line",
         f"{PYTEST} tests/ports/test_chaos.py",
         "KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000",
         alone=True,
     ),
-    whole(
+    single_run(
         "leavings",
         "hosts that leave a network port; the next is served within half a second",
         f"{PYTEST} tests/ports/test_leaving_hosts.py -k stale",

@@ -1,15 +1,15 @@
 """The long checks of a night, in parts that accumulate over calls, and one page with their figures.
 
     python -m checks night run                       all that is missing, on all cores; `make long`
-    python -m checks night run fuzz-board day           some parts; `make long LONG="fuzz-board day"`
+    python -m checks night run fuzz-board day        some parts; `make long LONG="fuzz-board day"`
     python -m checks night run --share 0.01          a share of each part; `make long LONG_SHARE=0.01`
-    python -m checks night list                      what there is, and what is done
-    python -m checks night page                      the page anew, out/night/page.md
+    python -m checks night list                      all parts, with their progress
+    python -m checks night page                      write the page out/night/page.md again
 
-Each part runs in processes of one share each; a share that is done is kept in out/night, so that an
-interruption loses at most those under way. Counts come from the output of the processes. A finding ends its
-part; its output and the command that shows it again are kept, the others go on, and the exit status is 1.
-The next call tries that share again.
+Each part runs in processes of one share each. A finished share is kept in out/night, so that an interruption
+loses at most those under way. Counts come from the output of the processes. A finding ends its part: its
+output and the command that reproduces it are kept, the other parts continue, and the exit status is 1. The
+next call tries that share again.
 """
 
 import json
@@ -42,11 +42,11 @@ class Run:
 
     Attributes:
         number: Number of the share.
-        wanted: Count that was wanted.
-        count: Count that its output told.
+        wanted: Requested count.
+        count: Count in its output.
         seconds: Wall time [s].
         status: Exit status; None if it was interrupted.
-        command: Command line, which does the same again.
+        command: Command line, which repeats the run.
         date: Date and time of its end, UTC.
         commit: Commit of the checkout, with + if it was changed.
         figures: Lines of its output.
@@ -70,11 +70,11 @@ class State:
 
     def __init__(self, part: Part, folder: Path) -> None:
         self.part, self.path = part, folder / f"{part.name}.json"
-        known = json.loads(self.path.read_text()) if self.path.exists() else []
-        self.runs = [Run(**each) for each in known]
+        records = json.loads(self.path.read_text()) if self.path.exists() else []
+        self.runs = [Run(**record) for record in records]
 
     @property
-    def done(self) -> float:
+    def completed_count(self) -> float:
         """Count of the runs without a finding."""
         return sum(run.count for run in self.runs if not run.finding)
 
@@ -91,9 +91,9 @@ class State:
 
     def add(self, run: Run) -> None:
         """Keep a run; one of a share that was a finding replaces it."""
-        self.runs = [each for each in self.runs if not (each.finding and each.number == run.number)]
+        self.runs = [stored for stored in self.runs if not (stored.finding and stored.number == run.number)]
         self.runs.append(run)
-        text = json.dumps([asdict(each) for each in self.runs], indent=1)
+        text = json.dumps([asdict(stored) for stored in self.runs], indent=1)
         new = self.path.with_suffix(".new")
         new.write_text(text)
         new.replace(self.path)
@@ -105,10 +105,10 @@ class Process:
     def __init__(self, part: Part, share: Share, folder: Path) -> None:
         self.part, self.share = part, share
         self.log = folder / f"{part.name}-{share.number}.txt"
-        self._command, self._more = part.command(share), part.environment(share)
-        self._begun = time.monotonic()
+        self._command, self._variables = part.command(share), part.environment(share)
+        self._start_s = time.monotonic()
         paths = [str(Path.cwd()), *filter(None, [os.environ.get("PYTHONPATH", "")])]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **self._more}
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **self._variables}
         with self.log.open("wb") as file:
             self._process = subprocess.Popen(
                 [*self._command, *artifacts(part, folder)],
@@ -125,9 +125,9 @@ class Process:
 
     def stop(self) -> None:
         """End it with all that it has started."""
-        for each in (signal.SIGINT, signal.SIGKILL):
+        for signal_number in (signal.SIGINT, signal.SIGKILL):
             try:
-                os.killpg(self._process.pid, each)
+                os.killpg(self._process.pid, signal_number)
                 self._process.wait(10)
             except (ProcessLookupError, subprocess.TimeoutExpired):
                 continue
@@ -142,27 +142,27 @@ class Process:
         if status:
             finding = "\n".join(output.splitlines()[-LINES:]) or f"exit status {status}, no output"
         elif status == 0 and not count:
-            finding = "\n".join([*output.splitlines()[-LINES:], "the output tells no count"])
+            finding = "\n".join([*output.splitlines()[-LINES:], "the output has no count"])
         if not finding:
             self.log.unlink()
-        words = [*(f"{name}={value}" for name, value in self._more.items()), *map(plain, self._command)]
+        words = [*(f"{name}={value}" for name, value in self._variables.items()), *map(plain, self._command)]
         return Run(
             self.share.number,
             self.share.count,
             count,
-            round(time.monotonic() - self._begun, 1),
+            round(time.monotonic() - self._start_s, 1),
             status,
             shlex.join(words),
             datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
             commit,
-            [] if stopped else self.part.kept(output),
+            [] if stopped else self.part.shown_lines(output),
             finding,
         )
 
 
 def artifacts(part: Part, folder: Path) -> list[str]:
     """Return the option by which libFuzzer keeps a finding's input in the folder."""
-    is_fuzzed = part.done.startswith("^Done")
+    is_fuzzed = part.count_pattern.startswith("^Done")
     return [f"-artifact_prefix={folder}/{part.name}-"] if is_fuzzed else []
 
 
@@ -183,12 +183,12 @@ def commit_now() -> str:
     return head + "+" * bool(changed)
 
 
-def wanted_of(part: Part, share: float) -> float:
+def target_count(part: Part, share: float) -> float:
     """Return the count that a share of a night wants of a part."""
     if share == 1:
-        return part.wanted
-    wanted = part.wanted * share
-    return max(ceil(wanted) if part.least == 1 else wanted, part.least)
+        return part.total
+    count = part.total * share
+    return max(ceil(count) if part.minimum == 1 else count, part.minimum)
 
 
 class Night:
@@ -203,12 +203,12 @@ class Night:
         self._commit = commit_now()
 
     def run(self) -> int:
-        """Run what is missing; return 1 if there is a finding."""
+        """Run all missing shares; return 1 if there is a finding."""
         try:
             while self._start() or self._running:
                 self._reap()
         except KeyboardInterrupt:
-            print("interrupted; what is done is kept", flush=True)
+            print("interrupted; finished shares are kept", flush=True)
             for process in self._running:
                 process.stop()
                 run = process.run(self._commit, stopped=True)
@@ -221,10 +221,10 @@ class Night:
         return 1 if findings else 0
 
     def _start(self) -> bool:
-        """Start what fits on the cores; return whether anything was started."""
+        """Start as many shares as fit on the cores; return whether any was started."""
         started = False
-        while len(self._running) < self._cores and (found := self._next()) is not None:
-            part, share = found
+        while len(self._running) < self._cores and (task := self._next()) is not None:
+            part, share = task
             print(f"{part.name}: share {share.number}, {share.count:g} {part.unit}", flush=True)
             self._running.append(Process(part, share, self._folder))
             started = True
@@ -239,43 +239,45 @@ class Night:
             if part.name in self._ended:
                 continue
             mine = [process.share for process in self._running if process.part is part]
-            first = state.done + sum(share.count for share in mine)
-            left = wanted_of(part, self._part_share) - first
+            first = state.completed_count + sum(share.count for share in mine)
+            left = target_count(part, self._part_share) - first
             if left < 1e-6 or (part.alone and self._running):
                 if left >= 1e-6:
                     return None  # the others end first
                 continue
             place = max([state.number, *(share.number + 1 for share in mine)])
-            return part, Share(place, first, max(min(left, part.share), part.least))
+            return part, Share(place, first, max(min(left, part.share), part.minimum))
         return None
 
     def _reap(self) -> None:
         """Wait until a process has ended, and keep its result."""
-        while not (done := [process for process in self._running if process.ended()]):
+        while not (ended := [process for process in self._running if process.ended()]):
             time.sleep(0.05)
-        for process in done:
+        for process in ended:
             self._running.remove(process)
             name, run = process.part.name, process.run(self._commit)
             state = self._states[name]
             state.add(run)
-            told = f"{run.count:g} in {run.seconds:.0f} s, {state.done:g} of {process.part.wanted:g}"
-            print(f"{name}: " + ("a finding" if run.finding else told), flush=True)
+            progress = (
+                f"{run.count:g} in {run.seconds:.0f} s, {state.completed_count:g} of {process.part.total:g}"
+            )
+            print(f"{name}: " + ("a finding" if run.finding else progress), flush=True)
             if run.finding:
                 self._ended.add(name)
             write_page(self._folder)
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
-    """Return what the page tells of each part."""
-    found: list[dict[str, Any]] = []
+    """Return the rows of the page, one for each part."""
+    table: list[dict[str, Any]] = []
     for part in PARTS:
         state = State(part, folder)
         runs = state.runs
         last = max(runs, key=lambda run: run.date, default=None)
-        found.append(
+        table.append(
             {
                 "part": part,
-                "done": state.done,
+                "done": state.completed_count,
                 "seconds": sum(run.seconds for run in runs),
                 "command": "" if last is None else last.command,
                 "figures": [] if last is None else last.figures,
@@ -284,7 +286,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
                 "findings": state.findings,
             }
         )
-    return found
+    return table
 
 
 def write_page(folder: Path) -> None:
@@ -303,9 +305,9 @@ def main() -> int:
         "--share",
         type=float,
         default=1.0,
-        help="share of a whole night, above 0 to 1; below 1 what runs only as a whole is left out",
+        help="share of a whole night, above 0 to 1; below 1 parts without shares are left out",
     )
-    parser.add_argument("--jobs", type=int, default=CORES, help="processes at once")
+    parser.add_argument("--jobs", type=int, default=CORES, help="parallel processes")
     parser.add_argument("--folder", type=Path, default=OUT)
     wish = parser.parse_intermixed_args()
     if unknown := sorted(set(wish.parts) - set(names)):
@@ -313,16 +315,16 @@ def main() -> int:
     if not 0 < wish.share <= 1 or wish.jobs < 1:
         parser.error(f"--share {wish.share:g} --jobs {wish.jobs}: expected above 0 to 1, and at least 1")
     if wish.what == "run":
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # its processes would go on
-        asked = wish.parts or [part.name for part in PARTS if wish.share == 1 or part.wanted > part.share]
-        parts = [part for part in PARTS if part.name in asked]
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # otherwise its processes would continue
+        requested = wish.parts or [part.name for part in PARTS if wish.share == 1 or part.total > part.share]
+        parts = [part for part in PARTS if part.name in requested]
         return Night(parts, wish.share, wish.folder, wish.jobs).run()
     wish.folder.mkdir(parents=True, exist_ok=True)
     if wish.what == "list":
         for row in rows(wish.folder):
             part = row["part"]
-            done = f"{number(row['done']):>10} of {number(part.wanted):>10} {part.unit}"
-            print(f"{part.name:13} {done:41} {part.what}")
+            progress = f"{number(row['done']):>10} of {number(part.total):>10} {part.unit}"
+            print(f"{part.name:13} {progress:41} {part.description}")
     else:
         write_page(wish.folder)
         print(wish.folder / "page.md")

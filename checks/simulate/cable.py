@@ -1,8 +1,8 @@
 """A serial cable from an adapter of the machine to a robot, which is no part of the machine.
 
-Bytes to the robot leave the adapter one after another at the speed of the line; those of the robot come at
-its own. Bytes at another speed than the robot's arrive as others. The cable loses, garbles, repeats and
-delays bytes, and is pulled out and plugged in again: its device is gone meanwhile.
+Bytes to the robot leave the adapter one after another at the adapter's baud rate; the robot sends at its baud
+rate. If the two differ, other bytes arrive. The cable loses, garbles, repeats and delays bytes, and is pulled
+out and plugged in again: its device does not exist meanwhile.
 """
 
 # The functions of open files are the system's, which documents them.
@@ -30,7 +30,7 @@ _AT_ONCE = 8
 _BAD = 0.25
 """Share of cables that spoil bytes."""
 
-_MOST = {"drop": 0.002, "garble": 0.002, "double": 0.002, "late": 0.01}
+_MAX_RATES = {"drop": 0.002, "garble": 0.002, "double": 0.002, "late": 0.01}
 """Highest probability of each fault of some bytes."""
 
 _LATE_NS = 200_000_000
@@ -40,21 +40,21 @@ _TRANSIT_NS = 100_000, 2_000_000
 """Shortest and longest transit from the robot, of a polled adapter (assumed) [ns]."""
 
 _SILENCE_NS = NS_PER_S // 2
-"""Silence after which a robot has answered what an earlier program has asked [ns]."""
+"""Silence after which a robot has answered the requests of an earlier program [ns]."""
 
 _SPEEDS = {getattr(termios, f"B{baud}"): baud for baud in (300, 9600, 19200, 38400, 57600, 115200)}
 
 
 class Account:
-    """What one program at the adapter has exchanged with the cable.
+    """Bytes that one program at the adapter has exchanged with the cable.
 
     Attributes:
         sent: Bytes that it has handed to the adapter.
-        heard: Bytes that it has read.
+        received: Bytes that it has read.
     """
 
     def __init__(self) -> None:
-        self.sent, self.heard = bytearray(), bytearray()
+        self.sent, self.received = bytearray(), bytearray()
 
 
 class Cable:
@@ -68,7 +68,7 @@ class Cable:
     Attributes:
         adapter: Open file of the device; None for none.
         robot: The robot's end; None while the robot is off.
-        accounts: What each program at the device has exchanged, the latest last.
+        accounts: Bytes that each program at the device has exchanged, the latest last.
         away_ns: Time at which it was pulled out; None while it is plugged in [ns].
     """
 
@@ -85,7 +85,7 @@ class Cable:
         self._heard_ns, self._is_behind = -NS_PER_S, False
         self._rng = simulation.rng("cable")
         is_bad = self._rng.random() < _BAD
-        self._most = _MOST if is_bad else {"late": _MOST["late"]}
+        self._max_rates = _MAX_RATES if is_bad else {"late": _MAX_RATES["late"]}
         simulation.system.devices[path] = self
 
     def open(self, process: Process, flags: int) -> OpenFile:
@@ -96,7 +96,7 @@ class Cable:
 
     @property
     def touched_ns(self) -> int:
-        """Time until which lines were not what was sent, or replies were to an earlier program [ns]."""
+        """Time until which lines differed from those sent, or replies were to an earlier program [ns]."""
         if self._is_behind and self.kernel.now_ns - self._heard_ns > _SILENCE_NS:
             self._is_behind = False
         if self._is_behind:
@@ -104,7 +104,7 @@ class Cable:
         return self.kernel.now_ns if self._dirty else self._touched_ns
 
     def touch(self) -> None:
-        """Note that the line that has begun may not be what was sent."""
+        """Note that the current line may differ from the one that was sent."""
         self._dirty, self._touched_ns = True, self.kernel.now_ns
 
     def leave(self) -> None:
@@ -180,8 +180,8 @@ class Cable:
 
     def _disturbed(self, name: str, data: bytes, delay_ns: int) -> tuple[bytes, int]:
         faults = self.simulation.faults
-        for kind, most in self._most.items():
-            if data and faults.happens(f"cable {kind}", name, most):
+        for kind, max_rate in self._max_rates.items():
+            if data and faults.happens(f"cable {kind}", name, max_rate):
                 rng = faults.drawn(f"cable {kind}", name)
                 at = rng.randrange(len(data))
                 if kind == "late":
@@ -205,7 +205,7 @@ class Adapter(OpenFile):
     Attributes:
         data: Bytes that can be read.
         is_dead: True if the device has gone.
-        account: What is exchanged by it.
+        account: Bytes that are exchanged by it.
     """
 
     def __init__(self, cable: Cable) -> None:
@@ -232,10 +232,10 @@ class Adapter(OpenFile):
         return self.is_dead
 
     def read(self, limit: int) -> bytes:
-        taken = b"" if self.is_dead else bytes(self.data[:limit])
-        del self.data[: len(taken)]
-        self.account.heard += taken
-        return taken
+        data = b"" if self.is_dead else bytes(self.data[:limit])
+        del self.data[: len(data)]
+        self.account.received += data
+        return data
 
     def write(self, data: bytes) -> int:
         self._check()
@@ -305,17 +305,17 @@ class RobotEnd(OpenFile):
         return [self._descriptor] if has_room else []
 
     def set_baud(self, baud: int) -> None:
-        """Do nothing: a host sets its own speed."""
+        """Do nothing: the baud rate is the host's."""
 
     def settings(self) -> LineSettings | None:
         """Return None: a robot cannot see the other end."""
         return None
 
     def receive(self, limit: int, is_answered: bool = False) -> Received:
-        """Take what has come; the robot cannot see hosts come and go."""
-        taken = bytes(self.data[:limit])
+        """Return the received bytes; the robot cannot detect changes of the host."""
+        data = bytes(self.data[:limit])
         del self.data[:limit]
-        return Received(taken) if taken else NOTHING
+        return Received(data) if data else NOTHING
 
     def write(self, data: bytes) -> int:
         """Send to the cable."""

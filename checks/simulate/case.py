@@ -49,11 +49,11 @@ class Case:
         text = tomlkit.dumps({name: value for name, value in table.items() if value not in (None, "")})
         path.write_text(text, encoding="utf-8")
 
-    def run(self, kept: Collection[str] | None = None) -> Outcome:
+    def run(self, allowed: Collection[str] | None = None) -> Outcome:
         """Run it, with other faults if they are given; return its outcome."""
         broken = mutants()[self.mutant].broken() if self.mutant else nullcontext()
         with broken:
-            faults = self.faults if kept is None else kept
+            faults = self.faults if allowed is None else allowed
             return simulate(self.scenario, scenarios()[self.scenario], self.seed, self.seconds, faults)
 
     def sound(self) -> Self:

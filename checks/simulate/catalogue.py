@@ -11,12 +11,12 @@ MODULES = ("serving", "networking", "relaying", "recording", "files", "sweeping"
 
 def scenarios() -> dict[str, Scenario]:
     """Return all scenarios by name."""
-    return {name: each for module in MODULES for name, each in _of(module, "SCENARIOS").items()}
+    return {name: scenario for module in MODULES for name, scenario in _of(module, "SCENARIOS").items()}
 
 
 def mutants() -> dict[str, Mutant]:
     """Return all mutants by name."""
-    return {name: each for module in MODULES for name, each in _of(module, "MUTANTS").items()}
+    return {name: mutant for module in MODULES for name, mutant in _of(module, "MUTANTS").items()}
 
 
 def _of(module: str, name: str) -> dict:

@@ -1,8 +1,8 @@
 """Faults of the machine's clocks: the wall clock is set, and the machine sleeps for a while.
 
-A wall clock that is set, by seconds or by years, must disturb nobody. A machine that sleeps holds up all its
-programs at once; robots at its cables go on meanwhile. Linux keeps the monotonic clock still then, so that
-programs see a wall clock that jumps, and nothing else; other systems let it go on, as here.
+A wall clock that is set, by seconds or by years, must disturb no program. A machine that sleeps suspends all
+its programs together, while robots at its cables continue. Linux stops the monotonic clock meanwhile, so that
+programs see only a jump of the wall clock; on other systems it continues, as here.
 """
 
 from checks.simulate.faults import CLOCK, Faults
@@ -31,5 +31,5 @@ def disturb_clocks(kernel: Kernel, faults: Faults, time: SimulatedTime) -> None:
             duration_s = 10 ** faults.drawn("suspend", "machine").uniform(-1, 1)
             kernel.suspend(round(duration_s * NS_PER_S))
 
-    # Amid what happens, not at whole seconds.
+    # Amid events, not at whole seconds.
     kernel.at(kernel.now_ns + 4_321_012_345, look)

@@ -24,11 +24,11 @@ from pathlib import Path
 
 from checks.simulate.case import SECONDS, Case
 from checks.simulate.catalogue import mutants, scenarios
-from checks.simulate.many import caught, in_processes, timed
-from checks.simulate.shrink import shrunk
+from checks.simulate.many import catch_mutant, in_processes, run_timed
+from checks.simulate.shrink import shrink_case
 from tools.command_table import command_line
 
-FOUND = Path("out/simulate")
+CASES_FOLDER = Path("out/simulate")
 """Folder of the cases that violate an invariant."""
 
 MOST_FAULTS = 5
@@ -47,7 +47,7 @@ LEAST_COVERED = 85
 """Least share of their lines that the scenarios must run [%]."""
 
 LEFT_OUT = "khep_twin/log/viewer"
-"""Folder whose lines are not counted: rerun's own threads and sockets stay outside the simulated kernel."""
+"""Folder whose lines are not counted: rerun's threads and sockets stay outside the simulated kernel."""
 
 
 def main() -> int:
@@ -63,8 +63,10 @@ def main() -> int:
             sub.add_argument("--mutant", default="", choices=mutants(), help="broken build to run")
             sub.add_argument("--faults", help="names of the faults that happen, with commas between; all")
         else:
-            known = mutants() if name == "mutants" else scenarios()
-            sub.add_argument("names", nargs="*", choices=[*known, []], metavar="NAME", help=", ".join(known))
+            choices = mutants() if name == "mutants" else scenarios()
+            sub.add_argument(
+                "names", nargs="*", choices=[*choices, []], metavar="NAME", help=", ".join(choices)
+            )
             sub.add_argument("--first", type=int, default=0, help="first seed")
         if name in ("run", "coverage"):
             usual = HOURS_COVERED if name == "coverage" else 1.0
@@ -75,34 +77,39 @@ def main() -> int:
             )
         if name == "run":
             sub.add_argument("--no-shrink", dest="shrink", action="store_false", help="name violations only")
-        own = {"mutants": None, "coverage": SECONDS_COVERED}.get(name, SECONDS)
-        sub.add_argument("--seconds", type=float, default=own, help="simulated time of a seed [s]")
+        default_s = {"mutants": None, "coverage": SECONDS_COVERED}.get(name, SECONDS)
+        sub.add_argument("--seconds", type=float, default=default_s, help="simulated time of a seed [s]")
     options = parser.parse_args()
     return options.function(options)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run scenarios under seed after seed."""
-    begun = time.monotonic()
+    start_s = time.monotonic()
     hours, spent_s = Counter[str](), Counter[str]()
     counts, seeds = Counter[str](), Counter[str]()
-    found: list[Case] = []
-    for case, outcome, case_s in in_processes(timed, _cases(options), options.jobs):
+    failures: list[Case] = []
+    for case, outcome, case_s in in_processes(run_timed, _cases(options), options.jobs):
         hours[case.scenario] += outcome.simulated_ns / 3.6e12
         spent_s[case.scenario] += case_s
         seeds[case.scenario] += 1
         counts.update({f"{case.scenario} {name}": number for name, number in outcome.counts.items()})
         if outcome.violation is not None:
             print(f"{case.scenario} seed {case.seed}: {outcome.violation}", flush=True)
-            found.append(_kept(shrunk(case, outcome)) if options.shrink else case)
-        _tell(f"{hours.total():.1f} of {options.hours:g} h, {seeds.total()} seeds, {len(found)} violations")
+            failures.append(_save_case(shrink_case(case, outcome)) if options.shrink else case)
+        _tell(
+            f"{hours.total():.1f} of {options.hours:g} h, {seeds.total()} seeds, {len(failures)} violations"
+        )
     for name in seeds:
         speed = f"{3600 * hours[name] / spent_s[name]:.0f} simulated s per s of processor time"
         print(f"{name}: {hours[name]:.1f} h, {seeds[name]} seeds, {speed}")
     for name, number in sorted(counts.items()):
         print(f"  {name}: {number}")
-    print(f"{hours.total():.1f} simulated hours in {time.monotonic() - begun:.0f} s, {len(found)} violations")
-    return 1 if found else 0
+    print(
+        f"{hours.total():.1f} simulated hours in {time.monotonic() - start_s:.0f} s, "
+        f"{len(failures)} violations"
+    )
+    return 1 if failures else 0
 
 
 def one(options: argparse.Namespace) -> int:
@@ -118,18 +125,18 @@ def one(options: argparse.Namespace) -> int:
 
 
 def run_mutants(options: argparse.Namespace) -> int:
-    """Run mutants until they are caught, and shrink what catches them."""
+    """Run mutants until they are caught, and shrink the cases that catch them."""
     names = options.names or [*mutants()]
     missed = 0
     searches = [(name, options.first, options.seconds) for name in names]
-    for name, case, simulated_s in in_processes(caught, searches, options.jobs):
+    for name, case, simulated_s in in_processes(catch_mutant, searches, options.jobs):
         n_faults = None if case is None else len(case.faults or ())
         if case is None or n_faults is None or n_faults > MOST_FAULTS:
             missed += 1
         if case is None:
             print(f"{name}: not caught in {simulated_s:.0f} s", flush=True)
         else:
-            _kept(case)
+            _save_case(case)
             print(
                 f"{name}: {case.invariant}, seed {case.seed}, {simulated_s:.0f} s, {n_faults} faults",
                 flush=True,
@@ -153,10 +160,10 @@ def coverage(options: argparse.Namespace) -> int:
             ],
             check=False,
         )
-        print(f"{LEFT_OUT} is not counted: rerun's own threads and sockets cannot be simulated")
-        shown = ["--show-missing", f"--omit=*/{LEFT_OUT}/*", f"--fail-under={LEAST_COVERED}"]
-        told = subprocess.run([*measure, "report", f"--data-file={counted}", *shown], check=False)
-        return ran.returncode or told.returncode
+        print(f"{LEFT_OUT} is not counted: rerun's threads and sockets cannot be simulated")
+        report_options = ["--show-missing", f"--omit=*/{LEFT_OUT}/*", f"--fail-under={LEAST_COVERED}"]
+        report = subprocess.run([*measure, "report", f"--data-file={counted}", *report_options], check=False)
+        return ran.returncode or report.returncode
 
 
 def _cases(options: argparse.Namespace) -> Iterator[Case]:
@@ -168,10 +175,10 @@ def _cases(options: argparse.Namespace) -> Iterator[Case]:
     return islice(turns, n_cases)
 
 
-def _kept(case: Case) -> Case:
+def _save_case(case: Case) -> Case:
     """Keep a case that fails, and print the command for it."""
-    FOUND.mkdir(parents=True, exist_ok=True)
-    path = FOUND / f"{case.mutant or case.scenario}-{case.invariant}-{case.seed}.toml"
+    CASES_FOLDER.mkdir(parents=True, exist_ok=True)
+    path = CASES_FOLDER / f"{case.mutant or case.scenario}-{case.invariant}-{case.seed}.toml"
     case.write(path)
     print(f"  {case.command()}", flush=True)
     return case

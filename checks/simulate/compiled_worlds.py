@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from functools import cache
 from unittest.mock import patch
 
-import khep_twin.status_line  # noqa: F401 - before a simulation: compilation tells by it
+import khep_twin.status_line  # noqa: F401 - before a simulation: compilation reports by it
 from khep_twin.playpen import Playpen
 from khep_twin.vision import camera
 from khep_twin.world import World
@@ -17,7 +17,7 @@ def compiled_worlds() -> Generator[None]:
     defaults = World.__init__.__kwdefaults__
     assert defaults is not None
     _load()
-    with patch.dict(defaults, compiled=True), patch.object(camera, "_CHECKS", 1):
+    with patch.dict(defaults, compiled=True), patch.object(camera, "_CHECK_INTERVAL", 1):
         yield
 
 

@@ -1,7 +1,7 @@
 """A simulated designer: the page's real application behind its guard, on a simulated loop and threads.
 
-uvicorn and its connections, the page's own files, pictures, robots at ports and the terminals of a twin are
-not run here.
+uvicorn and its connections, the page's static files, pictures, robots at ports and the terminals of a twin
+are not run here.
 """
 
 import asyncio
@@ -40,7 +40,7 @@ class UnreachedError(Exception):
     """The designer is gone, or the page has left before the answer."""
 
 
-class Asked:
+class PageRequest:
     """A request of a page.
 
     Attributes:
@@ -52,20 +52,20 @@ class Asked:
         left: True if the page waits no longer.
     """
 
-    def __init__(self, simulation: Simulation, action: str, wanted: Mapping[str, Any]) -> None:
-        self.action, self.wanted, self.began_ns = action, wanted, simulation.kernel.now_ns
+    def __init__(self, simulation: Simulation, action: str, arguments: Mapping[str, Any]) -> None:
+        self.action, self.arguments, self.began_ns = action, arguments, simulation.kernel.now_ns
         self.file = OpenFile(simulation.kernel)
         self.status, self.body = 0, b""
-        self.done = self.left = False
+        self.is_answered = self.has_left = False
 
 
 class Socket:
-    """A page's websocket: what it has heard, and what it says."""
+    """A page's websocket, with received messages and those to be sent."""
 
     def __init__(self) -> None:
-        self.heard: list[dict[str, Any]] = []
+        self.messages: list[dict[str, Any]] = []
         self.left = False
-        self.said: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+        self.outbox: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
 
 
 class QuietPort:
@@ -112,7 +112,7 @@ class Designer:
         self.loop = Loop(simulation)
         self.token = f"token-{number}"
         self.page: Page | None = None
-        self._open: list[Asked] = []
+        self._open: list[PageRequest] = []
 
         def begin() -> None:
             self.page = Page(Documents(folder), "first.toml")
@@ -126,7 +126,9 @@ class Designer:
         """True if it answers."""
         return self.group.alive and self.page is not None
 
-    def ask(self, asked: Asked, body: bytes, headers: Mapping[str, str], timeout_s: float | None) -> Asked:
+    def ask(
+        self, request: PageRequest, body: bytes, headers: Mapping[str, str], timeout_s: float | None
+    ) -> PageRequest:
         """Send a request and wait for its answer, in the page's process.
 
         Raises:
@@ -136,15 +138,15 @@ class Designer:
         simulated.called()
         if not self.alive:
             raise UnreachedError
-        self._open.append(asked)
-        self.loop.call_soon_threadsafe(self._begin, asked, body, headers)
+        self._open.append(request)
+        self.loop.call_soon_threadsafe(self._begin, request, body, headers)
         deadline_ns = None if timeout_s is None else simulated.now_ns + round(timeout_s * NS_PER_S)
-        simulated.wait([asked.file], lambda: asked.done or not self.group.alive, deadline_ns)
-        asked.left = True
-        self._open.remove(asked)
-        if not asked.done:
+        simulated.wait([request.file], lambda: request.is_answered or not self.group.alive, deadline_ns)
+        request.has_left = True
+        self._open.remove(request)
+        if not request.is_answered:
             raise UnreachedError
-        return asked
+        return request
 
     def connect(self) -> Socket:
         """Open a websocket."""
@@ -154,10 +156,10 @@ class Designer:
         return socket
 
     def say(self, socket: Socket, message: dict[str, Any]) -> None:
-        """Send a message of the websocket, such as its end."""
+        """Send a message of the websocket, for example its end."""
         socket.left = socket.left or message["type"] == "websocket.disconnect"
         if self.alive:
-            self.loop.call_soon_threadsafe(socket.said.put_nowait, message)
+            self.loop.call_soon_threadsafe(socket.outbox.put_nowait, message)
 
     def in_thread(self, function: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:
         """Run a function in a thread, as starlette does."""
@@ -190,14 +192,14 @@ class Designer:
 
     def _died(self) -> None:
         self.loop.close()
-        for each in [*self._open]:
-            each.file.changed()
+        for request in [*self._open]:
+            request.file.changed()
 
-    def _begin(self, asked: Asked, body: bytes, headers: Mapping[str, str]) -> None:
-        self.loop.create_task(self._answer(asked, body, headers))
+    def _begin(self, request: PageRequest, body: bytes, headers: Mapping[str, str]) -> None:
+        self.loop.create_task(self._answer(request, body, headers))
 
     def _scope(self, kind: str, path: str, headers: Mapping[str, str]) -> dict[str, Any]:
-        told = {"host": HOST, "origin": f"http://{HOST}", **headers}
+        all_headers = {"host": HOST, "origin": f"http://{HOST}", **headers}
         return {
             "type": kind,
             "asgi": {"version": "3.0"},
@@ -207,42 +209,42 @@ class Designer:
             "raw_path": path.encode(),
             "query_string": b"",
             "root_path": "",
-            "headers": [(name.encode(), value.encode("latin-1")) for name, value in told.items()],
+            "headers": [(name.encode(), value.encode("latin-1")) for name, value in all_headers.items()],
             "client": ("127.0.0.1", 40000),
             "server": ("127.0.0.1", 8000),
         }
 
-    async def _answer(self, asked: Asked, body: bytes, headers: Mapping[str, str]) -> None:
-        REQUEST.set(asked)
+    async def _answer(self, request: PageRequest, body: bytes, headers: Mapping[str, str]) -> None:
+        REQUEST.set(request)
         half = len(body) // 2
         parts = [{"body": body[:half], "more_body": True}, {"body": body[half:], "more_body": False}]
 
         async def receive() -> dict[str, Any]:
-            if asked.left or not parts:
+            if request.has_left or not parts:
                 return {"type": "http.disconnect"}
             return {"type": "http.request", **parts.pop(0)}
 
         async def send(message: Any) -> None:
             if message["type"] == "http.response.start":
-                asked.status = message["status"]
+                request.status = message["status"]
             else:
-                asked.body += message.get("body", b"")
+                request.body += message.get("body", b"")
 
-        told = {"content-type": "application/json", "content-length": str(len(body)), **headers}
-        key = told.pop("token", self.token)
-        scope = self._scope("http", f"/{key}/do/{asked.action}", told)
+        all_headers = {"content-type": "application/json", "content-length": str(len(body)), **headers}
+        key = all_headers.pop("token", self.token)
+        scope = self._scope("http", f"/{key}/do/{request.action}", all_headers)
         try:
             await self._app({**scope, "method": "POST"}, receive, send)
         except Exception as error:
             self.loop.trouble = error
-        asked.done = True
-        asked.file.changed()
+        request.is_answered = True
+        request.file.changed()
 
     async def _serve(self, socket: Socket) -> None:
         first = [{"type": "websocket.connect"}]
 
         async def receive() -> dict[str, Any]:
-            return first.pop() if first else await socket.said.get()
+            return first.pop() if first else await socket.outbox.get()
 
         async def send(message: Any) -> None:
             if socket.left:
@@ -250,7 +252,7 @@ class Designer:
             if self._simulation.faults.happens("slow", "pages", 0.05):
                 await asyncio.sleep(self._simulation.faults.drawn("slow", "pages").uniform(0, 3))
             if "text" in message:
-                socket.heard.append(json.loads(message["text"]))
+                socket.messages.append(json.loads(message["text"]))
 
         try:
             await self._app(

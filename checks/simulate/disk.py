@@ -1,12 +1,12 @@
-"""A disk with faults: full, failing, slow, read-only; a power cut takes what was not synchronized.
+"""A disk with faults: full, failing, slow, read-only; a power cut removes unsynchronized changes.
 
-Files are real ones in the simulation's folder. What is done to them is kept besides in the order of a
-journalling file system, so that a power cut can take it back:
+Files are real ones in the simulation's folder. Their changes are also kept in the order of a journalling file
+system, so that a power cut can undo them:
 
     names      creations, renames, links and removals survive up to some moment, in their order; an fsync
-               of a file or of its folder makes those of it, and all before them, survive
-    contents   what was written to a file since its last fsync survives, or not, or up to some byte, or
-               with blocks that hold zeros or what was there before
+               of a file or of its folder makes its changes, and all before them, survive
+    contents   data written to a file since its last fsync survives, or not, or up to some byte, or with
+               blocks that hold zeros or the previous data
 """
 
 # The functions are Python's, which documents them.
@@ -21,7 +21,7 @@ from checks.simulate.disk_files import DiskFile, Journal, opened_buffered
 from checks.simulate.kernel import FIRST_DESCRIPTOR, NS_PER_S, Process
 from checks.simulate.simulation import Simulation
 
-MOST = {
+MAX_RATES = {
     "disk-error": 0.02,
     "disk-full": 0.02,
     "disk-read-only": 0.003,
@@ -72,7 +72,7 @@ class Disk:
         writes = bool(flags & (os.O_WRONLY | os.O_RDWR))
         fresh = bool(flags & os.O_CREAT) and not os.path.lexists(name)
         if process is not None:
-            self._called("open", changes=writes)
+            self._begin_call("open", changes=writes)
             fresh = bool(flags & os.O_CREAT) and not os.path.lexists(name)
         descriptor = os.open(path, flags, mode)
         target = os.path.realpath(name)
@@ -86,7 +86,7 @@ class Disk:
                 process.opened_real(descriptor)
         else:
             self._open.pop(descriptor, None)
-        self._after("open", writes)
+        self._end_call("open", writes)
         return descriptor
 
     def open_buffered(self, path: Any, mode: str, *options: Any) -> Any:
@@ -95,19 +95,19 @@ class Disk:
     def write(self, descriptor: int, data: Any) -> int:
         view = memoryview(data).cast("B")
         if process := self._kernel.current:
-            limit = self._called("write", length=len(view))
+            limit = self._begin_call("write", length=len(view))
             if limit is not None:
                 view = view[:limit]
             assert descriptor in process.real
         place = os.lseek(descriptor, 0, os.SEEK_CUR)
         written = os.write(descriptor, view)
         self._open[descriptor].write(place, bytes(view[:written]))
-        self._after("write")
+        self._end_call("write")
         return written
 
     def call(self, name: str, *args: Any, **options: Any) -> Any:
         if self._kernel.current is not None:
-            self._called(name)
+            self._begin_call(name)
         result = getattr(os, name)(*args, **options)
         journal, dir_fd = self._journal, options.get("dir_fd")
         match name:
@@ -131,7 +131,7 @@ class Disk:
                 pass
             case _:
                 raise NotImplementedError(name)
-        self._after(name)
+        self._end_call(name)
         return result
 
     def _opened(self, descriptor: int) -> DiskFile | None:
@@ -150,7 +150,7 @@ class Disk:
 
     # Faults --------------------------------------------------------------------------------------------
 
-    def _called(self, what: str, length: int = 0, changes: bool = True) -> int | None:
+    def _begin_call(self, call: str, length: int = 0, changes: bool = True) -> int | None:
         """Begin a call of the current process; return how many bytes it may write, None for all.
 
         Raises:
@@ -173,32 +173,32 @@ class Disk:
             self._read_only_until_ns = now_ns + _duration_ns(drawn("disk-read-only", process.name).random())
         if now_ns < self._read_only_until_ns:
             raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-        if what == "write" and self._happens("disk-full", process):
+        if call == "write" and self._happens("disk-full", process):
             rng = drawn("disk-full", process.name)
             self._full_until_ns = now_ns + _duration_ns(rng.random())
             limit = rng.randrange(length) if length else 0
             if limit:  # the rest of the room
                 return limit
-        if now_ns < self._full_until_ns and what in ("write", "mkdir"):
+        if now_ns < self._full_until_ns and call in ("write", "mkdir"):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if self._happens("disk-error", process):
             raise OSError(errno.EIO, os.strerror(errno.EIO))
-        if what == "write" and length > 1 and self._happens("disk-short", process):
+        if call == "write" and length > 1 and self._happens("disk-short", process):
             return drawn("disk-short", process.name).randrange(1, length)
         return limit
 
-    def _after(self, what: str, changes: bool = True) -> None:
-        """End a call; the power may be cut before anything else is done."""
+    def _end_call(self, call: str, changes: bool = True) -> None:
+        """End a call; the power may be cut before the next one."""
         process = self._kernel.current
         if process is not None and process.mortal and changes and self._happens("power-cut", process):
             self.cut()
 
     def agrees(self) -> bool:
-        """Return whether the machine's own files are those that this disk has."""
+        """Return whether the real files equal those of this disk."""
         return self._journal.agrees()
 
     def _happens(self, kind: str, process: Process) -> bool:
-        return self._faults.happens(kind, process.name, MOST[kind])
+        return self._faults.happens(kind, process.name, MAX_RATES[kind])
 
     def _kill(self, kind: str, process: Process) -> None:
         if self._happens(kind, process):
@@ -207,7 +207,7 @@ class Disk:
     # Power cuts ----------------------------------------------------------------------------------------
 
     def cut(self) -> None:
-        """Cut the machine's power: all processes end, and the disk loses what it need not keep."""
+        """Cut the machine's power: all processes end, and the disk may lose unsynchronized changes."""
         if self._kernel.current is None:
             self._lose()
             return
@@ -221,12 +221,12 @@ class Disk:
         self._open.clear()
         self._full_until_ns = self._read_only_until_ns = 0
         survivors = self._journal.cut(rng)
-        # By the machine's own functions, which are no calls of this disk.
+        # By the real functions, which are no calls of this disk.
         for folder, folders, names in os.walk(self._root, topdown=False):
-            for each in names:
-                os.unlink(os.path.join(folder, each))
-            for each in folders:
-                os.rmdir(os.path.join(folder, each))
+            for name in names:
+                os.unlink(os.path.join(folder, name))
+            for name in folders:
+                os.rmdir(os.path.join(folder, name))
         written: dict[int, str] = {}
         for name, file in survivors.items():
             if file.is_folder:

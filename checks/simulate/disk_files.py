@@ -1,4 +1,4 @@
-"""Files of a simulated disk: their content, what of it is durable, and Python's objects to write them."""
+"""Files of a simulated disk: their content, its durable part, and Python's objects to write them."""
 
 import io
 import os
@@ -11,7 +11,7 @@ from typing import Any
 from checks.simulate.system import SimulatedOs
 
 _BLOCK = 4096
-"""Size of a block [bytes], as of ext4 and XFS by default."""
+"""Size of a block [bytes], that of ext4 and XFS by default."""
 
 
 class DiskFile:
@@ -48,7 +48,7 @@ class DiskFile:
         self._sizes.clear()
 
     def cut(self, rng: random.Random) -> None:
-        """Lose some of what was not synchronized."""
+        """Lose some of the unsynchronized content."""
         if self._sizes:
             self.content = bytearray(self._survivor(rng))
         self.synchronize()
@@ -120,12 +120,13 @@ class Journal:
     def synchronize(self, file: DiskFile) -> None:
         """Bring the changes of a file's names, or of the names in a folder, to the disk, with all before."""
         folder = (
-            next((name for name, each in self._now.items() if each is file), "") if file.is_folder else ""
+            next((name for name, other in self._now.items() if other is file), "") if file.is_folder else ""
         )
         last = 0
         for number, change in enumerate(self._changes, 1):
             if any(
-                each is file or (folder and os.path.dirname(name) == folder) for name, each in change.items()
+                other is file or (folder and os.path.dirname(name) == folder)
+                for name, other in change.items()
             ):
                 last = number
         for change in self._changes[:last]:
@@ -133,22 +134,24 @@ class Journal:
         del self._changes[:last]
 
     def cut(self, rng: random.Random) -> dict[str, DiskFile]:
-        """Lose some of the changes; return the files left, by name, folders before what is in them."""
-        kept = rng.choice((0, len(self._changes), rng.randint(0, len(self._changes))))
-        for change in self._changes[:kept]:
+        """Lose some of the changes; return the remaining files by name, folders before their content."""
+        n_survived = rng.choice((0, len(self._changes), rng.randint(0, len(self._changes))))
+        for change in self._changes[:n_survived]:
             _apply(self._durable, change)
         self._changes.clear()
         self._now = dict(self._durable)
-        for number in sorted({each.number: each for each in self._now.values()}):
-            next(each for each in self._now.values() if each.number == number).cut(rng)
+        for number in sorted({disk_file.number: disk_file for disk_file in self._now.values()}):
+            next(disk_file for disk_file in self._now.values() if disk_file.number == number).cut(rng)
         return {name: self._now[name] for name in sorted(self._now) if name != self._root}
 
     def agrees(self) -> bool:
-        """Return whether the machine's own files are the present ones."""
-        found = [os.path.join(folder, name) for folder, _, names in os.walk(self._root) for name in names]
-        known = {name: each.content for name, each in self._now.items() if not each.is_folder}
-        return all(name in known for name in found if name in self._now) and all(
-            os.path.exists(name) and Path(name).read_bytes() == content for name, content in known.items()
+        """Return whether the real files equal the present ones."""
+        paths = [os.path.join(folder, name) for folder, _, names in os.walk(self._root) for name in names]
+        contents = {
+            name: disk_file.content for name, disk_file in self._now.items() if not disk_file.is_folder
+        }
+        return all(name in contents for name in paths if name in self._now) and all(
+            os.path.exists(name) and Path(name).read_bytes() == content for name, content in contents.items()
         )
 
     def _change(self, change: _Change) -> None:

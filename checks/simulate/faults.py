@@ -1,11 +1,11 @@
-"""Faults of a simulation: each is drawn from its own stream, so that one left out shifts no other."""
+"""Faults of a simulation, each from a separate random stream: to leave one out changes no other."""
 
 import random
 from collections import Counter
 from collections.abc import Collection
 
 CLOCK, HALF, BURST = "clock", "half-line", "burst"
-"""Names of kinds of faults: the wall clock is set; a host leaves amid a line; a host asks much at once."""
+"""Names of kinds of faults: the wall clock is set; a host leaves amid a line; a burst of requests."""
 
 UNNOTICED = frozenset({CLOCK, HALF, BURST})
 """Kinds of faults that must disturb nobody."""
@@ -44,10 +44,10 @@ class Faults:
         happened: Names of those that have happened, in order.
     """
 
-    def __init__(self, seed: int, kept: Collection[str] | None = None) -> None:
+    def __init__(self, seed: int, allowed: Collection[str] | None = None) -> None:
         self.happened: list[str] = []
         self._seed = seed
-        self._kept = None if kept is None else frozenset(kept)
+        self._allowed = None if allowed is None else frozenset(allowed)
         self._rates: dict[str, float] = {}
         self._opportunities: Counter[tuple[str, str]] = Counter()
         self._keys: dict[tuple[str, str], int] = {}
@@ -57,43 +57,43 @@ class Faults:
         """Kinds of those that have happened and may disturb somebody."""
         return self._kinds(0) - UNNOTICED
 
-    def disturbing(self, since: int) -> set[str]:
-        """Return the kinds of those from the number `since` on that may disturb a host which has the line."""
-        return self._kinds(since) - HARMLESS
+    def disturbing(self, first: int) -> set[str]:
+        """Return the kinds of those from the number `first` on that may disturb a host which has the line."""
+        return self._kinds(first) - HARMLESS
 
-    def _kinds(self, since: int) -> set[str]:
-        return {name.partition("/")[0] for name in self.happened[since:]}
+    def _kinds(self, first: int) -> set[str]:
+        return {name.partition("/")[0] for name in self.happened[first:]}
 
-    def rate(self, kind: str, most: float) -> float:
+    def rate(self, kind: str, max_rate: float) -> float:
         """Return the rate of a kind of fault in this simulation: 0 for half of all seeds."""
         if kind not in self._rates:
             rng = random.Random(mixed(self._seed, "rate", kind))
-            self._rates[kind] = 0.0 if rng.random() < 0.5 else most * 10 ** rng.uniform(-2, 0)
+            self._rates[kind] = 0.0 if rng.random() < 0.5 else max_rate * 10 ** rng.uniform(-2, 0)
         return self._rates[kind]
 
-    def happens(self, kind: str, where: str, most: float) -> bool:
+    def happens(self, kind: str, place: str, max_rate: float) -> bool:
         """Return whether a fault happens at this opportunity.
 
         Args:
-            kind: Kind of the fault, such as "stall".
-            where: Place of it, such as the name of a process.
-            most: Highest probability of this kind for any seed.
+            kind: Kind of the fault, for example "stall".
+            where: Place of it, for example the name of a process.
+            max_rate: Highest probability of this kind for any seed.
         """
-        place = kind, where
-        self._opportunities[place] = number = self._opportunities[place] + 1
-        rate = self.rate(kind, most)
+        key = kind, place
+        self._opportunities[key] = number = self._opportunities[key] + 1
+        rate = self.rate(kind, max_rate)
         if not rate:
             return False
-        if place not in self._keys:
-            self._keys[place] = mixed(self._seed, kind, where)
-        if mixed(self._keys[place], number) >= rate * 2**64:
+        if key not in self._keys:
+            self._keys[key] = mixed(self._seed, kind, place)
+        if mixed(self._keys[key], number) >= rate * 2**64:
             return False
-        name = f"{kind}/{where}/{number}"
-        if self._kept is not None and name not in self._kept:
+        name = f"{kind}/{place}/{number}"
+        if self._allowed is not None and name not in self._allowed:
             return False
         self.happened.append(name)
         return True
 
-    def drawn(self, kind: str, where: str) -> random.Random:
+    def drawn(self, kind: str, place: str) -> random.Random:
         """Return the generator for the details of the fault that has just happened there."""
-        return random.Random(mixed(self._seed, kind, where, self._opportunities[kind, where], "details"))
+        return random.Random(mixed(self._seed, kind, place, self._opportunities[kind, place], "details"))

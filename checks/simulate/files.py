@@ -20,11 +20,11 @@ NAMES = "playpen.toml", "draft.json", "report.pdf"
 
 
 class _Document:
-    """A file of which each version says its number in every line."""
+    """A file whose versions state their number in every line."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.saved = self.begun = 0
+        self.saved_version = self.started_version = 0
 
     def version(self) -> int | None:
         """Return the number of the version that is there, 0 if there is no file, None for a mixture."""
@@ -70,9 +70,9 @@ def _write(simulation: Simulation, documents: list[_Document], number: int) -> N
     while True:
         sleep(rng.uniform(0.0, 4.0))
         document = rng.choice(documents)
-        document.begun += 1
+        document.started_version += 1
         count = round(10 ** rng.uniform(0, 4))
-        line = b"%d of %d\n" % (document.begun, count)
+        line = b"%d of %d\n" % (document.started_version, count)
         try:
             if document.path.suffix == ".pdf":
                 with atomic.atomic_file(document.path) as file:
@@ -87,19 +87,19 @@ def _write(simulation: Simulation, documents: list[_Document], number: int) -> N
                 raise
             simulation.count("refused files")
         else:
-            document.saved = document.begun
+            document.saved_version = document.started_version
             simulation.count("saved files")
 
 
 def _check(simulation: Simulation, documents: list[_Document]) -> None:
-    """Check that each file is whole, and none older than what was saved."""
+    """Check that each file is complete, and not older than the last saved version."""
     for document in documents:
-        found = document.version()
+        version = document.version()
         name = document.path.name
-        if found is None:
+        if version is None:
             simulation.violate("work", f"{name} is no whole version")
-        if not document.saved <= found <= document.begun:
-            simulation.violate("work", f"{name} is version {found}, but {document.saved} was saved")
+        if not document.saved_version <= version <= document.started_version:
+            simulation.violate("work", f"{name} is version {version}, but {document.saved_version} was saved")
         simulation.count("looks at files")
 
 

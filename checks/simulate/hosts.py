@@ -1,4 +1,4 @@
-"""Host programs by the real host library: what a user's script does, and the ways in which it ends."""
+"""Host programs with the real host library: a user's script, and the ways in which it ends."""
 
 import random
 import re
@@ -19,11 +19,11 @@ READS = "position", "proximity", "ambient", "speed", "versions"
 """Commands that a good host reads by."""
 
 _ZEROS = re.compile(r"(?<![\d.])0+(?=\d)")
-"""Zeros before a number, as of a line that has lost a digit."""
+"""Zeros before a number, as in a line that has lost a digit."""
 
 
 class Program(Exception):
-    """Exception of a user's own program."""
+    """Exception of a user's program."""
 
 
 @dataclass(slots=True)
@@ -33,18 +33,18 @@ class Session:
     Args:
         simulation: Simulation.
         url: URL of the port.
-        truth: What the line of the twin carries.
+        truth: Exchanges on the line of the twin.
         number: Number of the session.
-        rng: Generator of what it does.
+        rng: Random generator of its actions.
         options: Options of `Khepera`.
-        is_exact: Whether what the robot says now reaches the library as it is in `truth`.
-        may_fail: Function that returns whether the line may fail just now.
-        garbles: Whether bytes may be garbled, so that a wrong command or value cannot be told.
-        ending: Exception that ends it amid its work; None to come to its end.
-        moves: Whether time passes for the robot, so that moves come to their end.
-        on_hang: Function called when the program hangs, with its motors on; None for one that does not.
+        is_exact: Whether the robot's replies currently reach the library as they are in `truth`.
+        may_fail: Function that returns whether the line may currently fail.
+        garbles: Whether bytes may be garbled, so that a wrong command or value cannot be detected.
+        ending: Exception that ends it amid its work; None to complete it.
+        moves: Whether time passes for the robot, so that moves are completed.
+        on_hang: Function called when the program hangs, with its motors on; None if it does not hang.
         is_driving: True amid its work.
-        persists: Whether it goes on after an error.
+        persists: Whether it continues after an error.
     """
 
     simulation: Simulation
@@ -63,7 +63,7 @@ class Session:
     persists: bool = False
 
     def run(self, count: int) -> None:
-        """Open the port, do `count` things, and leave; check all values and errors."""
+        """Open the port, perform `count` actions, and leave; check all values and errors."""
         ends = self.ending is not None or self.on_hang is not None
         end_at = self.rng.randrange(count) if ends else count
         error: BaseException | None = None
@@ -105,9 +105,9 @@ class Session:
                     self.on_hang()
                     robot.sleep(1e6)
             try:
-                self._do(robot, truth)
+                self._perform_action(robot, truth)
             except (PortTimeout, ProtocolError, MoveError) as error:
-                # Some programs go on where others end.
+                # Some programs continue where others end.
                 self._check_error(error)
                 if not self.persists:
                     raise
@@ -130,12 +130,12 @@ class Session:
         elif error is not None:
             simulation.count("interrupted")
         lines = [text, *notes]
-        if any("may still run" in each for each in lines) or not is_open:
+        if any("may still run" in line for line in lines) or not is_open:
             return
         simulation.count("stops")
         if truth is None or truth is not self.truth() or self.garbles or not self.is_exact():
             return
-        if not truth.stands(self.number):
+        if not truth.has_stopped(self.number):
             simulation.violate("motors", f"host {self.number} has left ({error!r}), and the motors run on")
 
     def _check_error(self, error: KhepTwinError) -> None:
@@ -149,9 +149,9 @@ class Session:
         if not self.may_fail():
             simulation.violate("answers", f"a host on a sound line got {error!r}")
 
-    # What it does --------------------------------------------------------------------------------------
+    # Actions -------------------------------------------------------------------------------------------
 
-    def _do(self, robot: Khepera, truth: Truth) -> None:
+    def _perform_action(self, robot: Khepera, truth: Truth) -> None:
         rng = self.rng
         match rng.randrange(20):
             case 0 | 1 | 2:
@@ -182,23 +182,24 @@ class Session:
             case _:
                 self._use_turret(robot, truth)
 
-    def read(self, robot: Khepera, truth: Truth, *wanted: HostCommand[Any]) -> None:
-        """Read values, and check that the robot has said them since they were asked for."""
-        since = len(truth.said)
-        values = robot.burst(*wanted)
+    def read(self, robot: Khepera, truth: Truth, *requested: HostCommand[Any]) -> None:
+        """Read values, and check that the robot has sent them since the request."""
+        first = len(truth.exchanges)
+        values = robot.burst(*requested)
         if truth is not self.truth() or not self.is_exact():
             return
-        for command, value in zip(wanted, values, strict=True):
+        for command, value in zip(requested, values, strict=True):
             self.simulation.count("values")
-            shown = ",".join(map(str, value)) if isinstance(value, tuple) and not self.garbles else ""
-            shown = _ZEROS.sub("", shown)  # of a version that lost bytes
+            suffix = ",".join(map(str, value)) if isinstance(value, tuple) and not self.garbles else ""
+            suffix = _ZEROS.sub("", suffix)  # of a version that lost bytes
             if not any(
-                _reads(command, each.reply) == value and _ZEROS.sub("", each.reply.rstrip()).endswith(shown)
-                for each in truth.said[since:]
+                _reads(command, exchange.reply) == value
+                and _ZEROS.sub("", exchange.reply.rstrip()).endswith(suffix)
+                for exchange in truth.exchanges[first:]
             ):
-                said = [each.reply for each in truth.said[since:]]
+                replies = [exchange.reply for exchange in truth.exchanges[first:]]
                 self.simulation.violate(
-                    "replies", f"{command.request!r} returned {value}, but the robot has said {said}"
+                    "replies", f"{command.request!r} returned {value}, but the robot has sent {replies}"
                 )
 
     def _set_position(self, robot: Khepera, truth: Truth) -> None:
@@ -207,9 +208,9 @@ class Session:
         try:
             robot.set_position(left, right)
         finally:
-            done = sum(each.request == f"G,{left},{right}" for each in truth.said)
-            if done > 1:
-                self.simulation.violate("counters", f"'G,{left},{right}' was carried out {done} times")
+            n_times = sum(exchange.request == f"G,{left},{right}" for exchange in truth.exchanges)
+            if n_times > 1:
+                self.simulation.violate("counters", f"'G,{left},{right}' was carried out {n_times} times")
 
     def _use_turret(self, robot: Khepera, truth: Truth) -> None:
         """Use each kind of turret; a missing one is a ProtocolError that names the port."""

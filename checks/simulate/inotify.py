@@ -1,4 +1,4 @@
-"""Simulated inotify: what hosts do on terminals, in the order in which the kernel reports it."""
+"""Simulated inotify: events of hosts at terminals, in the kernel's order."""
 
 # The functions of open files are the system's, which documents them.
 # ruff: noqa: D102
@@ -22,7 +22,7 @@ MOST_MERGED = 0.1
 """Highest probability that an act is merged with an equal one within `_AT_ONCE_NS`."""
 
 _AT_ONCE_NS = 100_000
-"""Time within which two acts on two processors may be reported at once (assumed) [ns]."""
+"""Time within which two acts on two processors may be reported together (assumed) [ns]."""
 
 _HEAD = struct.Struct("iIII")
 
@@ -68,8 +68,8 @@ class Instance(OpenFile):
             self._add(watch, kind, b"")
 
     def _add(self, watch: tuple[int, int], kind: int, name: bytes) -> None:
-        number, wanted = watch
-        if not kind & wanted:
+        number, mask = watch
+        if not kind & mask:
             return
         if len(self.events) >= MOST_EVENTS:
             event = _HEAD.pack(-1, IN_Q_OVERFLOW, 0, 0)
@@ -100,8 +100,8 @@ class Notices(Shim):
         at_once = (path, kind) == (last_path, last_kind) and kernel.now_ns - last_ns < _AT_ONCE_NS
         if at_once and kernel.faults.happens("merged event", "inotify", MOST_MERGED):
             return
-        for each in self.instances:
-            each.report(path, kind)
+        for instance in self.instances:
+            instance.report(path, kind)
 
     def _init(self, _: int) -> int:
         process = self.kernel.called()

@@ -19,7 +19,7 @@ from checks.simulate.faults import Faults, mixed
 NS_PER_S = 1_000_000_000
 
 FIRST_DESCRIPTOR = 10_000
-"""Lowest number of a simulated descriptor; lower ones are the machine's own."""
+"""Lowest number of a simulated descriptor; lower ones are real."""
 
 _CALL_NS = 500, 20_000
 """Shortest and longest usual duration of a call [ns] (assumed)."""
@@ -62,7 +62,7 @@ class OpenFile:
         return False
 
     def read(self, limit: int) -> bytes:
-        """Return what there is, at most `limit` bytes; raise BlockingIOError if nothing is there yet."""
+        """Return the available bytes, at most `limit`; raise BlockingIOError if there are none yet."""
         raise OSError(9, "Bad file descriptor")
 
     def write(self, data: bytes) -> int:
@@ -86,18 +86,18 @@ class Process:
         name: Name, which also names its random streams.
         pid: Number.
         files: Open files by descriptor.
-        real: The machine's own descriptors that it has open for writing, such as a log's, with their files.
+        real: Real descriptors that it has open for writing, for example a log's, with their files.
         alive: True until it has ended.
         mortal: True if the fault "kill" may end it.
         calls_left: Number of calls after which it is killed; None if it is not.
         error: Exception that ended it; None if it returned.
         on_end: Function called with the process when it has ended.
-        on_call: Function called at the beginning of each of its calls; it may arrange faults.
-        leader: Process whose files it has, if it is a thread of another; else itself.
+        on_call: Function called at the start of each of its calls; it may arrange faults.
+        leader: Process whose files it has, if it is a thread of another; otherwise the process.
         threads: Its threads.
-        began_ns: Time at which it was made [ns].
-        said: Times and lines that it has told its user [ns].
-        outside: True if it is no program of the machine, such as a robot: nothing holds it up.
+        began_ns: Time at which it was created [ns].
+        output_lines: Times and lines of its output to the user [ns].
+        outside: True if it is no program of the machine, as a robot, which is never suspended.
         token: Number of its present wait; wake-ups for an earlier one do nothing.
     """
 
@@ -122,7 +122,7 @@ class Process:
         self.on_end: Callable[[Process], object] | None = None
         self.on_call: Callable[[], object] | None = None
         self.thrown: BaseException | None = None
-        self.said: list[tuple[int, str]] = []
+        self.output_lines: list[tuple[int, str]] = []
         self.outside = False
         self.token = 0
         self.began_ns = kernel.now_ns
@@ -132,11 +132,11 @@ class Process:
 
     def say(self, line: str) -> None:
         """Keep a line for the user."""
-        self.said.append((self.kernel.now_ns, line))
+        self.output_lines.append((self.kernel.now_ns, line))
 
     def opened(self, file: OpenFile) -> int:
         """Return the descriptor, the lowest that is free, of a file that the process has opened."""
-        number = next(each for each in count(FIRST_DESCRIPTOR) if each not in self.files)
+        number = next(candidate for candidate in count(FIRST_DESCRIPTOR) if candidate not in self.files)
         self.files[number] = file
         file.references += 1
         return number
@@ -161,7 +161,7 @@ class Process:
             file.closed()
 
     def opened_real(self, descriptor: int) -> int:
-        """Keep a descriptor of the machine's own; return it."""
+        """Keep a real descriptor; return it."""
         if (file := _identity(descriptor)) is not None:
             self.real[descriptor] = file
         return descriptor
@@ -248,11 +248,11 @@ class Kernel:
         self.now_ns = max(self.now_ns, until_ns)
 
     def suspend(self, duration_ns: int) -> None:
-        """Hold up all programs of the machine for a while; time goes on, and what is on its way arrives."""
+        """Suspend all programs of the machine for a while; time passes, and bytes in transit arrive."""
         self._held_until_ns = max(self._held_until_ns, self.now_ns + duration_ns)
 
     def kill(self, process: Process) -> None:
-        """End a process at once, as by SIGKILL: its files are closed, and nothing of it runs any more."""
+        """End a process immediately, as by SIGKILL: its files are closed, and its code runs no more."""
         if not process.alive or process.dying:
             return
         if process is self.current:
@@ -265,12 +265,12 @@ class Kernel:
             self.ended(process)
 
     def stop_all(self) -> None:
-        """Kill what still runs."""
+        """Kill all processes that still run."""
         for process in [*self.processes]:
             self.kill(process)
 
     def ended(self, process: Process) -> None:
-        """Close what a process that has ended left open; its threads end with it."""
+        """Close the open files of a process that has ended; its threads end with it."""
         if process.leader is process:
             for thread in process.threads:
                 self.kill(thread)
@@ -332,8 +332,8 @@ class Kernel:
             if deadline_ns is not None and self.now_ns >= deadline_ns:
                 return False
             process.token += 1
-            for each in files:
-                each.waiters[process] = process.token
+            for file in files:
+                file.waiters[process] = process.token
             if deadline_ns is not None:
                 late_ns = process.rng.randrange(*_WAKE_NS)
                 if self._is_quiet_to(deadline_ns + late_ns):
@@ -394,9 +394,9 @@ class Kernel:
 
 
 def _identity(descriptor: int) -> tuple[int, int] | None:
-    """Return device and number of the file of a descriptor of the machine's own; None without one."""
+    """Return device and inode number of the file of a real descriptor; None without one."""
     try:
-        found = os.fstat(descriptor)
+        status = os.fstat(descriptor)
     except OSError:
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino

@@ -13,11 +13,11 @@ MOST_FULL = 0.02
 
 
 class KernelFile(io.FileIO):
-    """File of which each write is a call of the kernel; what a killed process has not written is lost."""
+    """File whose writes are calls of the kernel; unwritten data of a killed process is lost."""
 
-    def __init__(self, path: Any, mode: str, simulation: Simulation, most_full: float) -> None:
+    def __init__(self, path: Any, mode: str, simulation: Simulation, max_full_rate: float) -> None:
         super().__init__(path, mode.replace("b", ""))
-        self._simulation, self._most_full = simulation, most_full
+        self._simulation, self._most_full = simulation, max_full_rate
 
     def write(self, data: Any) -> int:
         """Write some bytes: not always all."""

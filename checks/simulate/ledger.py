@@ -1,11 +1,11 @@
-"""Ledger of what the page has acknowledged, which must be in the file, or in the draft that is offered."""
+"""Ledger of the edits that the page has acknowledged, which must be in the file or in an offered draft."""
 
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from checks.simulate.designer import Asked
+from checks.simulate.designer import PageRequest
 from checks.simulate.simulation import Simulation
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError
@@ -23,12 +23,12 @@ class Sent:
     Attributes:
         page: Page that has sent it.
         draft: Draft, as JSON; None to give it up.
-        beside: Drafts of other pages' requests that were underway at the same time.
+        concurrent: Drafts of other pages' requests that were under way at the same time.
     """
 
     page: str
     draft: str | None
-    beside: list[str | None] = field(default_factory=list)
+    concurrent: list[str | None] = field(default_factory=list)
 
 
 @dataclass
@@ -46,7 +46,7 @@ class Work:
     @property
     def maybe(self) -> set[str | None]:
         """Drafts that may be in the place of the last one."""
-        return {*self.last.beside, *(each.draft for each in self.underway)}
+        return {*self.last.concurrent, *(sent.draft for sent in self.underway)}
 
 
 @dataclass
@@ -56,13 +56,13 @@ class Write:
     Attributes:
         version: Version that it made.
         draft: Playpen of it, as JSON.
-        asked: Request of it; None for another program's.
+        request: Request for it; None for another program's.
         time_ns: Time of it [ns].
     """
 
     version: str
     draft: str
-    asked: Asked | None
+    request: PageRequest | None
     time_ns: int
 
 
@@ -74,52 +74,52 @@ class Ledger:
         self.works: dict[Place, Work] = {}
         self.writes: dict[str, list[Write]] = {}
 
-    def wrote(self, path: Path, asked: Asked | None) -> None:
+    def note_write(self, path: Path, request: PageRequest | None) -> None:
         """Note a write of a file; check that it replaces no other one unasked."""
         name, text = str(path.relative_to(self._folder)), path.read_text("utf-8")
-        found = Write(version_of(text), _of_text(text), asked, self._simulation.kernel.now_ns)
+        write = Write(version_of(text), _of_text(text), request, self._simulation.kernel.now_ns)
         before = self.writes.setdefault(name, [])
-        if asked is not None and asked.action == "save":
-            self._check_base(name, before[-1] if before else None, asked)
-            draft = asked.wanted["draft"]
-            if not asked.wanted["rename"] and found.draft != normal(draft):
+        if request is not None and request.action == "save":
+            self._check_base(name, before[-1] if before else None, request)
+            draft = request.arguments["draft"]
+            if not request.arguments["rename"] and write.draft != normal(draft):
                 self._simulation.violate("work", f"{name} has other content than was saved")
-        before.append(found)
+        before.append(write)
 
-    def _check_base(self, name: str, last: Write | None, asked: Asked) -> None:
+    def _check_base(self, name: str, last: Write | None, request: PageRequest) -> None:
         version = None if last is None else last.version
-        if asked.wanted["overwrite"] or asked.wanted["version"] == version or last is None:
+        if request.arguments["overwrite"] or request.arguments["version"] == version or last is None:
             return
-        if last.asked is None and last.time_ns >= asked.began_ns:
+        if last.request is None and last.time_ns >= request.began_ns:
             # Another program can still write between the last look and the rename: files have no locks.
             self._simulation.count("races with other programs")
             return
-        who = "another program" if last.asked is None else f"page {last.asked.wanted['tab']}"
+        who = "another program" if last.request is None else f"page {last.request.arguments['tab']}"
         self._simulation.violate("work", f"{name}, changed by {who}, was overwritten unasked")
 
     def sent(self, place: Place, page: str, draft: str | None) -> Sent:
         """Note that a page keeps a draft, or with None gives it up."""
         work = self.works.setdefault(place, Work())
-        others = [each for each in work.underway if each.page != page]
-        new = Sent(page, draft, [each.draft for each in others])
-        for each in others:
-            each.beside.append(draft)
+        others = [other for other in work.underway if other.page != page]
+        new = Sent(page, draft, [other.draft for other in others])
+        for other in others:
+            other.concurrent.append(draft)
         work.underway.append(new)
         return new
 
     def answered(self, place: Place, sent: Sent) -> None:
         """Note that a request was acknowledged, after all that its page has sent before."""
         work = self.works[place]
-        work.underway = [each for each in work.underway if each.page != sent.page]
+        work.underway = [other for other in work.underway if other.page != sent.page]
         work.last = sent
 
-    def saved(self, asked: Asked, version: str) -> None:
-        """Check that an acknowledged save has written what it says."""
+    def check_saved(self, request: PageRequest, version: str) -> None:
+        """Check that an acknowledged save has written the reported version."""
         if not any(
-            each.asked is asked and each.version == version
-            for each in self.writes.get(asked.wanted["file"], [])
+            write.request is request and write.version == version
+            for write in self.writes.get(request.arguments["file"], [])
         ):
-            self._simulation.violate("work", f"{asked.wanted['file']} was acknowledged and not written")
+            self._simulation.violate("work", f"{request.arguments['file']} was acknowledged and not written")
 
     def check(self) -> None:
         """Check that all that was acknowledged is in its file, or in a draft that is offered."""
@@ -131,32 +131,34 @@ class Ledger:
             if file not in offers:
                 offers[file] = documents.drafts(file)
             right = {work.last.draft, *work.maybe}
-            offered = {told(each["draft"]) for each in offers[file] if each["page"] == page}
+            offered = {as_json(offer["draft"]) for offer in offers[file] if offer["page"] == page}
             if offered & right:
                 continue
-            written = [each for writes in self.writes.values() for each in writes if each.asked is not None]
+            written = [
+                write for writes in self.writes.values() for write in writes if write.request is not None
+            ]
             if not any(
-                each.asked.wanted["tab"] == page and told(each.asked.wanted["draft"]) in right
-                for each in written
-                if each.asked is not None
+                write.request.arguments["tab"] == page and as_json(write.request.arguments["draft"]) in right
+                for write in written
+                if write.request is not None
             ):
                 self._simulation.violate("work", f"the last edit of page {page} in {file} is lost")
             self._simulation.count("works in files")
         self._simulation.count("works checked", len(self.works))
 
 
-def told(draft: Any) -> str:
+def as_json(draft: Any) -> str:
     """Return a draft as JSON."""
     return json.dumps(draft, sort_keys=True)
 
 
 def normal(draft: Any) -> str:
     """Return a valid draft as its file has it."""
-    return told(draft_of(playpen_of(draft)))
+    return as_json(draft_of(playpen_of(draft)))
 
 
 def _of_text(text: str) -> str:
     try:
-        return told(draft_of(playpens.parse(text, "a file")))
+        return as_json(draft_of(playpens.parse(text, "a file")))
     except KhepTwinError:
         return ""

@@ -31,7 +31,7 @@ def damage(simulation: Simulation, path: Path, number: int, *, has_world: bool) 
         with _refused(simulation, part):
             rescue = recover(part)
             summary(part, rescue)
-            # What was recovered is a log, whatever has become of its content.
+            # A recovered file is a log, whatever its content is.
             read_in_every_way(simulation, rescue.path, False)
     simulation.count("logs damaged")
 

@@ -17,31 +17,33 @@ from khep_twin.log.transcript import unescape
 
 
 def read_in_every_way(simulation: Simulation, path: Path, has_world: bool) -> None:
-    """Read a log as a whole, in pieces, by its heads, and as exchanges; compare what is read.
+    """Read a log as a whole, in pieces, by its heads, and as exchanges; compare the results.
 
     Args:
         simulation: Simulation.
         path: Path of the log.
         has_world: True for a twin's log, which has samples and a scene.
     """
-    whole, heads = read_series(path), read_first_messages(path)
-    label = whole.label
+    log, heads = read_series(path), read_first_messages(path)
+    label = log.label
     pieces = list(read_batches(path, lambda _: None))
     arrays = read_arrays(path)[1]
-    for topic, series in whole.series.items():
+    for topic, series in log.series.items():
         in_pieces = sum(len(piece.series[topic].times_ns) for piece in pieces if topic in piece.series)
         if in_pieces != len(series.times_ns) or topic not in heads.series:
             simulation.violate("recovery", f"{path.name}: {topic} differs by the way of its reading")
         if topic in arrays and (arrays[topic][0] != series.times_ns).any():
             simulation.violate("recovery", f"{path.name}: {topic} has other times as arrays")
-    for topic, lines in whole.lines.items():
+    for topic, lines in log.lines.items():
         if [line for piece in pieces for line in piece.lines.get(topic, [])] != lines:
             simulation.violate("recovery", f"{path.name}: {topic} has other lines in pieces")
         if topic.endswith("/serial"):
-            dialogue, found = Dialogue(), 0
+            dialogue, n_exchanges = Dialogue(), 0
             for line in lines:
-                found += len(dialogue.feed(line.time_ns, line.name == "host", unescape(line.text) + b"\n"))
-            simulation.count("exchanges", found + len(dialogue.close()))
+                n_exchanges += len(
+                    dialogue.feed(line.time_ns, line.name == "host", unescape(line.text) + b"\n")
+                )
+            simulation.count("exchanges", n_exchanges + len(dialogue.close()))
     hash_file(path)
     if has_world:
         read_log(path)

@@ -1,4 +1,4 @@
-"""What has truly happened in a run, kept beside its recorder, and the comparison of a log with it."""
+"""True content of a run, collected independently of its recorder, and the comparison of a log with it."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -29,7 +29,7 @@ _Line = tuple[int, str, str]
 
 
 class Truth:
-    """What has happened in a run; an observer of its world, before the recorder, which may end amid one.
+    """True content of a run; observes its world before the recorder, which may end amid an observation.
 
     Args:
         number: Number of the run, its seed.
@@ -37,8 +37,8 @@ class Truth:
 
     Attributes:
         closed: True if the log was completed.
-        closing: True if that was begun.
-        kept_ns: Time up to which the log has everything, as it was flushed after that [ns]; -1 for none.
+        closing: True if its completion was started.
+        kept_ns: Time up to which the log is complete, as it was flushed later [ns]; -1 for none.
         last_ns: Time of the last sample that the recorder took [ns].
         begun_ns: Moment at which the run was branched off another one; -1 for a run from its start [ns].
     """
@@ -66,10 +66,10 @@ class Truth:
             world.observers.insert(0, world.observers.pop())
             world.add_observer(_Promises(self), sample_now=not world.time_ns)
 
-    def resume(self, heard: Iterable[tuple[int, int, bool, bytes]]) -> None:
+    def resume(self, pieces: Iterable[tuple[int, int, bool, bytes]]) -> None:
         """Keep the lines that are not complete yet, of bytes from before the moment."""
-        for each in heard:
-            self.on_bytes(*each)
+        for piece in pieces:
+            self.on_bytes(*piece)
         self.lines.clear()
 
     def sample(self, world: World) -> None:
@@ -87,7 +87,7 @@ class Truth:
         for byte in data:
             if byte in b"\r\n":
                 if rest:
-                    self.lines.setdefault(name, []).append((time_ns, *_told(to_robot, rest)))
+                    self.lines.setdefault(name, []).append((time_ns, *_transcript_line(to_robot, rest)))
                 rest = b""
             else:
                 rest += bytes([byte])
@@ -102,13 +102,13 @@ class Truth:
         """Keep an event."""
         self.events.append((time_ns, "world" if robot is None else self.names[robot], text))
 
-    def recorded(self, time_ns: int) -> None:
+    def note_sample(self, time_ns: int) -> None:
         """Note that the recorder has taken the sample of a time."""
         if not self.failed():
             self.last_ns = time_ns
             self.kept_ns = max(self.kept_ns, time_ns - LOCK_STEP_LOSS_NS)
 
-    def told(self, time_ns: int) -> None:
+    def note_flush(self, time_ns: int) -> None:
         """Note that the recorder has taken an event of a time, with which the log was flushed."""
         if not self.failed():
             self.kept_ns = max(self.kept_ns, time_ns - 1)
@@ -124,80 +124,90 @@ class Truth:
         if wall_ns - self._turns[0][0] > WALL_LOSS_NS:
             self.kept_ns = max(self.kept_ns, self._turns[0][1])
 
-    def difference(self, found: Messages, whole: bool, gaps: bool, kept: bool) -> str:
+    def difference(self, log_messages: Messages, is_complete: bool, has_gaps: bool, is_durable: bool) -> str:
         """Return the first difference between a log and this; empty if there is none.
 
         Args:
-            found: Messages of the log.
-            whole: True if nothing of the run may be missing.
-            gaps: True if pieces amid it may be missing.
-            kept: True if nothing that was flushed may be missing.
+            log_messages: Messages of the log.
+            is_complete: True if nothing of the run may be missing.
+            has_gaps: True if pieces amid it may be missing.
+            is_durable: True if nothing that was flushed may be missing.
         """
         if not self.names:  # it ended as it began
             return ""
-        must_ns = self.last_ns if whole else self.kept_ns if kept else -1
+        must_ns = self.last_ns if is_complete else self.kept_ns if is_durable else -1
         for topic, samples in self.samples.items():
-            messages = found.get(topic, [])
+            messages = log_messages.get(topic, [])
             wrong = _first_wrong(
                 [(time_ns, (data,)) for time_ns, data in samples.items()],
                 [(time_ns, (_words(data),)) for time_ns, data in messages if time_ns > self.begun_ns],
-                gaps,
+                has_gaps,
                 must_ns,
             )
             if wrong:
                 return f"{topic}: {wrong}"
         for name in self.names:
-            lines = _lines(found, f"/{name}/serial")
+            lines = _lines(log_messages, f"/{name}/serial")
             expected = self.lines.get(name, [])
-            rests = sorted(_told(*key[1:], rest) for key, rest in self._rests.items() if key[0] == name)
+            rests = sorted(
+                _transcript_line(*key[1:], rest) for key, rest in self._rests.items() if key[0] == name
+            )
             if self.begun_ns >= 0:
                 del lines[len(lines) - len(rests) * self.closing :]
-            elif self.closing and rests and (whole or len(lines) > len(expected)):
+            elif self.closing and rests and (is_complete or len(lines) > len(expected)):
                 ends = sorted(line[1:] for line in lines[len(expected) :])
                 if ends != rests:
                     return f"/{name}/serial: ends with {ends}, not {rests}"
                 del lines[len(expected) :]
-            if wrong := self._first_wrong(expected, lines, gaps, must_ns):
+            if wrong := self._first_wrong(expected, lines, has_gaps, must_ns):
                 return f"/{name}/serial: {wrong}"
-            events = [each for data in _data(found, f"/{name}/host_events") for each in read_events(data)]
-            if wrong := self._first_wrong(self.host.get(name, []), events, gaps, must_ns):
+            events = [
+                event for data in _data(log_messages, f"/{name}/host_events") for event in read_events(data)
+            ]
+            if wrong := self._first_wrong(self.host.get(name, []), events, has_gaps, must_ns):
                 return f"/{name}/host_events: {wrong}"
-        wrong = self._first_wrong(self.events, _lines(found, "/events"), gaps, must_ns)
+        wrong = self._first_wrong(self.events, _lines(log_messages, "/events"), has_gaps, must_ns)
         return f"/events: {wrong}" if wrong else ""
 
     def _first_wrong(
-        self, expected: Sequence[tuple[Any, ...]], found: Sequence[tuple[Any, ...]], gaps: bool, must_ns: int
+        self,
+        expected: Sequence[tuple[Any, ...]],
+        logged: Sequence[tuple[Any, ...]],
+        has_gaps: bool,
+        must_ns: int,
     ) -> str:
         """Compare entries, of a branch those of lines that were not on their way when it began."""
         since_ns = self.begun_ns + _SETTLED_NS if self.begun_ns >= 0 else -1
-        kept, there = ([each for each in entries if each[0] > since_ns] for entries in (expected, found))
-        return _first_wrong(kept, there, gaps, must_ns)
+        expected_entries, logged_entries = (
+            [entry for entry in entries if entry[0] > since_ns] for entries in (expected, logged)
+        )
+        return _first_wrong(expected_entries, logged_entries, has_gaps, must_ns)
 
 
 class _Promises(Observer):
-    """What the recorder must have kept; an observer of the world, after it."""
+    """Observer of the world, after the recorder, which notes the content that the log must have."""
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
 
     def sample(self, world: World) -> None:
         """Note a sample."""
-        self._truth.recorded(world.time_ns)
+        self._truth.note_sample(world.time_ns)
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Note an event."""
-        self._truth.told(time_ns)
+        self._truth.note_flush(time_ns)
 
 
-def _data(found: Messages, topic: str) -> list[bytes]:
-    return [data for _, data in found.get(topic, ())]
+def _data(log_messages: Messages, topic: str) -> list[bytes]:
+    return [data for _, data in log_messages.get(topic, ())]
 
 
-def _lines(found: Messages, topic: str) -> list[_Line]:
-    return [(each.time_ns, each.name, each.text) for each in map(read_line, _data(found, topic))]
+def _lines(log_messages: Messages, topic: str) -> list[_Line]:
+    return [(line.time_ns, line.name, line.text) for line in map(read_line, _data(log_messages, topic))]
 
 
-def _told(to_robot: bool, line: bytes) -> tuple[str, str]:
+def _transcript_line(to_robot: bool, line: bytes) -> tuple[str, str]:
     text = line.decode("latin-1").encode("unicode_escape").decode("ascii")
     return "host" if to_robot else "robot", text
 
@@ -207,19 +217,19 @@ def _words(message: bytes) -> bytes:
 
 
 def _first_wrong(
-    expected: Sequence[tuple[Any, ...]], found: Sequence[tuple[Any, ...]], gaps: bool, must_ns: int
+    expected: Sequence[tuple[Any, ...]], logged: Sequence[tuple[Any, ...]], has_gaps: bool, must_ns: int
 ) -> str:
     """Return the first place in which entries are not the beginning of those that are expected."""
-    place = 0
-    for number, each in enumerate(found):
-        while gaps and place < len(expected) and expected[place] != each:
-            place += 1
-        if place >= len(expected) or expected[place] != each:
-            wished = _short(expected[place]) if place < len(expected) else "no more"
-            return f"entry {number} is {_short(each)}; expected {wished}"
-        place += 1
-    if not gaps and place < len(expected) and expected[place][0] <= must_ns:
-        return f"{len(found)} entries, without {_short(expected[place])}; expected all up to {must_ns} ns"
+    index = 0
+    for number, entry in enumerate(logged):
+        while has_gaps and index < len(expected) and expected[index] != entry:
+            index += 1
+        if index >= len(expected) or expected[index] != entry:
+            wished = _short(expected[index]) if index < len(expected) else "no more"
+            return f"entry {number} is {_short(entry)}; expected {wished}"
+        index += 1
+    if not has_gaps and index < len(expected) and expected[index][0] <= must_ns:
+        return f"{len(logged)} entries, without {_short(expected[index])}; expected all up to {must_ns} ns"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""Cases in their own processes."""
+"""Cases in separate processes."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from checks.simulate.case import Case
 from checks.simulate.catalogue import mutants
-from checks.simulate.shrink import shrunk
+from checks.simulate.shrink import shrink_case
 from checks.simulate.simulation import Outcome
 
 MUTANT_S = 3600.0
@@ -27,19 +27,19 @@ def in_processes(function: Callable[[Item], Result], items: Iterable[Item], n_jo
     with ProcessPoolExecutor(n_jobs, get_context("spawn")) as pool:
         waiting = {pool.submit(function, item) for item in islice(rest, 2 * n_jobs)}
         while waiting:
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            waiting |= {pool.submit(function, item) for item in islice(rest, len(done))}
-            for each in done:
-                yield each.result()
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            waiting |= {pool.submit(function, item) for item in islice(rest, len(finished))}
+            for future in finished:
+                yield future.result()
 
 
-def timed(case: Case) -> tuple[Case, Outcome, float]:
+def run_timed(case: Case) -> tuple[Case, Outcome, float]:
     """Run a case; return its outcome and the processor time that it took [s]."""
-    begun = time.process_time()
-    return case, case.run(), time.process_time() - begun
+    start_s = time.process_time()
+    return case, case.run(), time.process_time() - start_s
 
 
-def caught(search: tuple[str, int, float | None]) -> tuple[str, Case | None, float]:
+def catch_mutant(search: tuple[str, int, float | None]) -> tuple[str, Case | None, float]:
     """Return the shrunk case that catches a mutant, None if none does, and the simulated time [s]."""
     name, first, seconds = search
     mutant, simulated_s = mutants()[name], 0.0
@@ -48,7 +48,7 @@ def caught(search: tuple[str, int, float | None]) -> tuple[str, Case | None, flo
         outcome = case.run()
         simulated_s += outcome.simulated_ns / 1e9
         if outcome.invariant == mutant.invariant:
-            return name, shrunk(case, outcome), simulated_s
+            return name, shrink_case(case, outcome), simulated_s
         if simulated_s >= MUTANT_S - 1:
             return name, None, simulated_s
     raise AssertionError

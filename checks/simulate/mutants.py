@@ -16,7 +16,7 @@ class Mutant(NamedTuple):
         scenario: Name of the scenario that shows it.
         invariant: Name of the invariant that it violates.
         broken: Function that returns a context in which the product is broken.
-        seconds: Simulated time of each seed that looks for it [s]; more for what shows late in a run.
+        seconds: Simulated time of each seed that looks for it [s]; more for a fault that shows late in a run.
     """
 
     scenario: str

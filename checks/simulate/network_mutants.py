@@ -23,8 +23,8 @@ def _set_position_again(left: int, right: int) -> HostCommand[None]:
     return replace(_set_position(left, right), repeatable=True)
 
 
-def _settle_at_once(line: Line) -> list[str]:
-    """Ask again without waiting for what may still come."""
+def _resynchronize_early(line: Line) -> list[str]:
+    """Ask again without waiting for replies that may still come."""
     line._unanswered.clear()
     return []
 
@@ -34,21 +34,21 @@ def _swapped_position() -> HostCommand[commands.Positions]:
 
 
 def _accept_refused_bytes(port: network.TcpPort, notices: list[str]) -> tuple[socket.socket, str] | None:
-    came = _accept(port, notices)
-    if came is not None and port._host is not None:
-        came[0].settimeout(0.01)
+    accepted = _accept(port, notices)
+    if accepted is not None and port._host is not None:
+        accepted[0].settimeout(0.01)
         with suppress(OSError):
-            port._host._input += came[0].recv(100)
-    return came
+            port._host._input += accepted[0].recv(100)
+    return accepted
 
 
 def _connections_kept() -> AbstractContextManager[object]:
-    kept: list[object] = []
-    return patch.object(NetworkHost, "close", lambda host: kept.append(host._client))
+    clients: list[object] = []
+    return patch.object(NetworkHost, "close", lambda host: clients.append(host._client))
 
 
 def _release_in_part(host: NetworkHost, count: int) -> None:
-    """Drop what is beyond the queue before the system was asked to take it."""
+    """Drop the bytes beyond the queue before the system was asked to take them."""
     host._output += host._held_reply[: min(count, network_host.QUEUE_LIMIT - len(host._output))]
     del host._held_reply[:count]
     host._flush()
@@ -70,13 +70,13 @@ def _drive_one_wheel(robot: firmware.Firmware, left: int, _: int) -> bytes:
 MUTANTS: dict[str, Mutant] = {
     "leaving does not stop the motors": Mutant("tcp", "motors", replaced(Line, _stop=nothing)),
     "a host ended from outside does not stop the motors": Mutant(
-        "tcp", "motors", replaced(Line, _end=nothing)
+        "tcp", "motors", replaced(Line, _stop_at_exit=nothing)
     ),
     "a command that sets counters is repeated": Mutant(
         "lockstep", "counters", replaced(commands, set_position=_set_position_again)
     ),
     "an old reply is taken for a new one": Mutant(
-        "lockstep", "replies", replaced(Line, _settle=_settle_at_once)
+        "lockstep", "replies", replaced(Line, _resynchronize=_resynchronize_early)
     ),
     "left and right are swapped": Mutant(
         "lockstep", "replies", replaced(commands, position=_swapped_position)
@@ -84,7 +84,7 @@ MUTANTS: dict[str, Mutant] = {
     "an error does not name its port": Mutant(
         "tcp",
         "errors",
-        replaced(Line, _silence=lambda line, request, data: PortTimeout(f"no reply to {request!r}")),
+        replaced(Line, _timeout_error=lambda line, request, data: PortTimeout(f"no reply to {request!r}")),
     ),
     "a refused host's bytes are taken": Mutant(
         "tcp", "replies", replaced(network.TcpPort, _accept=_accept_refused_bytes)

@@ -1,4 +1,4 @@
-"""Scenarios of hosts: at TCP and RFC 2217 ports of a served twin, and in lock-step with their own twins."""
+"""Scenarios of hosts: at TCP and RFC 2217 ports of a served twin, and in lock-step with in-process twins."""
 
 import random
 from collections.abc import Callable
@@ -39,7 +39,7 @@ _MOST_DROPPED, _MOST_GARBLED = 0.02, 0.01
 
 
 def _playpen(rng: random.Random, radio: random.Random) -> str:
-    """Draw the playpen of a twin: now and then one with a radio, by its own generator."""
+    """Draw the playpen of a twin: sometimes one with a radio, by a separate generator."""
     usual = rng.choice(_PLAYPENS)
     return _RADIO if radio.random() < _SHARE_RADIO else usual
 
@@ -48,7 +48,7 @@ class Site:
     """A served twin, its server, and the hosts that come to it.
 
     Attributes:
-        truth: What the twin's line has carried since its server was started.
+        truth: Exchanges on the twin's line since its server was started.
         server: Process of the server.
     """
 
@@ -83,7 +83,7 @@ class Site:
         return f"{'rfc2217' if self._rfc2217 else 'socket'}://127.0.0.1:{_NUMBER}"
 
     def is_private(self) -> bool:
-        """Return whether all that the robot says reaches the present host as it is."""
+        """Return whether all bytes of the robot reach the present host unchanged."""
         return self.is_exact
 
     def may_fail(self) -> bool:
@@ -123,7 +123,7 @@ class Site:
         return closing(TcpPort("127.0.0.1", _NUMBER, rfc2217=self._rfc2217, baud=baud))
 
     def _check_rest(self) -> None:
-        """Check that a server that has ended leaves nothing else."""
+        """Check that a server that has ended leaves no other remains."""
 
     def _ended(self, process: Process) -> None:
         self.simulation.check_end(process)
@@ -134,7 +134,7 @@ class Site:
     def _notice(self, text: str) -> None:
         self.simulation.count("notices")
         if "\n" in text or not text:
-            self.simulation.violate("errors", f"the server said {text!r}")
+            self.simulation.violate("errors", f"the server reported {text!r}")
 
     def watch(self) -> None:
         """Stop the server now and then, and watch its descriptors: a process of the scenario."""
@@ -148,8 +148,8 @@ class Site:
     def look(self) -> None:
         """Check each second that hosts are let in, and that the server opens no more and more files."""
         simulation, server = self.simulation, self.server
-        if self.truth.said and self.truth.said[-1].session != self._last:
-            self._last, self._last_ns = self.truth.said[-1].session, simulation.kernel.now_ns
+        if self.truth.exchanges and self.truth.exchanges[-1].session != self._last:
+            self._last, self._last_ns = self.truth.exchanges[-1].session, simulation.kernel.now_ns
         if simulation.kernel.now_ns - self._last_ns > _LONGEST_TURN_NS:
             simulation.violate("answers", f"no host was let in for {_LONGEST_TURN_NS / NS_PER_S:.0f} s")
         if server is not None and server.alive and len(server.files) > self.most_files:
@@ -158,8 +158,8 @@ class Site:
     def _spoil(self, name: str, to_server: bool, data: bytes) -> bytes:
         """Return a segment as a bad converter passes it on."""
         faults = self.simulation.faults
-        for kind, most in (("drop", _MOST_DROPPED), ("garble", _MOST_GARBLED)):
-            if faults.happens(kind, name, most) and data:
+        for kind, max_rate in (("drop", _MOST_DROPPED), ("garble", _MOST_GARBLED)):
+            if faults.happens(kind, name, max_rate) and data:
                 rng = faults.drawn(kind, name)
                 at = rng.randrange(len(data))
                 changed = bytes([data[at] ^ 1 << rng.randrange(8)]) if kind == "garble" else b""
@@ -174,24 +174,24 @@ class Site:
         return self._sessions
 
     def hosts(self) -> None:
-        """Come one after another, each in its own process: a process of the scenario."""
+        """Start hosts one after another, each in a separate process; a process of the scenario."""
         simulation, rng = self.simulation, self.simulation.rng("hosts")
         time, ended = simulation.system.modules["time"], simulation.system.modules["threading"].Event()
 
-        def gone(process: Process) -> None:
+        def host_ended(process: Process) -> None:
             simulation.check_end(process)
             ended.set()
 
         while True:
             number = self.number()
-            own = simulation.rng("host", number)
-            if own.random() < 0.4:
-                process = simulation.spawn(f"raw{number}", self._raw(number, own).good)
+            host_rng = simulation.rng("host", number)
+            if host_rng.random() < 0.4:
+                process = simulation.spawn(f"raw{number}", self._raw(number, host_rng).good)
             else:
-                process = simulation.spawn(f"host{number}", lambda: self._library(number, own))  # noqa: B023
+                process = simulation.spawn(f"host{number}", lambda: self._library(number, host_rng))  # noqa: B023
                 process.mortal = True
             ended.clear()
-            process.on_end = gone
+            process.on_end = host_ended
             ended.wait()
             if simulation.faults.happens("quick", "hosts", 0.5):
                 time.sleep(simulation.faults.drawn("quick", "hosts").choice([0.0, 1e-5, 1e-4, 1e-3, 1e-2]))
@@ -212,7 +212,7 @@ class Site:
             lambda: self.truth,
             number,
             rng,
-            # In a slow twin replies take longer, too: an image of 250 bytes 1.1 s at a quarter of the speed.
+            # In a slow twin replies also take longer: an image of 250 bytes 1.1 s at a quarter of the speed.
             {"timeout": rng.choice([1.0, 1.0, 2.0]) / min(self.speed or 1.0, 1.0)},
             self.is_private,
             self.may_fail,
@@ -227,9 +227,9 @@ class Site:
             at_ns = kernel.now_ns + round(after_s * NS_PER_S)
             kernel.at(at_ns, lambda: kernel.interrupt(process, error) if session.is_driving else None)
         if simulation.faults.happens("terminate", name, 0.2):
-            since = len(simulation.faults.happened)
+            first_fault = len(simulation.faults.happened)
             session.on_hang = lambda: kernel.at(
-                kernel.now_ns + NS_PER_S, lambda: self._terminate(process, session, since)
+                kernel.now_ns + NS_PER_S, lambda: self._terminate(process, session, first_fault)
             )
         session.run(rng.randint(1, 30))
         if process.files:
@@ -237,10 +237,10 @@ class Site:
         if any(thread.alive for thread in process.threads):
             simulation.violate("leftovers", f"{process.name} leaves a thread")
 
-    def _terminate(self, process: Process, session: Session, since: int) -> None:
+    def _terminate(self, process: Process, session: Session, first_fault: int) -> None:
         """End a process that hangs as `khep_twin.signals` does: clean-up in another thread, then the end.
 
-        Its motors must stand if the faults since its beginning, from the number `since`, are harmless to it.
+        Its motors must stand if the faults since its start, from the number `first_fault`, are harmless.
         """
         clear = self.endings.get(process.name, [])
         if not process.alive or not clear:
@@ -251,9 +251,9 @@ class Site:
         def leave() -> None:
             was_done = thread.alive is False and thread.error is None
             self.simulation.kernel.kill(process)
-            if was_done and not self.simulation.faults.disturbing(since) and truth is self.truth:
+            if was_done and not self.simulation.faults.disturbing(first_fault) and truth is self.truth:
                 self.simulation.count("stops from outside")
-                if not truth.stands(session.number):
+                if not truth.has_stopped(session.number):
                     self.simulation.violate(
                         "motors", f"host {session.number} was ended, and the motors run on"
                     )
@@ -301,7 +301,7 @@ def rfc2217(simulation: Simulation, seconds: float) -> None:
 
 
 def lockstep(simulation: Simulation, seconds: float) -> None:
-    """Hosts of twins in their own process, one after another."""
+    """Hosts of twins in the same process, one after another."""
     rng = simulation.rng("lockstep")
     time = simulation.system.modules["time"]
 
@@ -309,7 +309,7 @@ def lockstep(simulation: Simulation, seconds: float) -> None:
         number = 0
         while True:
             number += 1
-            # The time of the twin passes for the others, too.
+            # The time of the twin passes for all other processes as well.
             time.sleep(max(_lockstep_session(simulation, rng, number), 0.5))
 
     simulation.spawn("host", program)
@@ -317,41 +317,41 @@ def lockstep(simulation: Simulation, seconds: float) -> None:
 
 
 def _lockstep_session(simulation: Simulation, rng: random.Random, number: int) -> float:
-    """Run a host with its own twin; return the time of the twin [s]."""
-    own = simulation.rng("lockstep", number)
+    """Run a host with a twin in its process; return the time of the twin [s]."""
+    session_rng = simulation.rng("lockstep", number)
     query = {
-        "seed": str(own.randrange(1000)),
-        "noise": own.choice(["on", "off"]),
-        "vary": own.choice(["on", "off"]),
+        "seed": str(session_rng.randrange(1000)),
+        "noise": session_rng.choice(["on", "off"]),
+        "vary": session_rng.choice(["on", "off"]),
     }
-    auto = own.random() < 0.2
+    auto = session_rng.random() < 0.2
     if auto:
-        query["mode"] = own.choice("1237")
-    if own.random() < 0.3:
+        query["mode"] = session_rng.choice("1237")
+    if session_rng.random() < 0.3:
         query["unpaced"] = "on"
-    elif own.random() < 0.3:
+    elif session_rng.random() < 0.3:
         query["strict_line"] = "on"
-    if own.random() < 0.3:
+    if session_rng.random() < 0.3:
         query["model"] = "khepera2"
-    elif own.random() < 0.3:
+    elif session_rng.random() < 0.3:
         query["rom"] = "4.06"
     faults = [
-        made(simulation.faults.drawn(kind, "lockstep"))
-        for kind, made in _LINE_FAULTS.items()
+        make_fault(simulation.faults.drawn(kind, "lockstep"))
+        for kind, make_fault in _LINE_FAULTS.items()
         if simulation.faults.happens(kind, "lockstep", 0.5)
     ]
     if faults:
         query["fault"] = ",".join(faults)
-    url = f"khep://{_playpen(own, simulation.rng('radio', number))}?" + "&".join(
+    url = f"khep://{_playpen(session_rng, simulation.rng('radio', number))}?" + "&".join(
         f"{key}={value}" for key, value in query.items()
     )
     truths: list[Truth] = []
-    kinds = {each.partition(":")[0] for each in faults}
+    kinds = {fault.partition(":")[0] for fault in faults}
     is_exact = not kinds & {"drop", "garble"}
-    kept = Serial._connect
+    connect_port = Serial._connect
 
     def connect(port: Serial, twin: Twin) -> None:
-        kept(port, twin)
+        connect_port(port, twin)
         twin.world.compile()
         truths.append(Truth(simulation, twin, is_exact=is_exact))
 
@@ -360,11 +360,11 @@ def _lockstep_session(simulation: Simulation, rng: random.Random, number: int) -
         url,
         lambda: truths[-1] if truths else None,
         number % SESSIONS,
-        own,
+        session_rng,
         {
-            "timeout": own.choice([1.0, 2.0]),
+            "timeout": session_rng.choice([1.0, 2.0]),
             "baudrate": "auto" if auto else 9600,
-            "retries": own.choice([0, 1, 1, 3]),
+            "retries": session_rng.choice([0, 1, 1, 3]),
         },
         lambda: True,
         lambda: bool(faults),
@@ -373,7 +373,7 @@ def _lockstep_session(simulation: Simulation, rng: random.Random, number: int) -
     if simulation.faults.happens("exception", "lockstep", 0.3):
         session.ending = ending(simulation.faults.drawn("exception", "lockstep"))
     with patch.object(Serial, "_connect", connect):
-        session.run(own.randint(1, 30))
+        session.run(session_rng.randint(1, 30))
     return truths[-1].time_s if truths else 0.0
 
 

@@ -60,17 +60,17 @@ def _forget_actor(self: SessionActions, _: object) -> None:
     self._actor = None
 
 
-def _answer_unguarded(action: Any) -> Any:
-    found = action()
-    return found if isinstance(found, answers.Response) else answers.JSONResponse(found or {})
+def _answer_unguarded(action: Any, _: answers.FormatText) -> Any:
+    content = action()
+    return content if isinstance(content, answers.Response) else answers.JSONResponse(content or {})
 
 
 def _oldest_first(self: Documents, name: str | None) -> list[dict[str, object]]:
     return _left(self, name)[::-1]
 
 
-def _refuse_mutely(_: str, status: int = 400, **more: bool) -> Any:
-    content: Mapping[str, object] = {"error": "", **more}
+def _refuse_mutely(_: str, status: int = 400, **fields: bool) -> Any:
+    content: Mapping[str, object] = {"error": "", **fields}
     return answers.JSONResponse(content, status)
 
 
@@ -79,9 +79,9 @@ _broken: dict[str, tuple[str, Broken]] = {
     "page-two-saves-at-once": ("work", replaced(Documents, __init__=_begin_unlocked)),
     "page-draft-deleted-before-the-file-is-written": ("work", replaced(Documents, save=_save_draft_first)),
     "page-edit-acknowledged-before-it-is-kept": ("work", replaced(Documents, save_draft=_keep_later)),
-    "page-draft-written-in-place": ("work", replaced(documents, write_whole=_write_in_place)),
+    "page-draft-written-in-place": ("work", replaced(documents, write_atomic=_write_in_place)),
     "page-oldest-draft-offered-first": ("work", replaced(Documents, drafts=_oldest_first)),
-    "page-part-left-on-a-full-disk": ("leftovers", replaced(documents, write_whole=_write_leaving_part)),
+    "page-part-left-on-a-full-disk": ("leftovers", replaced(documents, write_atomic=_write_leaving_part)),
     "page-twin-left-running": ("leftovers", replaced(SessionActions, _end=_forget_actor)),
     "page-refusal-that-is-a-failure": ("errors", replaced(answers, respond=_answer_unguarded)),
     "page-refusal-without-a-line": ("errors", replaced(answers, refusal=_refuse_mutely)),

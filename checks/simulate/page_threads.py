@@ -1,6 +1,6 @@
 """Threads and an event loop of one simulated program; each thread is a process of the kernel.
 
-asyncio's own loop, tasks and futures run; only its clock and its waiting are the simulated kernel's.
+asyncio's loop, tasks and futures run unchanged; only its clock and its waiting are the simulated kernel's.
 """
 
 import asyncio
@@ -54,16 +54,16 @@ class Group:
         return process
 
     def kill(self) -> None:
-        """Kill all threads at once."""
+        """Kill all threads together."""
         if self.alive:
             self.alive = False
-            for each in [*self.threads]:
-                self.simulation.kernel.kill(each)
+            for thread in [*self.threads]:
+                self.simulation.kernel.kill(thread)
             self._died()
 
 
 class Threading:
-    """Functions of the module `threading`, of the thread's own program."""
+    """Functions of the module `threading` for the program of the calling thread."""
 
     def __init__(self, simulation: Simulation) -> None:
         kernel = simulation.kernel

@@ -1,7 +1,7 @@
 """Scenario of the designer's page: browsers that edit, save and drive, and a designer that is killed.
 
-Each browser does what assets/web/main.js does: it keeps a draft after each edit, saves with the version that
-it knows, and asks its user at a conflict. Another program changes files meanwhile.
+Each browser follows assets/web/main.js: it keeps a draft after each edit, saves with the version that it
+knows, and asks its user at a conflict. Another program changes files meanwhile.
 """
 
 import copy
@@ -13,10 +13,10 @@ from typing import Any
 from unittest.mock import patch
 
 from checks.simulate.compiled_worlds import compiled_worlds
-from checks.simulate.designer import Asked, Designer, Socket, UnreachedError, installed
+from checks.simulate.designer import Designer, PageRequest, Socket, UnreachedError, installed
 from checks.simulate.kernel import NS_PER_S, OpenFile
 from checks.simulate.kernel_files import WritesThroughKernel
-from checks.simulate.ledger import Ledger, Sent, told
+from checks.simulate.ledger import Ledger, Sent, as_json
 from checks.simulate.page_mutants import MUTANTS as MUTANTS
 from checks.simulate.page_threads import Threading
 from checks.simulate.simulation import Simulation
@@ -26,7 +26,7 @@ from khep_twin.web import drafts
 N_BROWSERS = 3
 
 MOST_FULL = 0.1
-"""Highest probability that a write finds no room; pages write little, and a designer goes on after it."""
+"""Highest probability that a write finds no room; pages write little, and a designer continues after it."""
 
 NAMES = "first.toml", "second.toml", "third.toml"
 
@@ -58,8 +58,8 @@ class Office:
         self.simulation = simulation
         self.folder = simulation.folder / "playpens"
         self._private = simulation.folder / "private"
-        for each in (self.folder, self._private):
-            each.mkdir()
+        for folder in (self.folder, self._private):
+            folder.mkdir()
         self.ledger = Ledger(simulation, self.folder)
         self._rng = simulation.rng("office")
         self._descriptors = len(os.listdir("/proc/self/fd"))
@@ -93,8 +93,10 @@ class Office:
             if self.designer is not None:
                 self.designer.group.kill()
             self._check()
-            if (found := len(os.listdir("/proc/self/fd"))) != self._descriptors:
-                simulation.violate("leftovers", f"{found - self._descriptors} descriptors are left open")
+            if (n_descriptors := len(os.listdir("/proc/self/fd"))) != self._descriptors:
+                simulation.violate(
+                    "leftovers", f"{n_descriptors - self._descriptors} descriptors are left open"
+                )
 
     def unique(self) -> int:
         """Return a number that was not there before."""
@@ -120,7 +122,7 @@ class Office:
         os.utime(path, ns=(now_ns, now_ns))
         if path.suffix == ".toml":
             group = getattr(kernel.current, "group", None)
-            self.ledger.wrote(path, None if group is None else group.requests.get(kernel.current))
+            self.ledger.note_write(path, None if group is None else group.requests.get(kernel.current))
 
     def _keep_running(self) -> None:
         """Start the designer, and again whenever it is gone; look after it meanwhile."""
@@ -142,7 +144,7 @@ class Office:
         parts = sorted(self._parts() - self._left_by_kills)
         if parts and not designer.group.requests and designer.alive:
             self.simulation.violate("leftovers", f"no request is carried out, and {parts[0]} is there")
-        stages = [each for each in designer.group.threads if " stage " in each.name]
+        stages = [thread for thread in designer.group.threads if " stage " in thread.name]
         notes = sorted(self._private.iterdir())
         ended = (
             designer.page is not None
@@ -158,7 +160,7 @@ class Office:
 
     def _parts(self) -> set[str]:
         """Return the names of unfinished files."""
-        return {each.name for each in self.folder.glob(".*.part*")}
+        return {path.name for path in self.folder.glob(".*.part*")}
 
     def _check(self) -> None:
         self.ledger.check()
@@ -214,70 +216,74 @@ class Browser:
 
     def _use(self, again: bool) -> None:
         """Open the page, and work on it for a while."""
-        found = self._post("hello", {"file": self._file} if again else {})
+        answer = self._post("hello", {"file": self._file} if again else {})
         self._socket = self._designer.connect()
-        self._show(found, {"file": found["file"]} if found["version"] else {})
-        self._offer(found["left"])
+        self._show(answer, {"file": answer["file"]} if answer["version"] else {})
+        self._offer(answer["left"])
         for _ in range(self._rng.randrange(3, 40)):
             self._office.pause(0.05, 4)
             if self._faults.happens("page-left", "pages", 0.2):
                 return
-            self._heard()
+            self._read_messages()
             acts = [self._edit] * 8 + [self._save] * 3 + [self._undo, self._save_as, self._open, self._odd]
             acts += [self._drive, self._ask]
             self._rng.choice(acts)()
 
-    def _show(self, found: dict[str, Any], base: dict[str, str]) -> None:
-        self._file, self._version, self._base = found["file"], found["version"], base
-        self._draft: dict[str, Any] = found["draft"]
-        self._saved = told(self._draft)
+    def _show(self, answer: dict[str, Any], base: dict[str, str]) -> None:
+        self._file, self._version, self._base = answer["file"], answer["version"], base
+        self._draft: dict[str, Any] = answer["draft"]
+        self._saved = as_json(self._draft)
         self._undone: list[dict[str, Any]] = []
         self._has_draft = False
 
     @property
     def _changed(self) -> bool:
-        return told(self._draft) != self._saved
+        return as_json(self._draft) != self._saved
 
     # Requests ------------------------------------------------------------------------------------------
 
-    def _post(self, action: str, wanted: dict[str, Any]) -> Any:
+    def _post(self, action: str, arguments: dict[str, Any]) -> Any:
         """Send a request and return its answer; None if it is refused.
 
         Raises:
             UnreachedError: The designer, or the page, is gone.
         """
-        asked = self._ask_once(action, wanted)
+        request = self._ask_once(action, arguments)
         if self._faults.happens("twice", "pages", 0.05) and action not in ("save", "start"):
-            asked = self._ask_once(action, wanted)
-        return self._read(asked)
+            request = self._ask_once(action, arguments)
+        return self._read(request)
 
-    def _ask_once(self, action: str, wanted: dict[str, Any]) -> Asked:
-        told_wanted = {**wanted, "tab": self._tab}
-        asked = Asked(self._simulation, action, copy.deepcopy(told_wanted))
+    def _ask_once(self, action: str, arguments: dict[str, Any]) -> PageRequest:
+        sent_arguments = {**arguments, "tab": self._tab}
+        request = PageRequest(self._simulation, action, copy.deepcopy(sent_arguments))
         timeout_s = REPLY_TIMEOUT_S
         if self._faults.happens("page-left-amid", "pages", 0.05):
             timeout_s = self._faults.drawn("page-left-amid", "pages").uniform(0, 0.01)
         before_ns = self._simulation.kernel.now_ns
         try:
-            self._designer.ask(asked, json.dumps(told_wanted).encode(), {}, timeout_s)
+            self._designer.ask(request, json.dumps(sent_arguments).encode(), {}, timeout_s)
         except UnreachedError:
             if self._simulation.kernel.now_ns - before_ns > 0.9 * REPLY_TIMEOUT_S * NS_PER_S:
                 self._simulation.violate("errors", f"{action} was not answered in {REPLY_TIMEOUT_S:g} s")
             raise
-        return asked
+        return request
 
-    def _read(self, asked: Asked) -> Any:
+    def _read(self, request: PageRequest) -> Any:
         """Return an answer; check that a refusal has its line."""
         self._simulation.count("requests")
-        if asked.status == 200:
-            return json.loads(asked.body)
+        if request.status == 200:
+            return json.loads(request.body)
         self._simulation.count("refusals")
-        text = asked.body.decode()
+        text = request.body.decode()
         line = json.loads(text)["error"] if text.startswith("{") else text.strip()
-        if asked.status >= 500 or not line or not all(each.isprintable() for each in line.split("\n")):
-            self._simulation.violate("errors", f"{asked.action} was answered {asked.status}: {line!r}")
+        if (
+            request.status >= 500
+            or not line
+            or not all(text_line.isprintable() for text_line in line.split("\n"))
+        ):
+            self._simulation.violate("errors", f"{request.action} was answered {request.status}: {line!r}")
         self._line = line
-        return {"conflict": True} if asked.status == 409 else None
+        return {"conflict": True} if request.status == 409 else None
 
     # Work of the user ----------------------------------------------------------------------------------
 
@@ -299,11 +305,11 @@ class Browser:
         if not self._changed and not self._has_draft:
             return False
         self._has_draft = changed = self._changed
-        draft = told(self._draft) if changed else None
+        draft = as_json(self._draft) if changed else None
         place = self._file, self._tab
         ledger = self._office.ledger
         sent = ledger.sent(place, self._tab, draft)
-        found = self._post(
+        answer = self._post(
             "keep",
             {
                 "file": self._file,
@@ -312,7 +318,7 @@ class Browser:
                 "draft": self._draft if changed else None,
             },
         )
-        if found is None:
+        if answer is None:
             return False
         ledger.answered(place, sent)
         ledger.check()
@@ -320,52 +326,54 @@ class Browser:
         return True
 
     def _forget(self, file: str | None, page: str | None = None) -> None:
-        """Delete a draft: the page's own, or one that another page has left."""
+        """Delete a draft: the page's, or one that another page has left."""
         place, ledger = (file, self._tab if page is None else page), self._office.ledger
         sent = ledger.sent(place, self._tab, None) if place in ledger.works else None
-        wanted = {"file": file, "draft": None} | ({} if page is None else {"page": page})
-        if self._post("keep", wanted) is not None and sent is not None:
+        arguments = {"file": file, "draft": None} | ({} if page is None else {"page": page})
+        if self._post("keep", arguments) is not None and sent is not None:
             ledger.answered(place, sent)
 
     def _offer(self, left: list[dict[str, Any]]) -> None:
         """Decide on the newest of the drafts that other pages have left."""
         others = [
-            each for each in left if each["page"] != self._tab and told(each["draft"]) != told(self._draft)
+            offer
+            for offer in left
+            if offer["page"] != self._tab and as_json(offer["draft"]) != as_json(self._draft)
         ]
         self._check_offered(left)
         if not others or self._rng.random() < 0.3:
             return
-        kept = others[0]
+        offer = others[0]
         if self._rng.random() < 0.2:
-            self._forget(self._file, kept["page"])
+            self._forget(self._file, offer["page"])
             return
-        self._version = kept.get("version", self._version)
-        self._base = kept.get("base") or self._base
-        self._draft = kept["draft"]
+        self._version = offer.get("version", self._version)
+        self._base = offer.get("base") or self._base
+        self._draft = offer["draft"]
         if self._keep():
-            self._forget(self._file, kept["page"])
+            self._forget(self._file, offer["page"])
 
     def _check_offered(self, left: list[dict[str, Any]]) -> None:
         """Check that the newest is offered first."""
-        times = [each["time"] for each in left]
+        times = [offer["time"] for offer in left]
         if times != sorted(times, reverse=True):
             self._simulation.violate("work", "an older draft is offered before a newer one")
 
     def _save(self, name: str | None = None, overwrite: bool = False) -> None:
-        """Save; at a conflict do what the user chooses."""
+        """Save; at a conflict follow the user's choice."""
         name = name or self._file or self._rng.choice(NAMES)
         before, draft = self._file, copy.deepcopy(self._draft)
         version = self._version if name == before else None
         place = before, self._tab
-        wanted = {"file": name, "draft": draft, "version": version, "base": self._base}
-        wanted |= {"overwrite": overwrite, "rename": False, "tab": self._tab}
+        arguments = {"file": name, "draft": draft, "version": version, "base": self._base}
+        arguments |= {"overwrite": overwrite, "rename": False, "tab": self._tab}
         if self._faults.happens("second-window", "pages", 0.3):
-            self._save_elsewhere(wanted)
-        asked = self._ask_once("save", wanted)
-        found = self._read(asked)
-        if found is None:
+            self._save_elsewhere(arguments)
+        request = self._ask_once("save", arguments)
+        answer = self._read(request)
+        if answer is None:
             return
-        if found.get("conflict"):
+        if answer.get("conflict"):
             self._simulation.count("conflicts")
             choice = self._rng.randrange(4)
             if choice == 0:
@@ -375,32 +383,37 @@ class Browser:
             elif choice == 2:
                 self._load(name)
             return
-        self._office.ledger.saved(asked, found["version"])
+        self._office.ledger.check_saved(request, answer["version"])
         self._simulation.count("saves")
         if place in self._office.ledger.works:
             self._office.ledger.answered(place, Sent(self._tab, None))
         if name != before:
             self._forget(before)
         self._has_draft = False
-        self._file, self._version, self._base = name, found["version"], {"file": name}
-        self._saved = told(draft)
+        self._file, self._version, self._base = name, answer["version"], {"file": name}
+        self._saved = as_json(draft)
 
-    def _save_elsewhere(self, wanted: dict[str, Any]) -> None:
+    def _save_elsewhere(self, arguments: dict[str, Any]) -> None:
         """Save other changes of the same version in a second window, at the same time."""
         tab = f"{self._tab}-second-{self._office.unique()}"
         robot = {"x_mm": 100 + self._office.unique() / 100, "y_mm": 150.0, "heading_deg": 0.0}
-        wanted = {**wanted, "draft": {**wanted["draft"], "robot": [robot]}, "tab": tab, "overwrite": False}
-        asked = Asked(self._simulation, "save", wanted)
+        arguments = {
+            **arguments,
+            "draft": {**arguments["draft"], "robot": [robot]},
+            "tab": tab,
+            "overwrite": False,
+        }
+        request = PageRequest(self._simulation, "save", arguments)
         designer = self._designer
 
         def save() -> None:
             try:
-                designer.ask(asked, json.dumps(wanted).encode(), {}, REPLY_TIMEOUT_S)
+                designer.ask(request, json.dumps(arguments).encode(), {}, REPLY_TIMEOUT_S)
             except UnreachedError:
                 return
-            if found := self._read(asked):
-                if not found.get("conflict"):
-                    self._office.ledger.saved(asked, found["version"])
+            if answer := self._read(request):
+                if not answer.get("conflict"):
+                    self._office.ledger.check_saved(request, answer["version"])
 
         self._simulation.spawn(f"second window {tab}", save)
 
@@ -408,27 +421,27 @@ class Browser:
         self._save(self._rng.choice(NAMES))
 
     def _load(self, name: str) -> None:
-        """Open a file; the user gives up what is not saved."""
-        found = self._post("open", {"file": name})
-        if found is None:
+        """Open a file; the user discards unsaved edits."""
+        answer = self._post("open", {"file": name})
+        if answer is None:
             return
         before = self._file
-        self._show(found, {"file": name})
+        self._show(answer, {"file": name})
         self._forget(before)
-        self._offer(found["left"])
+        self._offer(answer["left"])
 
     def _open(self) -> None:
         listed = self._post("list", {})
         if listed and listed["files"]:
             self._load(self._rng.choice(listed["files"]))
 
-    def _heard(self) -> None:
-        """Hear what the designer has told."""
-        for message in self._socket.heard:
+    def _read_messages(self) -> None:
+        """Read the messages of the designer."""
+        for message in self._socket.messages:
             if message["kind"] == "error" and ("\n" in message["text"] or not message["text"]):
-                self._simulation.violate("errors", f"the page is told {message['text']!r}")
-        self._simulation.count("messages", len(self._socket.heard))
-        self._socket.heard.clear()
+                self._simulation.violate("errors", f"the page got {message['text']!r}")
+        self._simulation.count("messages", len(self._socket.messages))
+        self._socket.messages.clear()
 
     # Twins ---------------------------------------------------------------------------------------------
 
@@ -437,12 +450,12 @@ class Browser:
         if self._rng.random() < 0.5:
             return
         log = f"log-{self._office.unique()}.mcap" if self._rng.random() < 0.3 else None
-        wanted = {"draft": self._draft, "file": self._file, "seed": 1, "log": log}
-        if self._post("start", {**wanted, "speed": self._rng.choice([1.0, 0.5, 3.0])}) is None:
+        arguments = {"draft": self._draft, "file": self._file, "seed": 1, "log": log}
+        if self._post("start", {**arguments, "speed": self._rng.choice([1.0, 0.5, 3.0])}) is None:
             return
         for _ in range(self._rng.randrange(1, 8)):
             self._office.pause(0.05, 1)
-            action, wanted = self._rng.choice(
+            action, arguments = self._rng.choice(
                 [
                     ("pace", {"speed": 2.0, "paused": self._rng.random() < 0.5}),
                     ("put", {"robot": 0, "x_mm": 150.0, "y_mm": 150.0, "heading_deg": 90.0}),
@@ -453,19 +466,19 @@ class Browser:
                     ("room", {"robot": 0, "x_mm": 10.0, "y_mm": 10.0}),
                 ]
             )
-            self._post(action, wanted)
-            self._heard()
+            self._post(action, arguments)
+            self._read_messages()
         if self._rng.random() < 0.8:
             self._post("end", {})
             self._simulation.count("twins")
 
     def _ask(self) -> None:
         action = self._rng.choice(["left", "left", "check"])
-        wanted = {"draft": self._draft} if action == "check" else {"file": self._file or NAMES[0]}
-        self._post(action, wanted)
+        arguments = {"draft": self._draft} if action == "check" else {"file": self._file or NAMES[0]}
+        self._post(action, arguments)
 
     def _odd(self) -> None:
-        """Send what no page would."""
+        """Send a request that no page would send."""
         if not self._faults.happens("malformed", "pages", 0.5):
             return
         rng = self._faults.drawn("malformed", "pages")
@@ -483,13 +496,13 @@ class Browser:
         headers |= rng.choice(
             [{}, {}, {"origin": "http://evil"}, {"host": "evil"}, {"content-length": "9" * 8}]
         )
-        asked = Asked(self._simulation, action, {})
-        self._designer.ask(asked, body, headers, REPLY_TIMEOUT_S)
-        self._read(asked)
+        request = PageRequest(self._simulation, action, {})
+        self._designer.ask(request, body, headers, REPLY_TIMEOUT_S)
+        self._read(request)
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file at once, as an editor that renames does."""
+    """Replace a file atomically, as an editor does that renames."""
     other = path.with_name("edited")
     with open(other, "w") as file:
         file.write(text)

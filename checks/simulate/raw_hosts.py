@@ -41,11 +41,11 @@ class Raw:
     Args:
         simulation: Simulation.
         port: Port number.
-        truth: Function that returns what the line of the twin carries.
+        truth: Function that returns the exchanges on the line of the twin.
         number: Number of its session.
-        rng: Generator of what it does.
-        is_exact: Function that returns whether all that the robot says reaches the host as it is.
-        may_fail: Function that returns whether the line may fail just now.
+        rng: Random generator of its actions.
+        is_exact: Function that returns whether all bytes of the robot reach the host unchanged.
+        may_fail: Function that returns whether the line may currently fail.
     """
 
     simulation: Simulation
@@ -66,7 +66,7 @@ class Raw:
     def good(self) -> None:
         """Ask in bursts, and check each reply; leave by closing, or by finishing to send."""
         rng, truth, faults = self.rng, self.truth(), self.simulation.faults
-        asked, got, has_finished, since = 0, b"", False, len(faults.happened)
+        n_requests, got, has_finished, first_fault = 0, b"", False, len(faults.happened)
         try:
             with self.connect() as host:
                 host.settimeout(REPLY_TIMEOUT_S)
@@ -76,13 +76,13 @@ class Raw:
                 for _ in range(rng.randint(1, 20)):
                     lines += rng.choices(ORDERS, k=rng.randint(1, 8))
                     host.sendall("".join(f"{line}\n" for line in lines).encode())
-                    asked += len(lines)
+                    n_requests += len(lines)
                     lines = []
-                    while (got_lines := _TELNET.sub(b"", got).count(b"\n")) < asked:
+                    while (got_lines := _TELNET.sub(b"", got).count(b"\n")) < n_requests:
                         if not (data := host.recv(4096)):
                             if not self.may_fail():
-                                told = f"raw host {self.number} was cut off after {got_lines} replies"
-                                self.simulation.violate("answers", told)
+                                text = f"raw host {self.number} was cut off after {got_lines} replies"
+                                self.simulation.violate("answers", text)
                             return
                         got += data
                     self._compare(truth, got)
@@ -94,7 +94,7 @@ class Raw:
                     while host.recv(4096):
                         pass
         except TimeoutError:
-            if truth is self.truth() and self.is_exact() and faults.disturbing(since) <= _PASSING:
+            if truth is self.truth() and self.is_exact() and faults.disturbing(first_fault) <= _PASSING:
                 kind = "leftovers" if has_finished else "answers"
                 self.simulation.violate(kind, f"raw host {self.number} waited for {REPLY_TIMEOUT_S} s")
         except OSError as error:
@@ -105,11 +105,13 @@ class Raw:
         """Check that all that came are the replies to this host's lines, in order."""
         if not self.is_exact() or truth is not self.truth():
             return
-        said = "".join(each.reply for each in truth.replies(self.number))
+        expected = "".join(exchange.reply for exchange in truth.replies(self.number))
         received = _TELNET.sub(b"", got).decode("latin-1")
         self.simulation.count("replies", received.count("\n"))
-        if said != received:
-            self.simulation.violate("replies", f"raw host {self.number} got {received!r}; was told {said!r}")
+        if expected != received:
+            self.simulation.violate(
+                "replies", f"raw host {self.number} got {received!r}; expected {expected!r}"
+            )
 
     def _pause(self, duration: float) -> None:
         if duration:
@@ -118,7 +120,7 @@ class Raw:
     # Hosts that a port must withstand ------------------------------------------------------------------
 
     def rogue(self, kind: Callable[[], None] | None = None) -> str:
-        """Do one thing that a port must withstand, by default any; return its name."""
+        """Perform one action that a port must withstand, by default any; return its name."""
         kinds: Sequence[Callable[[], None]] = (
             self.second,
             self.storm,
@@ -146,8 +148,8 @@ class Raw:
                 host.settimeout(REPLY_TIMEOUT_S)
                 host.sendall(f"{tag(session)}\n".encode())
                 got = host.recv(4096)
-                while got and not _TELNET.sub(b"", got) and (more := host.recv(4096)):
-                    got += more
+                while got and not _TELNET.sub(b"", got) and (data := host.recv(4096)):
+                    got += data
         except ConnectionError:
             pass
         refused = not _TELNET.sub(b"", got)
@@ -155,7 +157,7 @@ class Raw:
             self.simulation.violate("replies", "bytes of a host that was refused were carried out")
 
     def storm(self) -> None:
-        """Connect and leave at once, many times."""
+        """Connect and leave immediately, many times."""
         for _ in range(self.rng.randint(2, 30)):
             with self.connect(1.0) as host:
                 if self.rng.random() < 0.5:
@@ -179,10 +181,12 @@ class Raw:
 
     def _compare_beginning(self, truth: Truth, got: bytes) -> None:
         if self.is_exact() and truth is self.truth():
-            said = "".join(each.reply for each in truth.replies(self.number))
+            expected = "".join(exchange.reply for exchange in truth.replies(self.number))
             received = _TELNET.sub(b"", got).decode("latin-1")
-            if not received.startswith("\xff") and not said.startswith(received):
-                self.simulation.violate("replies", f"raw host {self.number} got {received!r}; told {said!r}")
+            if not received.startswith("\xff") and not expected.startswith(received):
+                self.simulation.violate(
+                    "replies", f"raw host {self.number} got {received!r}; expected {expected!r}"
+                )
 
     def never_reads(self) -> None:
         """Ask without ever reading, then leave."""

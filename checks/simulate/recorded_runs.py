@@ -29,7 +29,7 @@ COMMANDS = (
     *(b"N\n", b"O\n", b"E\n", b"H\n", b"D,5,5\n", b"D,-3,7\r\n", b"D,0,0\n", b"L,0,2\n", b"G,0,0\n", b"B\n"),
     *(b"T,2,N\n", b"T,1,G\n", b"X9\n", b"\n", b"K\r", b"N"),
 )
-"""What a host sends: replies of all kinds, errors, and lines that end with the next command."""
+"""Requests of a host: replies of all kinds, errors, and lines that end with the next command."""
 
 
 @dataclass(slots=True)
@@ -39,11 +39,11 @@ class Run:
     Attributes:
         number: Number of it, and its seed.
         path: Path of the finished log.
-        truth: What has happened in it.
+        truth: True content of it.
         duration: Simulated time of it [s].
         parent: Log that it resumes; None for a run from its start.
         failures: Lines about a log that cannot be written any more.
-        goes_on: True if it goes on without its log.
+        goes_on: True if it continues without its log.
     """
 
     simulation: Simulation
@@ -67,18 +67,18 @@ class Run:
         return self.failures.append if self.goes_on else None
 
     def watch(self, twin: Twin) -> None:
-        """Keep what happens in a twin from now on."""
+        """Keep the true content of a twin's run from now on."""
         recorder = twin.recorder
         assert recorder is not None
         self.truth.failed = lambda: recorder.failure is not None
         self.truth.watch([robot.name for robot in twin.world.robots], twin.world)
-        # A line that its parent's host has begun goes on.
+        # A line that its parent's host has started is continued.
         transcript = recorder._transcript
-        heard = [(0, *rest) for rest in transcript.partial_lines] + transcript._received
-        self.truth.resume(heard)
+        pieces = [(0, *rest) for rest in transcript.partial_lines] + transcript._received
+        self.truth.resume(pieces)
 
     def lock_step(self) -> None:
-        """Drive a twin of khep:// by a host in its own process."""
+        """Drive a twin of khep:// by a host in the same process."""
         rng = self.simulation.rng("run", self.number)
         path = quote(str(self.path))
         if self.parent is None:
@@ -167,7 +167,7 @@ class Run:
             if rng.random() < 0.01:
                 self.truth.on_event(time_ns, 0, "the robot is connected")
                 recorder.on_event("the robot is connected")
-                self.truth.told(time_ns)
+                self.truth.note_flush(time_ns)
             flush()
             self.truth.turn(self.clock.monotonic_ns(), time_ns)
             self.clock.sleep(rng.uniform(0.0, 0.2))
@@ -180,7 +180,7 @@ class Run:
             self.truth.closed = True
 
     def _intervene(self, twin: Twin, rng: Any) -> None:
-        """Do what a user does to a world by hand."""
+        """Intervene in a world as a user does."""
         world, index = twin.world, rng.randrange(len(twin.world.robots))
         act = rng.randrange(5)
         try:
@@ -201,7 +201,7 @@ class Run:
 
 
 def _reply(command: bytes, number: int) -> bytes:
-    """Return what a robot answers, at least in its form."""
+    """Return a reply in the form of a robot's."""
     counts = {b"N": 8, b"O": 8, b"E": 2, b"H": 2}.get(command[:1], 0)
     if command.startswith(b"T,2,N"):
         return b"t,2,n," + b",".join(b"%d" % (number % 256) for _ in range(64)) + b"\r\n"

@@ -42,7 +42,7 @@ def record(simulation: Simulation, seconds: float) -> None:
 
 
 class _Lab:
-    """Folder of logs, with what is known of them."""
+    """Folder of logs, with the true content of their runs."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -50,12 +50,12 @@ class _Lab:
         self._rng = simulation.rng("lab")
         self._truths: dict[int, Truth] = {}
         self._unfinished: dict[str, str] = {}
-        self._known: set[tuple[str, str]] = set()
+        self._checked: set[tuple[str, str]] = set()
         self._owners: dict[str, Truth | None] = {}
         self._rounds = self._runs = 0
 
     def round(self) -> None:
-        """Let one run happen, or two of one name, and look at what they leave."""
+        """Let one run happen, or two of one name, and check the remaining files."""
         simulation, rng = self._simulation, self._rng
         self._rounds += 1
         cuts = self.disk.cuts
@@ -69,13 +69,13 @@ class _Lab:
         tail: list[object] = []
         if rng.random() < 0.5:
             processes.append(simulation.spawn(f"tail{self._rounds}", lambda: self._tail(path, tail), 10**9))
-        while any(each.alive for each in processes):
+        while any(process.alive for process in processes):
             simulation.run(1.0)
         simulation.run(rng.uniform(0.0, 30.0))
         if simulation.faults.happens("power-cut", "machine", 0.5):
             self.disk.cut()
         self._check_ends(runs, processes)
-        self._look(runs, cuts)
+        self._check_folder(runs, cuts)
 
     def _run(self, name: str) -> Run:
         self._runs += 1
@@ -89,7 +89,7 @@ class _Lab:
     def _start(self, run: Run, delay: float) -> Process:
         rng = self._simulation.rng("start", run.number)
         kind: Callable[[], None] = rng.choice((run.lock_step, run.lock_step, run.served, run.relayed))
-        parents = [each for each in sorted(self._simulation.folder.glob("*.mcap")) if each != run.path]
+        parents = [path for path in sorted(self._simulation.folder.glob("*.mcap")) if path != run.path]
         if kind == run.lock_step and parents and rng.random() < 0.5:
             truth = self._truth_of(parents[0])
             if truth is not None and truth.last_ns > NS_PER_S and truth.samples:
@@ -98,8 +98,8 @@ class _Lab:
         process = self._simulation.spawn(name, kind, round(delay * NS_PER_S))
         process.mortal = True
         if self._simulation.faults.happens("kill-run", "machine", 1.0):
-            own = self._simulation.faults.drawn("kill-run", "machine")
-            after = own.choice((10 ** own.uniform(-3, 1.5), run.duration * own.random()))
+            kill_rng = self._simulation.faults.drawn("kill-run", "machine")
+            after = kill_rng.choice((10 ** kill_rng.uniform(-3, 1.5), run.duration * kill_rng.random()))
             kernel = self._simulation.kernel
             kernel.at(kernel.now_ns + round((delay + after) * NS_PER_S), lambda: kernel.kill(process))
         return process
@@ -123,31 +123,33 @@ class _Lab:
 
     # While it is written -------------------------------------------------------------------------------
 
-    def _tail(self, path: Path, found: list[object]) -> None:
+    def _tail(self, path: Path, messages: list[object]) -> None:
         """Follow a log while it is written."""
         sleep = self._simulation.system.modules["time"].sleep  # type: ignore[attr-defined]
         try:
             with GrowingLog(path) as log:
                 while not log.is_finished:
-                    found += log.read_new()
+                    messages += log.read_new()
                     sleep(0.5)
         except FileNotFoundError:
             return
         except LogError as error:
-            if not any(each in str(error) for each in ("ended without finishing", "is finished", "damaged")):
+            if not any(
+                phrase in str(error) for phrase in ("ended without finishing", "is finished", "damaged")
+            ):
                 raise
-        self._simulation.count("messages followed", len(found))
+        self._simulation.count("messages followed", len(messages))
 
     # Afterwards ----------------------------------------------------------------------------------------
 
     def _check_ends(self, runs: list[Run], processes: list[Process]) -> None:
-        """Check that a run that has failed has said why, in one line."""
+        """Check that a run that has failed has reported the reason in one line."""
         violate = self._simulation.violate
         for run, process in zip(runs, processes, strict=False):
-            said = [line for _, line in process.said]
-            lines = [*said, *(run.failures or [])]
+            printed = [line for _, line in process.output_lines]
+            lines = [*printed, *(run.failures or [])]
             if len(lines) > 1:
-                violate("errors", f"run {run.number} says {lines}")
+                violate("errors", f"run {run.number} reports {lines}")
             for line in lines:
                 self._simulation.count("lines about logs")
                 reasons = [*_BY_DISK, *["another run is writing it"] * (len(runs) > 1)]
@@ -156,57 +158,57 @@ class _Lab:
                 # A power cut may leave zeros under the name, which the next run does not touch.
                 reasons += ["this is no unfinished log"] * (self.disk.cuts > 0)
                 if not any(reason in line for reason in reasons):
-                    violate("errors", f"run {run.number} says {line!r}")
-            if run.truth.closed and said:
-                violate("errors", f"run {run.number} was completed, and says {said}")
+                    violate("errors", f"run {run.number} reports {line!r}")
+            if run.truth.closed and printed:
+                violate("errors", f"run {run.number} was completed, and reports {printed}")
 
-    def _look(self, runs: list[Run], cuts: int) -> None:
+    def _check_folder(self, runs: list[Run], cuts: int) -> None:
         """Look at all files of the folder, after a round before which there were so many power cuts."""
         simulation, folder = self._simulation, self._simulation.folder
-        parts = [each for each in sorted(folder.iterdir()) if _PART.search(each.name)]
-        hashes = {_hash(each): each for each in parts}
+        parts = [path for path in sorted(folder.iterdir()) if _PART.search(path.name)]
+        hashes = {_hash(path): path for path in parts}
         if self.disk.cuts == cuts:
             for content, name in self._unfinished.items():
                 if content not in hashes:
                     simulation.violate("leftovers", f"the unfinished log that was {name} is gone")
-        found: dict[int, Path] = {}
-        for each in parts:
-            if (truth := self._recover(each, cuts)) is not None:
-                found[truth.number] = each
-        for each in sorted(folder.glob("*.mcap")):
-            if (truth := self._check(each)) is not None:
-                found.setdefault(truth.number, each)
+        run_paths: dict[int, Path] = {}
+        for path in parts:
+            if (truth := self._recover(path, cuts)) is not None:
+                run_paths[truth.number] = path
+        for path in sorted(folder.glob("*.mcap")):
+            if (truth := self._check(path)) is not None:
+                run_paths.setdefault(truth.number, path)
         if self.disk.cuts == cuts:
-            self._check_left(runs, parts, found)
+            self._check_left(runs, parts, run_paths)
         self._clear(parts, cuts)
 
-    def _check_left(self, runs: list[Run], parts: list[Path], found: dict[int, Path]) -> None:
-        """Check that what runs should leave is there, and nothing else."""
+    def _check_left(self, runs: list[Run], parts: list[Path], run_paths: dict[int, Path]) -> None:
+        """Check that the files which runs should leave are there, and no others."""
         simulation = self._simulation
         for run in runs:
             truth = run.truth
-            if truth.closed and (left := found.get(truth.number)) in parts:
+            if truth.closed and (left := run_paths.get(truth.number)) in parts:
                 simulation.violate("leftovers", f"run {run.number} was completed, and left {left}")
             # One that was replaced by a later run of the name is the user's wish.
             replaced = any(other.truth.closing and other is not run for other in runs)
-            if truth.last_ns >= 0 and truth.number not in found and not (truth.closing and replaced):
+            if truth.last_ns >= 0 and truth.number not in run_paths and not (truth.closing and replaced):
                 simulation.violate("recovery", f"nothing of run {run.number} is left")
 
     def _clear(self, parts: list[Path], cuts: int) -> None:
         """Remove some of the files, as a user does who needs them no more."""
         self._unfinished.clear()
-        for each in parts:
+        for part in parts:
             if self._rng.random() < 0.6:
-                each.unlink(missing_ok=True)
-            elif not self._lost(each, cuts):
-                self._unfinished[_hash(each)] = each.name
-        for each in sorted(self._simulation.folder.iterdir()):
-            if each.is_dir():  # of a process that was killed
-                for file in each.iterdir():
+                part.unlink(missing_ok=True)
+            elif not self._lost(part, cuts):
+                self._unfinished[_hash(part)] = part.name
+        for part in sorted(self._simulation.folder.iterdir()):
+            if part.is_dir():  # of a process that was killed
+                for file in part.iterdir():
                     file.unlink()
-                each.rmdir()
-            elif ".recovered" in each.name:
-                each.unlink()
+                part.rmdir()
+            elif ".recovered" in part.name:
+                part.unlink()
 
     def _lost(self, part: Path, cuts: int) -> bool:
         """Return whether the power was cut since there were so many cuts, and a part was lost."""
@@ -256,22 +258,22 @@ class _Lab:
             simulation.violate(
                 "recovery", f"{path.name}: {rescue.n_damaged} damaged places without a power cut"
             )
-        _, found, _ = read_raw(path, lambda _: True)
-        if wrong := truth.difference(found, False, bool(rescue.n_damaged), not cut):
+        _, messages, _ = read_raw(path, lambda _: True)
+        if wrong := truth.difference(messages, False, bool(rescue.n_damaged), not cut):
             simulation.violate("recovery", f"{path.name} of run {truth.number}: {wrong}")
         if not rescue.n_damaged and truth.samples and truth.kept_ns >= 0:
             self._repeat(path, truth, rescue.is_truncated)
         return truth
 
     def _check(self, path: Path) -> Truth | None:
-        """Check a log under its own name."""
+        """Check a log under its final name."""
         key = path.name, _hash(path)
         try:
             truth = self._truth_of(path)
-            if truth is None or key in self._known:
+            if truth is None or key in self._checked:
                 return truth
-            self._known.add(key)
-            _, found, recovered = read_raw(path, lambda _: True)
+            self._checked.add(key)
+            _, messages, recovered = read_raw(path, lambda _: True)
         except LogError as error:
             self._simulation.violate("recovery", f"{path.name} is taken for whole: {error}")
         if recovered:
@@ -279,7 +281,7 @@ class _Lab:
         if not truth.closing:
             self._simulation.violate("recovery", f"{path.name} is of run {truth.number}, which did not end")
         self._simulation.count("logs finished")
-        if wrong := truth.difference(found, True, False, True):
+        if wrong := truth.difference(messages, True, False, True):
             self._simulation.violate("recovery", f"{path.name} of run {truth.number}: {wrong}")
         read_in_every_way(self._simulation, path, bool(truth.samples))
         damage(self._simulation, path, truth.number, has_world=bool(truth.samples))

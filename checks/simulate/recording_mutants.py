@@ -26,7 +26,7 @@ def _write_once(self: Any, data: bytes) -> int:
 
 
 def _write_without_truncation(self: Any, data: bytes) -> int:
-    """Leave what was written of a record that does not fit, and go on after it."""
+    """Leave the written part of a record that does not fit, and continue after it."""
     rest = memoryview(data)
     try:
         while rest:
@@ -73,12 +73,12 @@ def _lose_a_line(self: Any) -> None:
 
 
 def _forget_failures(self: Any) -> Any:
-    """Go on after an error of the file as if nothing had happened."""
+    """Continue after an error of the file as if nothing had happened."""
     return suppress(OSError)
 
 
 def _remove(part: Path) -> Path | None:
-    """Remove what an earlier run has left."""
+    """Remove the remains of an earlier run."""
     part.unlink(missing_ok=True)
     return None
 

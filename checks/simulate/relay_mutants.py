@@ -14,7 +14,7 @@ from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports import relay
 from khep_twin.ports.idle_polls import IdlePolls
 
-_on_bytes, _passed = LineRecorder.on_bytes, IdlePolls.filter_replies
+_on_bytes, _filter_replies = LineRecorder.on_bytes, IdlePolls.filter_replies
 
 
 def _next_host_at_once(dialogue: Any, _: bytes) -> bool:
@@ -35,7 +35,7 @@ def _read_from_any(device: relay.Device) -> bytes:
 
 
 def _pass_polls(polls: IdlePolls, reply: bytes) -> bytes:
-    _passed(polls, reply)
+    _filter_replies(polls, reply)
     return reply
 
 

@@ -1,7 +1,7 @@
 """Scenario `relay`: hosts at the relay to a real robot, whose cable and battery fail, with a log of the line.
 
-The relay is that of `khep-twin serve --relay` and, with its own questions, of `khep-twin shadow --relay`.
-A twin in a process that nothing holds up plays the robot.
+The relay is that of `khep-twin serve --relay` and, with its polls, of `khep-twin shadow --relay`. A twin in a
+process that is never suspended plays the robot.
 """
 
 import re
@@ -44,21 +44,21 @@ _ROGUES_NS = 150 * NS_PER_S
 """Time after the coming of a host that a port must withstand in which it may matter to others [ns]."""
 
 _POLL = -2
-"""Session of what a relay asks by itself."""
+"""Session of a relay's polls."""
 
 _FAILED = re.compile(r"the robot's port failed: .+|cannot open this port: No such file or directory")
 
 
 class LineTruth(Truth):
-    """What the line of a robot behind a relay has carried, also of polls, which end in a carriage return."""
+    """Exchanges on the line of a robot behind a relay, with its polls, which end in a carriage return."""
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Take bytes of the line."""
         for piece in re.split(rb"(?<=\r)", data) if to_robot else [data]:
-            count = len(self.said)
+            count = len(self.exchanges)
             super().on_bytes(time_ns, robot, to_robot, piece)
-            if to_robot and len(self.said) > count and piece.endswith(b"\r"):
-                self.said[-1].session = _POLL
+            if to_robot and len(self.exchanges) > count and piece.endswith(b"\r"):
+                self.exchanges[-1].session = _POLL
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Ignore events: the robot cannot see hosts come and go."""
@@ -110,7 +110,7 @@ class _Relayed(Site):
     # Faults and checks of each second ------------------------------------------------------------------
 
     def look(self) -> None:
-        """Disturb cable and robot now and then; check that the relay notices what it must."""
+        """Disturb cable and robot now and then; check that the relay notices it."""
         simulation, kernel, cable = self.simulation, self.simulation.kernel, self.cable
         faults, now_ns = simulation.faults, self.simulation.kernel.now_ns
         if cable.away_ns is None and faults.happens("unplug", "cable", _MOST_UNPLUGGED):
@@ -126,16 +126,16 @@ class _Relayed(Site):
         self._stopping_ns = (self._stopping_ns or now_ns) if self._stopping else 0
         is_served = self.server is not None and self.server.alive
         if is_served and self._stopping_ns and now_ns - self._stopping_ns > _NOTICED_NS:
-            simulation.violate("leftovers", "the relay was to stop, and goes on")
+            simulation.violate("leftovers", "the relay was to stop, and continues")
         away_ns = cable.away_ns
         if is_served and away_ns is not None and now_ns - away_ns > _NOTICED_NS and self._log.is_begun:
-            simulation.violate("errors", "the cable is gone, and the relay goes on without a line about it")
+            simulation.violate("errors", "the cable is gone, and the relay continues without a line about it")
         if self._is_touched_since(now_ns) or not is_served:
             self._last_ns = now_ns
         super().look()
 
     def _ended(self, process: Process) -> None:
-        """Check why the relay has ended, and its log; the next one begins on a line with remains."""
+        """Check why the relay has ended, and its log; the next one starts on a line with remains."""
         self.cable.touch()
         error = process.error
         if isinstance(error, PortError):
@@ -147,7 +147,9 @@ class _Relayed(Site):
             self.simulation.count("cables lost")
         kernel = self.simulation.kernel
         ended_well = error is None and not process.dying
-        kernel.at(kernel.now_ns, lambda: self._log.check(whole=ended_well or isinstance(error, PortError)))
+        kernel.at(
+            kernel.now_ns, lambda: self._log.check(is_complete=ended_well or isinstance(error, PortError))
+        )
         super()._ended(process)
 
     # Questions of hosts --------------------------------------------------------------------------------
@@ -158,7 +160,7 @@ class _Relayed(Site):
         return not kinds.isdisjoint(DISTURBING) or not self.is_private() or self._rogues_were_here()
 
     def is_private(self) -> bool:
-        """Return whether all that the robot says reaches the present host as it is."""
+        """Return whether all bytes of the robot reach the present host unchanged."""
         return not self._is_touched() and super().is_private()
 
     def is_serving(self, truth: Truth) -> bool:
@@ -207,7 +209,7 @@ def relay(simulation: Simulation, seconds: float) -> None:
     """Hosts at a relay, by a terminal, by TCP or by RFC 2217."""
     terminals = Terminals(simulation)
     kind = simulation.rng("relay").choice(("terminal", "terminal", "tcp", "rfc2217"))
-    with terminals.installed(), run_time_folder(simulation), _told(simulation) as tell:
+    with terminals.installed(), run_time_folder(simulation), _relay_notices(simulation) as tell:
         if kind == "terminal":
             site: Site = RelayedTerminal(simulation, terminals)
         else:
@@ -217,13 +219,13 @@ def relay(simulation: Simulation, seconds: float) -> None:
 
 
 @contextmanager
-def _told(simulation: Simulation) -> Generator[list[Callable[[str], None]]]:
-    """Have what the relay tells its user taken, and its own questions marked, by another end of line."""
+def _relay_notices(simulation: Simulation) -> Generator[list[Callable[[str], None]]]:
+    """Collect the relay's notices to its user, and mark its polls by another end of line."""
     takers: list[Callable[[str], None]] = []
 
     def echo(text: str, **_: object) -> None:
-        for each in takers:
-            each(text.rstrip("\n"))
+        for taker in takers:
+            taker(text.rstrip("\n"))
 
     typer = SimpleNamespace(echo=echo)
     with (

@@ -62,20 +62,20 @@ class ServedTerminal(Site):
             return False
         if process not in terminal.openings:
             # It may be kept out by a lock of one that has it open.
-            return not self.others()[1]
-        since = terminal.openings[terminal.openings.index(process) :]
-        return all(each in (process, self.server) for each in [*since, *terminal.met[process]])
+            return not self.other_openings()[1]
+        openings = terminal.openings[terminal.openings.index(process) :]
+        return all(opener in (process, self.server) for opener in [*openings, *terminal.met[process]])
 
-    def others(self) -> tuple[int, bool]:
+    def other_openings(self) -> tuple[int, bool]:
         """Return how often other hosts than the present one have opened it, and whether one has it open."""
-        own, terminal = (self._process(), self.server), self._terminal()
+        expected, terminal = (self._process(), self.server), self._terminal()
         if terminal is None:
             return 0, False
-        opened = sum(each not in own for each in terminal.openings)
-        return opened, any(file.process not in own for file in terminal.hosts)
+        n_openings = sum(opener not in expected for opener in terminal.openings)
+        return n_openings, any(file.process not in expected for file in terminal.hosts)
 
     def may_have_crossed(self) -> bool:
-        """Return whether the server has said that two hosts crossed since the present process came."""
+        """Return whether the server has reported mixed hosts since the present process came."""
         began_ns = self._process().began_ns - _MOMENT_NS
         return any(time_ns >= began_ns and pty._MIXED_NOTICE in text for time_ns, text in self._notices)
 
@@ -103,7 +103,7 @@ class ServedTerminal(Site):
     def _check_rest(self) -> None:
         """Check that a server that has ended leaves no link, lock, or note."""
         lock, notes = self.link.with_name(f".{self.link.name}.lock"), Path(os.environ["XDG_RUNTIME_DIR"])
-        left = [each for each in (self.link, lock, *notes.glob("khep_twin/*")) if os.path.lexists(each)]
+        left = [path for path in (self.link, lock, *notes.glob("khep_twin/*")) if os.path.lexists(path)]
         if left:
             self.simulation.violate("leftovers", f"the server leaves {', '.join(map(str, left))}")
 
@@ -117,8 +117,8 @@ class ServedTerminal(Site):
         return process.leader
 
     def _terminal(self) -> Terminal | None:
-        found = self.simulation.system.devices.get(os.path.realpath(self.link))
-        return found if isinstance(found, Terminal) else None
+        device = self.simulation.system.devices.get(os.path.realpath(self.link))
+        return device if isinstance(device, Terminal) else None
 
 
 def serve(simulation: Simulation, seconds: float) -> None:

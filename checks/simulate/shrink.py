@@ -10,23 +10,23 @@ _MARGIN_S = 60.0
 """Simulated time that a case with fewer faults may take longer to fail [s] (assumed)."""
 
 
-def shrunk(case: Case, found: Outcome) -> Case:
+def shrink_case(case: Case, outcome: Outcome) -> Case:
     """Return a case with the fewest faults that still violates the same invariant.
 
     Args:
         case: Case that fails.
-        found: Outcome of it.
+        outcome: Outcome of it.
     """
-    short = replace(case, seconds=min(case.seconds, found.simulated_ns / 1e9 + _MARGIN_S))
+    short = replace(case, seconds=min(case.seconds, outcome.simulated_ns / 1e9 + _MARGIN_S))
 
     def fails(faults: Sequence[str]) -> bool:
-        return short.run(kept=faults).invariant == found.invariant
+        return short.run(allowed=faults).invariant == outcome.invariant
 
-    if not fails(found.faults):
+    if not fails(outcome.faults):
         # It needs its whole length, as where only the end is checked.
         short = case
-    faults = fewest(found.faults, fails)
-    return replace(short, faults=tuple(faults), invariant=found.invariant)
+    faults = fewest(outcome.faults, fails)
+    return replace(short, faults=tuple(faults), invariant=outcome.invariant)
 
 
 def fewest(faults: Sequence[str], fails: Callable[[Sequence[str]], bool]) -> list[str]:

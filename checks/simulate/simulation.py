@@ -47,7 +47,7 @@ class Outcome:
         invariant: Name of it; empty if all hold.
         faults: Names of the faults that have happened.
         simulated_ns: Simulated time [ns].
-        counts: Numbers of what was checked, by name.
+        counts: Numbers of checks, by name.
     """
 
     scenario: str
@@ -65,19 +65,19 @@ class Simulation:
     Args:
         seed: Seed of everything.
         folder: Empty folder for its files.
-        kept: Names of the faults that happen; None for all.
+        allowed: Names of the faults that happen; None for all.
 
     Attributes:
         faults: Faults.
         kernel: Kernel.
         network: TCP connections.
         system: Modules that the product's code uses.
-        counts: Numbers of what was checked, by name, for the figures.
+        counts: Numbers of checks, by name, for the figures.
     """
 
-    def __init__(self, seed: int, folder: Path, kept: Collection[str] | None = None) -> None:
+    def __init__(self, seed: int, folder: Path, allowed: Collection[str] | None = None) -> None:
         self.seed, self.folder = seed, folder
-        self.faults = Faults(seed, kept)
+        self.faults = Faults(seed, allowed)
         self.kernel = Kernel(seed, self.faults)
         self.network = Network(self.kernel, self.faults)
         self.system = System(self.kernel)
@@ -94,7 +94,7 @@ class Simulation:
         return random.Random(mixed(self.seed, *names))
 
     def count(self, name: str, number: int = 1) -> None:
-        """Count what was checked."""
+        """Count checks by name."""
         self.counts[name] = self.counts.get(name, 0) + number
 
     def violate(self, invariant: str, text: str) -> NoReturn:
@@ -102,7 +102,7 @@ class Simulation:
         raise Violation(invariant, f"at {self.kernel.now_ns / NS_PER_S:.6f} s: {text}")
 
     def spawn(self, name: str, function: Callable[[], object], delay_ns: int = 0) -> Process:
-        """Start a process whose errors must be khep_twin's own, in one line."""
+        """Start a process whose errors must be KhepTwinErrors, in one line."""
         process = self.kernel.spawn(name, function, delay_ns)
         process.on_end = self.check_end
         return process
@@ -132,16 +132,16 @@ Scenario = Callable[[Simulation, float], None]
 
 
 def simulate(
-    name: str, scenario: Scenario, seed: int, seconds: float, kept: Collection[str] | None = None
+    name: str, scenario: Scenario, seed: int, seconds: float, allowed: Collection[str] | None = None
 ) -> Outcome:
     """Run a scenario under a seed; return its outcome.
 
     Raises:
         Exception: The simulation itself is at fault.
     """
-    # What the product keeps in temporary folders goes, too.
+    # The product's temporary folders are removed as well.
     with _folder() as folder, patch.object(tempfile, "tempdir", str(folder)), _collected_by_hand():
-        simulation = Simulation(seed, folder, kept)
+        simulation = Simulation(seed, folder, allowed)
         violation: Violation | None = None
         with simulation.system.installed():
             try:
@@ -178,7 +178,7 @@ def _folder() -> Generator[Path]:
 def _collected_by_hand() -> Generator[None]:
     """Leave cyclic garbage to `Simulation.run`, which collects it at the same times under the same seed.
 
-    What was there before stays out of all later collections: it is more than a simulation makes.
+    Earlier objects stay out of all later collections: they are more than a simulation makes.
     """
     gc.collect()
     gc.freeze()

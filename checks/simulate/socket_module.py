@@ -1,4 +1,4 @@
-"""Module `socket` on simulated sockets; `create_server` and `create_connection` are Python's own."""
+"""Module `socket` on simulated sockets; `create_server` and `create_connection` are Python's."""
 
 # The functions are Python's, which documents them.
 # ruff: noqa: D102
@@ -54,16 +54,16 @@ class SimulatedSocketModule(Shim):
     @staticmethod
     def _on_these(function: Any, names: dict[str, Any]) -> Callable[..., "Socket"]:
         """Return a function of Python's with other names in its module."""
-        made = FunctionType(function.__code__, names, function.__name__, function.__defaults__)
-        made.__kwdefaults__ = function.__kwdefaults__
-        return made
+        function_copy = FunctionType(function.__code__, names, function.__name__, function.__defaults__)
+        function_copy.__kwdefaults__ = function.__kwdefaults__
+        return function_copy
 
     def getaddrinfo(
         self, host: str | None, port: int, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0
     ) -> list[tuple[int, int, int, str, tuple[Any, ...]]]:
         if not 0 <= port < 65536:
             raise OverflowError("getaddrinfo: port must be 0-65535.")
-        if (found := _LOOPBACK.get(host or "127.0.0.1")) is None:
+        if (addresses := _LOOPBACK.get(host or "127.0.0.1")) is None:
             raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
         return [
             (
@@ -73,7 +73,7 @@ class SimulatedSocketModule(Shim):
                 "",
                 (address, port, 0, 0)[: 4 if of == socket.AF_INET6 else 2],
             )
-            for of, address in found
+            for of, address in addresses
             if family in (0, of)
         ]
 
@@ -96,7 +96,7 @@ class Socket:
         self.close()
 
     def __del__(self) -> None:
-        # As Python's own; amid anything, so that no time passes.
+        # As Python's; amid any code, so that no time passes.
         process, number = self._process, getattr(self, "_number", -1)
         if process.alive and process.files.get(number) is self._tcp:
             process.close(number)
@@ -132,7 +132,7 @@ class Socket:
     def getsockopt(self, level: int, option: int, size: int = 0) -> int | bytes:
         file = self._file()
         if (level, option) == (socket.SOL_SOCKET, socket.SO_ERROR):
-            return file.taken_error()
+            return file.take_error()
         if (level, option) == (socket.IPPROTO_TCP, socket.TCP_INFO):
             # The third byte of Linux's struct tcp_info has the retransmissions.
             return bytes((1, 0, file.way.retransmissions))[:size].ljust(size, b"\0")
@@ -190,8 +190,8 @@ class Socket:
                 raise OSError(errno.EISCONN, os.strerror(errno.EISCONN))
             file.address = "127.0.0.1"
             listener = self._network.listeners.get(address[1])
-            heard = "" if listener is None else listener.address
-            same = heard in (address[0], "0.0.0.0", "::", "localhost")
+            listener_address = "" if listener is None else listener.address
+            same = listener_address in (address[0], "0.0.0.0", "::", "localhost")
             file.connect(address[1] if same else 0)
         if self._timeout == 0:
             raise BlockingIOError(errno.EINPROGRESS, os.strerror(errno.EINPROGRESS))

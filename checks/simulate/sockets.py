@@ -1,8 +1,8 @@
 """Simulated TCP on one machine: listening, connections, and cables that are pulled.
 
-A connection is two ways of bytes. A segment arrives some time after it was sent, in order, whole or split;
-it joins what has not been read yet. Buffers are bounded. As on Linux, a socket that is closed with unread
-bytes resets its connection, as does one that is closed and gets more; what came before can still be read.
+A connection is two streams of bytes. A segment arrives some time after it was sent, in order, whole or split,
+and is appended to the unread bytes. Buffers are bounded. As on Linux, a socket that is closed with unread
+bytes resets its connection, as does one that is closed and gets more; earlier bytes can still be read.
 """
 
 import errno
@@ -53,7 +53,7 @@ class Network:
 
     def free_port(self) -> int:
         """Return the number of a port that nothing listens at."""
-        return next(each for each in self._numbers if each not in self.listeners)
+        return next(number for number in self._numbers if number not in self.listeners)
 
     def cut(self, client: "TcpFile", duration_ns: int | None = None) -> None:
         """Pull the cable of a connection: nothing arrives, for a while or for ever."""
@@ -98,7 +98,7 @@ class _Way:
         return len(self.waiting) + self.in_flight
 
     def push(self) -> None:
-        """Send what the receiver has room for."""
+        """Send as much as the receiver has room for."""
         while self.waiting and (room := self.receiver.room - self.in_flight) > 0:
             data = bytes(self.waiting[:room])
             del self.waiting[:room]
@@ -146,7 +146,7 @@ class _Way:
         self._kernel.at(self._last_ns, lambda: None if self.is_cut else self.receiver.was_reset())
 
     def mend(self) -> None:
-        """Put the cable back: what was lost arrives with the next retransmission."""
+        """Put the cable back: lost segments arrive with the next retransmission."""
         self.is_cut = False
         if self.lost:
             wait_ns = _FIRST_RETRANSMISSION_NS * (2 ** (self.retransmissions + 1) - 1)
@@ -165,15 +165,15 @@ class _Way:
 
 
 class TcpFile(OpenFile):
-    """One TCP socket, as the kernel has it.
+    """One TCP socket in the kernel.
 
     Attributes:
-        port: Its own port number; 0 before it has one.
+        port: Local port number; 0 before it has one.
         peer: Other end of its connection; None without one.
         way: Direction in which it sends.
         incoming: Bytes that have arrived and were not read.
         has_ended: True if the other end sends no more.
-        is_shut: True if it sends no more itself.
+        is_shut: True if it sends no more.
         is_gone: True if its connection is over.
         error: Number of the error that the next call reports; 0 for none.
         options: Values of its options, by level and number.
@@ -199,7 +199,7 @@ class TcpFile(OpenFile):
     # Asked by the kernel -------------------------------------------------------------------------------
 
     def readable(self) -> bool:
-        """Return whether a read, or an accept, returns at once."""
+        """Return whether a read, or an accept, returns immediately."""
         if self.backlog >= 0:
             return bool(self.queue)
         return bool(
@@ -207,7 +207,7 @@ class TcpFile(OpenFile):
         )
 
     def writable(self) -> bool:
-        """Return whether a write returns at once; a third of the buffer must be free."""
+        """Return whether a write returns immediately; a third of the buffer must be free."""
         if self.error or self.is_gone or self.is_shut or self._is_new:
             return self.backlog < 0
         return not self.is_connecting and 3 * self.way.unacknowledged <= 2 * self.limit(socket.SO_SNDBUF)
@@ -235,10 +235,10 @@ class TcpFile(OpenFile):
 
     def raise_error(self) -> None:
         """Raise the error that is to be reported, once."""
-        if number := self.taken_error():
+        if number := self.take_error():
             raise OSError(number, os.strerror(number))
 
-    def taken_error(self) -> int:
+    def take_error(self) -> int:
         """Return the number of the error that is to be reported, once."""
         number, self.error = self.error, 0
         return number
@@ -252,11 +252,11 @@ class TcpFile(OpenFile):
             if not self.readable():
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
             return b""
-        taken = bytes(self.incoming[:limit])
+        data = bytes(self.incoming[:limit])
         del self.incoming[:limit]
         if self.peer is not None:
             self.peer.way.push()
-        return taken
+        return data
 
     def write(self, data: bytes) -> int:
         """Take bytes to send."""
@@ -286,8 +286,8 @@ class TcpFile(OpenFile):
         self.is_closed = True
         if self.backlog >= 0:
             self.network.listeners.pop(self.port, None)
-            for each in self.queue:
-                each.closed_with_reset()
+            for connection in self.queue:
+                connection.closed_with_reset()
             return
         linger = self.options.get((socket.SOL_SOCKET, socket.SO_LINGER), b"")
         hard = isinstance(linger, bytes) and len(linger) == 8 and struct.unpack("ii", linger) == (1, 0)
@@ -305,10 +305,10 @@ class TcpFile(OpenFile):
         self.incoming.clear()
         self.way.reset()
 
-    # What arrives --------------------------------------------------------------------------------------
+    # Arrivals ------------------------------------------------------------------------------------------
 
     def arrived(self, data: bytes) -> None:
-        """Take a segment, or the end of what the other end sends."""
+        """Receive a segment, or the end of the other end's stream."""
         self.heard_ns = self.kernel.now_ns
         if self.is_gone or (data and (self.is_closed or (self.is_deaf and self.is_shut))):
             self.is_gone = True
@@ -360,9 +360,11 @@ class TcpFile(OpenFile):
         self._ask(port)
 
     def _ask(self, port: int) -> None:
-        self.kernel.at(self.kernel.now_ns + self.rng.randrange(*_TRANSIT_NS), lambda: self._asked(port))
+        self.kernel.at(
+            self.kernel.now_ns + self.rng.randrange(*_TRANSIT_NS), lambda: self._deliver_request(port)
+        )
 
-    def _asked(self, port: int) -> None:
+    def _deliver_request(self, port: int) -> None:
         """Reach the other machine."""
         if self.is_closed or not self.is_connecting:
             return

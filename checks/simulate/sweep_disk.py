@@ -23,7 +23,7 @@ MOST_TORN = 0.5
 class _TableWriter:
     """Writer of a table that may be killed at each column, or find no room at a task; the file is torn then.
 
-    pyarrow writes each column of a task by itself, without a buffer.
+    pyarrow writes each column of a task separately, without a buffer.
     """
 
     def __init__(self, simulation: Simulation, path: Path, *options: Any) -> None:
@@ -75,7 +75,7 @@ def installed(simulation: Simulation) -> Generator[None]:
 
 
 def tear(simulation: Simulation, folder: Path) -> Iterator[str]:
-    """Tear files, as a power failure does to what was not on disk yet; yield their names."""
+    """Tear files, as a power failure does before they are on the disk; yield their names."""
     faults = simulation.faults
     for part in sorted(folder.glob("parts/task-*.parquet")):
         if not faults.happens("torn", "results", MOST_TORN):

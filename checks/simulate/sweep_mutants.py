@@ -19,8 +19,8 @@ _read = SweepFolder._read
 
 
 def _joined_as_found(self: Any) -> None:
-    """Join what there is, unchecked."""
-    tables = [pq.ParquetFile(each).read() for each in sorted(self._parts.glob("*.parquet"))]
+    """Join all present parts, unchecked."""
+    tables = [pq.ParquetFile(path).read() for path in sorted(self._parts.glob("*.parquet"))]
     scratch = self.table.with_name(f".{self.table.name}.part")
     schema = tables[0].schema.with_metadata({results._STUDY: self._work.digest})
     with pq.ParquetWriter(scratch, schema) as writer:
@@ -37,11 +37,11 @@ def _keep_twice(self: Any, task: Shard, data: bytes) -> None:
 def _coming_once(ray: Any, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
     remote = ray.remote(num_cpus=1, max_retries=0)(ray_workers._run_task)
     for task in tasks:
-        each = remote.remote(work, task)
-        while not ray.wait([each], num_returns=1, timeout=10)[0]:
+        reference = remote.remote(work, task)
+        while not ray.wait([reference], num_returns=1, timeout=10)[0]:
             pass
         try:
-            yield task, ray.get(each)[0]
+            yield task, ray.get(reference)[0]
         except ray.exceptions.WorkerCrashedError:
             continue
 
@@ -55,9 +55,9 @@ def _read_torn(self: Any, task: Shard) -> Any:
         return _read(self, task)
     except KhepTwinError:
         schema = pa.schema([])
-        for each in self._work.tasks:
+        for other in self._work.tasks:
             try:
-                schema = _read(self, each).schema
+                schema = _read(self, other).schema
             except KhepTwinError:
                 continue
         return schema.empty_table()
@@ -99,7 +99,7 @@ _broken: dict[str, tuple[str, Broken]] = {
         replaced(SweepFolder, missing=lambda self: [*self._work.tasks]),
     ),
     "sweep-without-a-lock": ("errors", replaced(SweepFolder, _lock=nothing)),
-    "sweep-leaves-a-part-on-a-full-disk": ("leftovers", replaced(results, write_whole=_write_leaving_part)),
+    "sweep-leaves-a-part-on-a-full-disk": ("leftovers", replaced(results, write_atomic=_write_leaving_part)),
     "sweep-table-written-in-place": ("errors", replaced(SweepFolder, _join=_join_in_place)),
 }
 

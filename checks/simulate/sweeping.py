@@ -1,7 +1,7 @@
 """Scenario of sweeps: workers that die, results that come late and twice, sweeps that are killed and resumed.
 
 A user starts sweep after sweep, each with --resume until its table is there, now and then a second one of the
-same output, and follows what the error lines ask for. Rollouts are run once for each task and remembered.
+same output, and follows the instructions of error lines. Rollouts are run once for each task and remembered.
 """
 
 import fcntl
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import khep_twin.status_line  # noqa: F401 - before a simulation: compilation tells by it
+import khep_twin.status_line  # noqa: F401 - before a simulation: compilation reports by it
 from checks.simulate import sweep_disk
 from checks.simulate.kernel import NS_PER_S, OpenFile, Process
 from checks.simulate.simulation import Simulation
@@ -55,7 +55,7 @@ _PROGRAM = (
 
 _EXPECTED = {
     "two": re.compile("in use by another sweep; wait for its end$"),
-    "begun": re.compile("holds results of this study already; expected --resume, or a new folder$"),
+    "started": re.compile("holds results of this study already; expected --resume, or a new folder$"),
     "full": re.compile("No space left on device"),
     "torn": re.compile(
         r"^(.*\.parquet): (does not hold episodes .*; delete it, and use --resume|damaged; .*)$"
@@ -64,7 +64,7 @@ _EXPECTED = {
     "away": re.compile("^ray: no cluster can be joined at auto: "),
     "deadly": re.compile("has lost its worker 31 times"),
 }
-"""Lines that a sweep may end with, by what must have happened."""
+"""Lines that a sweep may end with, by their cause."""
 
 
 def sweeps(simulation: Simulation, seconds: float) -> None:
@@ -108,29 +108,29 @@ class User:
     def _study(self, name: str, folder: Path) -> None:
         """Start a study's sweep until its table is there."""
         simulation, faults = self._simulation, self._simulation.faults
-        kept: set[int] = set()
+        completed: set[int] = set()
         torn: set[str] = set()
         for tries in range(MOST_TRIES):
-            runs = [self._run(name, folder, kept, torn, tries > 0 and self._rng.random() < 0.95)]
+            runs = [self._run(name, folder, completed, torn, tries > 0 and self._rng.random() < 0.95)]
             if faults.happens("two", "sweeps", MOST_TWO):
                 self._pause(faults.drawn("two", "sweeps").uniform(0, 3))
-                runs.append(self._run(name, folder, kept, torn, True))
+                runs.append(self._run(name, folder, completed, torn, True))
             simulation.kernel.wait(
-                [self._ended], lambda runs=runs: not any(each.process.alive for each in runs), None
+                [self._ended], lambda runs=runs: not any(run.process.alive for run in runs), None
             )
-            self._left(folder)
-            if not any(each.killed for each in runs) and (new := _parts(folder) - runs[0].parts):
+            self._check_remains(folder)
+            if not any(run.is_killed for run in runs) and (new := _parts(folder) - runs[0].parts):
                 simulation.violate("leftovers", f"a sweep that was not killed has left {min(new)}")
-            for each in runs:
-                self._check_end(each, runs, folder, kept)
-            if any(each.done for each in runs):
+            for run in runs:
+                self._check_end(run, runs, folder, completed)
+            if any(run.is_done for run in runs):
                 self._check_table(name, folder)
                 return
             torn |= {*sweep_disk.tear(simulation, folder)}
             self._pause(self._rng.uniform(0.1, 2))
         simulation.violate("results", f"the sweep does not end in {MOST_TRIES} starts")
 
-    def _run(self, name: str, folder: Path, kept: set[int], torn: set[str], resume: bool) -> "Run":
+    def _run(self, name: str, folder: Path, completed: set[int], torn: set[str], resume: bool) -> "Run":
         """Start a sweep."""
         simulation, faults = self._simulation, self._simulation.faults
         self._n_sweeps += 1
@@ -139,7 +139,7 @@ class User:
             "pool": lambda: pool(simulation, self._ray.clusters),
             "local": run_locally,
         }[self._rng.choice(["ray", "ray", "pool", "pool", "local"])]
-        run = Run(simulation, name, folder, kept, torn, resume)
+        run = Run(simulation, name, folder, completed, torn, resume)
         run.process = simulation.spawn(f"sweep {self._n_sweeps}", lambda: run.work(executor()))
         if faults.happens("sweep-killed", "sweep", MOST_KILLED):
             run.process.calls_left = round(MOST_CALLS ** faults.drawn("sweep-killed", "sweep").random())
@@ -147,33 +147,33 @@ class User:
         return run
 
     def _end(self, process: Process, run: "Run") -> None:
-        run.killed = process.dying
+        run.is_killed = process.dying
         self._ray.left(process)
         self._simulation.check_end(process)
         self._ended.changed()
 
-    def _check_end(self, run: "Run", runs: list["Run"], folder: Path, kept: set[int]) -> None:
-        """Check that an error line has its cause, and do what it asks for."""
-        if run.killed:
+    def _check_end(self, run: "Run", runs: list["Run"], folder: Path, completed: set[int]) -> None:
+        """Check that an error line has its cause, and follow its instruction."""
+        if run.is_killed:
             self._simulation.count("sweeps killed")
             return
-        if run.done:
+        if run.is_done:
             return
-        if not run.process.said:
+        if not run.process.output_lines:
             self._simulation.violate("errors", f"{run.process.name} has ended without a table and a line")
-        text = run.process.said[-1][1]
+        text = run.process.output_lines[-1][1]
         causes = {fault.partition("/")[0] for fault in self._simulation.faults.happened[run.n_faults :]}
         if len(runs) > 1:
             causes.add("two")
-        if not run.resume and (kept or (folder / "results.parquet").exists() or run.began_with):
-            causes.add("begun")
+        if not run.resume and (completed or (folder / "results.parquet").exists() or run.began_with):
+            causes.add("started")
         if run.torn:
             causes.add("torn")
         for cause, pattern in _EXPECTED.items():
-            if cause in causes and (found := pattern.search(text)):
+            if cause in causes and (match := pattern.search(text)):
                 if cause == "torn":
-                    Path(found[1]).unlink(missing_ok=len(runs) > 1)  # both may ask for it
-                    kept.clear()
+                    Path(match[1]).unlink(missing_ok=len(runs) > 1)  # both may ask for it
+                    completed.clear()
                 self._simulation.count("error lines")
                 return
         self._simulation.violate("errors", f"{run.process.name} has ended without cause by: {text}")
@@ -182,12 +182,12 @@ class User:
         """Check a whole table, and that nothing is beside it."""
         if (folder / "results.parquet").read_bytes() != _prepared(name).table:
             self._simulation.violate("results", "the table is not that of a sweep that nothing disturbs")
-        found = sorted(each.name for each in folder.iterdir())
-        if found != ["results.parquet", "study.json"]:
-            self._simulation.violate("leftovers", f"beside a whole table there is {' '.join(found)}")
+        names = sorted(path.name for path in folder.iterdir())
+        if names != ["results.parquet", "study.json"]:
+            self._simulation.violate("leftovers", f"beside a whole table there is {' '.join(names)}")
         self._simulation.count("tables")
 
-    def _left(self, folder: Path) -> None:
+    def _check_remains(self, folder: Path) -> None:
         """Check that sweeps that have ended have left no descriptor, lock or worker."""
         if (descriptors := _open()) != self._descriptors:
             self._simulation.violate(
@@ -226,11 +226,17 @@ class Run:
     process: Process
 
     def __init__(
-        self, simulation: Simulation, name: str, folder: Path, kept: set[int], torn: set[str], resume: bool
+        self,
+        simulation: Simulation,
+        name: str,
+        folder: Path,
+        completed: set[int],
+        torn: set[str],
+        resume: bool,
     ) -> None:
         self._simulation, self._name, self._folder = simulation, name, folder
-        self._kept, self._torn = kept, torn
-        self.killed = self.done = False
+        self._completed, self._torn = completed, torn
+        self.is_killed = self.is_done = False
         self.resume, self.torn = resume, bool(torn)
         self.n_faults = len(simulation.faults.happened)
         self.began_with = any(folder.glob("parts/*"))
@@ -247,26 +253,26 @@ class Run:
             begin=self._begin,
             progress=self._progress,
         )
-        self.done = True
+        self.is_done = True
 
     def _begin(self, work: Work, missing: Sequence[Shard]) -> None:
         for task in missing:
-            if task.index in self._kept and f"task-{task.index:06}.parquet" not in self._torn:
+            if task.index in self._completed and f"task-{task.index:06}.parquet" not in self._torn:
                 self._simulation.violate("results", f"task {task.index} was kept, and is to be run again")
         self._simulation.count("tasks resumed", len(work.tasks) - len(missing))
 
-    def _progress(self, done: int, total: int) -> None:
+    def _progress(self, n_done: int, total: int) -> None:
         assert self._coming is not None
-        self._kept.add(self._coming.index)
+        self._completed.add(self._coming.index)
         self._torn.discard(f"task-{self._coming.index:06}.parquet")
 
     def _watched(self, executor: Executor) -> Executor:
         @contextmanager
-        def done(work: Work, tasks: Sequence[Shard]) -> Generator[Iterable[tuple[Shard, bytes]]]:
+        def watched(work: Work, tasks: Sequence[Shard]) -> Generator[Iterable[tuple[Shard, bytes]]]:
             with executor(work, tasks) as coming:
                 yield self._noted(coming)
 
-        return done
+        return watched
 
     def _noted(self, coming: Iterable[tuple[Shard, bytes]]) -> Iterator[tuple[Shard, bytes]]:
         for self._coming, data in coming:
@@ -284,7 +290,7 @@ class _Prepared:
 
 @cache
 def _prepared(name: str) -> _Prepared:
-    """Return a study; its files, which go with the simulation that is the first here, are read at once."""
+    """Return a study; its files are read immediately, as they vanish with the current simulation."""
     with tempfile.TemporaryDirectory() as path:
         folder = Path(path)
         (folder / "mine.py").write_text(_PROGRAM)
@@ -327,7 +333,7 @@ def _work(file: study.StudyFile) -> Work:
 
 def _parts(folder: Path) -> set[str]:
     """Return the names of unfinished files."""
-    return {each.name for each in folder.rglob(".*.part*")}
+    return {path.name for path in folder.rglob(".*.part*")}
 
 
 def _open() -> int:

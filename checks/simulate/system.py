@@ -1,6 +1,6 @@
 """The simulated kernel in place of Python's modules of the operating system, in the modules that use them.
 
-Descriptors below `FIRST_DESCRIPTOR`, and paths without a device, are the machine's own.
+Descriptors below `FIRST_DESCRIPTOR`, and paths without a device, are real ones.
 """
 
 # The functions are Python's, which documents them.
@@ -39,7 +39,7 @@ BEGIN_MODULES = "pathlib", "tempfile", "shutil", "serial.", "khep_twin."
 
 
 LEFT_OUT = "__main__", "cli", "drawing", "envs", "episodes", "lab", "shadow", "toolbox", "viewer"
-"""Parts of khep_twin that a scenario imports by itself if it uses them."""
+"""Parts of khep_twin that a scenario imports when it uses them."""
 
 
 class Device(Protocol):
@@ -97,7 +97,7 @@ class Terminals(Protocol):
 
 
 class Shim:
-    """A module of which some functions are simulated; all others are its own."""
+    """A module of which some functions are simulated; all others are the real ones."""
 
     def __init__(self, module: ModuleType, kernel: Kernel) -> None:
         self._module = module
@@ -156,7 +156,7 @@ class System:
 
 
 class SimulatedOs(Shim):
-    """Module `os`; what a dead process would still do does not happen.
+    """Module `os`; calls of a dead process have no effect.
 
     Attributes:
         disk: Disk of the files; None for one without faults.
@@ -210,7 +210,7 @@ class SimulatedOs(Shim):
                 self.kernel.wait([file], file.readable, None)
             try:
                 return file.read(limit)
-            except BlockingIOError:  # another reader took what there was
+            except BlockingIOError:  # another reader took the bytes
                 if not file.blocking:
                     raise
 
@@ -239,23 +239,23 @@ class SimulatedOs(Shim):
 
     def stat(self, path: Any, *args: Any, **options: Any) -> Any:
         """Look at a file; the host side of a terminal is a device."""
-        found = os.stat(path, *args, **options)
+        status = os.stat(path, *args, **options)
         if self.terminals is None or isinstance(path, int) or options.get("follow_symlinks") is False:
-            return found
+            return status
         number = self.terminals.number_of(os.path.realpath(path))
         if number is None:
-            return found
-        mode = stat.S_IFCHR | stat.S_IMODE(found.st_mode)
-        return os.stat_result((mode, *found[1:10]), {"st_rdev": os.makedev(TERMINALS, number)})
+            return status
+        mode = stat.S_IFCHR | stat.S_IMODE(status.st_mode)
+        return os.stat_result((mode, *status[1:10]), {"st_rdev": os.makedev(TERMINALS, number)})
 
     def readlink(self, path: Any, *, dir_fd: int | None = None) -> str:
-        found = os.readlink(path, dir_fd=dir_fd)
+        target = os.readlink(path, dir_fd=dir_fd)
         if self.kernel.current is not None:
             self.kernel.called()
         # The descriptors of the simulated /proc lead to the simulated /dev.
         if self.terminals is not None and os.fspath(path).startswith(f"{self.terminals.root}/proc/"):
-            return found.removeprefix(self.terminals.root)
-        return found
+            return target.removeprefix(self.terminals.root)
+        return target
 
     def set_blocking(self, descriptor: int, blocking: bool) -> None:
         if descriptor < FIRST_DESCRIPTOR:
@@ -268,8 +268,8 @@ class SimulatedOs(Shim):
         reader = _Pipe(self.kernel)
         return process.opened(reader), process.opened(_PipeEnd(reader))
 
-    def _passed_on(name: str) -> Callable[..., Any]:  # type: ignore[misc]
-        """Return a function of the machine's own that a dead process cannot call."""
+    def _forward(name: str) -> Callable[..., Any]:  # type: ignore[misc]
+        """Return a method that calls the real function, unless its process is dead."""
 
         def call(self: "SimulatedOs", *args: Any, **options: Any) -> Any:
             if self.disk is not None and self.disk.holds(args[0], options.get("dir_fd")):
@@ -280,10 +280,10 @@ class SimulatedOs(Shim):
 
         return call
 
-    unlink, remove, symlink, link = map(_passed_on, ("unlink", "remove", "symlink", "link"))
-    replace, rename, truncate = map(_passed_on, ("replace", "rename", "truncate"))
-    ftruncate, fsync, pwrite = map(_passed_on, ("ftruncate", "fsync", "pwrite"))
-    mkdir, rmdir, chmod = map(_passed_on, ("mkdir", "rmdir", "chmod"))
+    unlink, remove, symlink, link = map(_forward, ("unlink", "remove", "symlink", "link"))
+    replace, rename, truncate = map(_forward, ("replace", "rename", "truncate"))
+    ftruncate, fsync, pwrite = map(_forward, ("ftruncate", "fsync", "pwrite"))
+    mkdir, rmdir, chmod = map(_forward, ("mkdir", "rmdir", "chmod"))
 
 
 class _Pipe(OpenFile):
@@ -300,9 +300,9 @@ class _Pipe(OpenFile):
     def read(self, limit: int) -> bytes:
         if not self.readable():
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-        taken = bytes(self.data[:limit])
+        data = bytes(self.data[:limit])
         del self.data[:limit]
-        return taken
+        return data
 
 
 class _PipeEnd(OpenFile):
@@ -363,19 +363,19 @@ class SimulatedSelect(Shim):
     ) -> tuple[list[Any], list[Any], list[Any]]:
         kernel = self.kernel
         process = kernel.called()
-        reading = [(each, process.file(_number(each))) for each in readers]
-        writing = [(each, process.file(_number(each))) for each in writers]
+        reading = [(reader, process.file(_number(reader))) for reader in readers]
+        writing = [(writer, process.file(_number(writer))) for writer in writers]
 
-        def found() -> tuple[list[Any], list[Any], list[Any]]:
+        def ready() -> tuple[list[Any], list[Any], list[Any]]:
             return (
-                [each for each, file in reading if file.readable() or file.hung_up()],
-                [each for each, file in writing if file.writable() or file.hung_up()],
+                [reader for reader, file in reading if file.readable() or file.hung_up()],
+                [writer for writer, file in writing if file.writable() or file.hung_up()],
                 [],
             )
 
         deadline_ns = None if timeout is None else kernel.now_ns + max(round(timeout * NS_PER_S), 0)
-        kernel.wait([file for _, file in reading + writing], lambda: any(found()), deadline_ns)
-        return found()
+        kernel.wait([file for _, file in reading + writing], lambda: any(ready()), deadline_ns)
+        return ready()
 
     def poll(self) -> "SimulatedPoll":
         return SimulatedPoll(self.kernel)
@@ -394,28 +394,28 @@ class SimulatedPoll:
     def poll(self, timeout_ms: float | None = None) -> list[tuple[int, int]]:
         kernel = self._kernel
         process = kernel.called()
-        files = {each: process.files.get(each) for each in self._masks}
+        files = {number: process.files.get(number) for number in self._masks}
 
-        def found() -> list[tuple[int, int]]:
+        def poll_states() -> list[tuple[int, int]]:
             states: list[tuple[int, int]] = []
-            for each, file in files.items():
+            for number, file in files.items():
                 if file is None:
-                    states.append((each, select.POLLNVAL))
+                    states.append((number, select.POLLNVAL))
                     continue
-                mask = self._masks[each]
+                mask = self._masks[number]
                 state = (select.POLLIN if file.readable() else 0) | (select.POLLOUT if file.writable() else 0)
                 state = (state & mask) | (select.POLLHUP if file.hung_up() else 0)
                 if state:
-                    states.append((each, state))
+                    states.append((number, state))
             return states
 
         if timeout_ms == 0:
-            return found()
+            return poll_states()
         deadline_ns = (
             None if timeout_ms is None or timeout_ms < 0 else kernel.now_ns + round(timeout_ms * 1e6)
         )
-        kernel.wait([file for file in files.values() if file], lambda: bool(found()), deadline_ns)
-        return found()
+        kernel.wait([file for file in files.values() if file], lambda: bool(poll_states()), deadline_ns)
+        return poll_states()
 
 
 class SimulatedTime(Shim):
@@ -457,7 +457,7 @@ class SimulatedFcntl(Shim):
     def ioctl(self, descriptor: Any, request: int, argument: Any = 0, mutate: bool = True) -> Any:
         if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
             return fcntl.ioctl(descriptor, request, argument, mutate)
-        return _asked(self.kernel, number, "ioctl")(request, argument)
+        return _terminal_method(self.kernel, number, "ioctl")(request, argument)
 
     def fcntl(self, descriptor: Any, command: int, argument: Any = 0) -> Any:
         if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
@@ -473,7 +473,7 @@ class SimulatedFcntl(Shim):
                 self.kernel.called()
             fcntl.flock(descriptor, operation)
         else:
-            _asked(self.kernel, number, "flock")(operation)
+            _terminal_method(self.kernel, number, "flock")(operation)
 
 
 class SimulatedTermios(Shim):
@@ -483,15 +483,15 @@ class SimulatedTermios(Shim):
         super().__init__(termios, kernel)
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(termios, name)
+        attribute = getattr(termios, name)
         if not name.startswith("tc"):
-            return found
+            return attribute
 
         def call(descriptor: Any, *args: Any) -> Any:
             if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
-                return found(descriptor, *args)
+                return attribute(descriptor, *args)
             try:
-                return _asked(self.kernel, number, name)(*args)
+                return _terminal_method(self.kernel, number, name)(*args)
             except OSError as error:
                 raise termios.error(*error.args) from None
 
@@ -500,10 +500,10 @@ class SimulatedTermios(Shim):
 
 def load(package: str = "khep_twin") -> None:
     """Import a package and all in it: a module imported within a simulation would use the machine's calls."""
-    found = import_module(package)
-    for each in iter_modules(getattr(found, "__path__", ())):
-        if each.name not in LEFT_OUT:
-            load(f"{package}.{each.name}")
+    module = import_module(package)
+    for module_info in iter_modules(getattr(module, "__path__", ())):
+        if module_info.name not in LEFT_OUT:
+            load(f"{package}.{module_info.name}")
 
 
 def _users() -> list[ModuleType]:
@@ -511,7 +511,7 @@ def _users() -> list[ModuleType]:
     return [module for name, module in [*sys.modules.items()] if name.startswith(BEGIN_MODULES)]
 
 
-def _asked(kernel: Kernel, descriptor: int, name: str) -> Callable[..., Any]:
+def _terminal_method(kernel: Kernel, descriptor: int, name: str) -> Callable[..., Any]:
     """Return the method of an open file for a call; without one it is no terminal."""
     file = kernel.called().file(descriptor)
     method = getattr(file, name, None)

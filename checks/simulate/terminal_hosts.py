@@ -1,4 +1,4 @@
-"""Hosts on a terminal, by the system's own calls: good ones, and those that a port must withstand."""
+"""Hosts on a terminal, by system calls: good ones, and those that a port must withstand."""
 
 import fcntl
 import os
@@ -43,7 +43,7 @@ class TerminalSite(Protocol):
         """Return whether no other host can have got replies to the present one, nor it theirs."""
         ...
 
-    def others(self) -> tuple[int, bool]:
+    def other_openings(self) -> tuple[int, bool]:
         """Return how often other hosts have opened it so far, and whether one has it open."""
         ...
 
@@ -56,7 +56,7 @@ class TerminalHost:
         simulation: Simulation.
         site: Site of the terminal.
         number: Number of its session.
-        rng: Generator of what it does.
+        rng: Random generator of its actions.
     """
 
     simulation: Simulation
@@ -73,9 +73,9 @@ class TerminalHost:
         rng, truth, faults = self.rng, self.site.truth, self.simulation.faults
         for place in (f"terminals{number}" for number in range(_COMPANIONS)):
             if faults.happens("companion", place, 1.0):
-                own = faults.drawn("companion", place)
-                delay_ns = round(10 ** own.uniform(2, 5.3))
-                stay = own.choice([0.0, 0.0001, 0.01, 1.0])
+                companion_rng = faults.drawn("companion", place)
+                delay_ns = round(10 ** companion_rng.uniform(2, 5.3))
+                stay = companion_rng.choice([0.0, 0.0001, 0.01, 1.0])
                 self.simulation.spawn(f"companion{self.number}", partial(self._accompany, stay), delay_ns)
         try:
             descriptor = self._open()
@@ -86,7 +86,7 @@ class TerminalHost:
             for _ in range(rng.randint(1, 12)):
                 lines += rng.choices(ORDERS, k=rng.randint(1, 5))
                 self._write(descriptor, "".join(f"{line}\n" for line in lines).encode())
-                # Of this burst: a robot that was switched off never answers what it was asked before.
+                # Of this burst: a robot that was switched off never answers earlier requests.
                 got += self._replies(descriptor, len(lines), truth)
                 lines = []
                 self._compare(truth, got)
@@ -133,12 +133,12 @@ class TerminalHost:
     def _expect_life(self, descriptor: int, truth: Truth) -> None:
         """Check that the line answers this host again once it is alone, whoever was beside it."""
         site, select = self.site, self.simulation.system.modules["select"]
-        before = site.others()
+        before = site.other_openings()
         if before[1] or not site.is_serving(truth):
             return
         self._write(descriptor, b"\nB\n")
-        heard = select.select([descriptor], [], [], REPLY_TIMEOUT_S)[0]
-        if not heard and site.is_serving(truth) and site.others() == before:
+        is_readable = select.select([descriptor], [], [], REPLY_TIMEOUT_S)[0]
+        if not is_readable and site.is_serving(truth) and site.other_openings() == before:
             self.simulation.violate("answers", f"the line is deaf to host {self.number}, alone there")
         self.simulation.count("lines asked again")
 
@@ -157,19 +157,21 @@ class TerminalHost:
         if not site.is_serving(truth) or not site.is_private():
             self.simulation.count("exchanges shared")
             return
-        said = "".join(each.reply for each in truth.replies(self.number))
+        expected = "".join(exchange.reply for exchange in truth.replies(self.number))
         received = got.decode("latin-1")
         self.simulation.count("replies", received.count("\n"))
-        if said != received:
-            # A server says that hosts have crossed at its next turn.
+        if expected != received:
+            # A server reports mixed hosts in its next iteration.
             self._pause(_TURN_S)
             if site.is_private():
-                self.simulation.violate("replies", f"host {self.number} got {received!r}; was told {said!r}")
+                self.simulation.violate(
+                    "replies", f"host {self.number} got {received!r}; expected {expected!r}"
+                )
 
     # Hosts that a port must withstand ------------------------------------------------------------------
 
     def rogue(self) -> None:
-        """Do one thing that a port must withstand."""
+        """Perform one action that a port must withstand."""
         kinds: list[Callable[[int], None]] = [
             self._leaves_amid,
             self._leaves_unread,
@@ -249,7 +251,7 @@ class TerminalHost:
     def _asks_around(self) -> None:
         """Look for robots as `khep-twin ports` does, and ask at the terminal who answers."""
         try:
-            listed = [each.url for each in found_ports() if each.twin]
+            listed = [port.url for port in found_ports() if port.twin]
             identify_robot(listed[0] if listed else self.site.url)
         except (PortError, PortInUse) as error:
             if "\n" in str(error) or self.site.url not in str(error):

@@ -1,8 +1,8 @@
 """Simulated pseudo-terminals with the semantics of Linux, in raw mode.
 
 Written bytes are in transit for a while, in which a flush of the writer's side removes them; a reader that
-finds nothing else takes them at once. A closing is reported by inotify first, and takes effect later. The
-last closing of the host side hangs the master up until the next opening. Numbers are reused at once.
+finds no other bytes takes them immediately. A closing is reported by inotify first, and takes effect later.
+The last closing of the host side hangs the master up until the next opening. Numbers are reused immediately.
 There are no echo and no lines: khep_twin makes its terminals raw before it names them.
 """
 
@@ -34,7 +34,7 @@ CAPACITY = 16512
 """Bytes that one direction takes before it is full, as measured with small writes [bytes]."""
 
 READY = 4095
-"""Bytes of them that are ready for the reader at once; the rest stays in transit, as measured [bytes]."""
+"""Bytes of them that are ready for the reader immediately; the rest stays in transit, as measured [bytes]."""
 
 _TRANSIT_NS = 200, 60_000
 """Shortest and longest usual time of written bytes in transit [ns] (assumed)."""
@@ -69,7 +69,7 @@ class Way:
         return 0 if self.stopped else CAPACITY - len(self.ready) - len(self.transit)
 
     def arrive(self) -> None:
-        """End the transit of what is on its way, as far as there is room."""
+        """End the transit of as many bytes as there is room for."""
         n_moved = READY - len(self.ready)
         self.ready += self.transit[:n_moved]
         del self.transit[:n_moved]
@@ -80,12 +80,12 @@ class Way:
         self.transit.clear()
 
     def read(self, limit: int) -> bytes:
-        """Take what is ready, or else what is on its way."""
+        """Take the bytes that are ready, or those in transit if there are none."""
         if not self.ready:
             self.arrive()
-        taken = bytes(self.ready[:limit])
+        data = bytes(self.ready[:limit])
         del self.ready[:limit]
-        return taken
+        return data
 
     def __bool__(self) -> bool:
         return bool(self.ready or self.transit)
@@ -99,7 +99,7 @@ class Terminal:
         path: Path of its host side.
         to_host: Bytes to the host side.
         to_master: Bytes to the master.
-        settings: Settings as of `termios.tcgetattr`.
+        settings: Settings, in the form of `termios.tcgetattr`.
         hosts: Open files of the host side whose closing has not taken effect.
         openings: Processes that have opened the host side, in order.
         met: Processes that had it open at the same time as each process.
@@ -126,16 +126,16 @@ class Terminal:
         if self.exclusive:
             raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
         file = HostSide(self, process.leader, writes=bool(flags & (os.O_WRONLY | os.O_RDWR)))
-        for each in self.hosts:
-            self.met[each.process].add(process.leader)
-            self.met[process.leader].add(each.process)
+        for host in self.hosts:
+            self.met[host.process].add(process.leader)
+            self.met[process.leader].add(host.process)
         self.hosts.append(file)
         self.openings.append(process.leader)
         self.report(IN_OPEN)
         return file
 
     def report(self, kind: int) -> None:
-        """Report what a host does."""
+        """Report an event of a host."""
         self.terminals.notices.report(str(self.path), kind)
 
     def send(self, way: Way, data: bytes, reader: "Master | None") -> int:
@@ -148,12 +148,12 @@ class Terminal:
         return len(sent)
 
     def push(self, way: Way, reader: "Master | None") -> None:
-        """Have what is in transit arrive in a while."""
+        """Let bytes in transit arrive after a delay."""
 
         def arrive() -> None:
             way.arrive()
-            for each in self.hosts if reader is None else [reader]:
-                each.changed()
+            for side in self.hosts if reader is None else [reader]:
+                side.changed()
 
         self.kernel.at(self.kernel.now_ns + self.terminals.delay_ns("transit", _TRANSIT_NS), arrive)
 
@@ -173,7 +173,7 @@ class Terminal:
         return [*self.settings[:6], [*self.settings[6]]]
 
     def tcsetattr(self, settings: list[Any]) -> None:
-        """Set the settings at once; the driver has eight bits without parity alone."""
+        """Set the settings immediately; the driver has eight bits without parity alone."""
         control = (settings[2] & ~(termios.CSIZE | termios.PARENB)) | termios.CS8 | termios.CREAD
         self.settings = [*settings[:2], control, *settings[3:6], [*settings[6]]]
 
@@ -203,14 +203,14 @@ class _Side(OpenFile):
         self.changed()
 
     def tcflush(self, queue: int) -> None:
-        """Discard all that has come, or what this side has written that is still in transit, as measured."""
+        """Discard all received bytes, or those in transit that this side has written, as Linux does."""
         if queue in (termios.TCIFLUSH, termios.TCIOFLUSH):
             self.incoming.discard()
         if queue in (termios.TCOFLUSH, termios.TCIOFLUSH):
             self.outgoing.transit.clear()
 
     def tcdrain(self) -> None:
-        """Return at once, as terminals without a wire do."""
+        """Return immediately, as terminals without a wire do."""
 
     def tcsendbreak(self, _: int) -> None:
         """Do nothing: the other side cannot see it."""
@@ -242,8 +242,8 @@ class Master(_Side):
         if data := terminal.to_master.read(limit):
             if terminal.to_master.transit:
                 terminal.push(terminal.to_master, self)
-            for each in terminal.hosts:
-                each.changed()
+            for host in terminal.hosts:
+                host.changed()
             return data
         if not terminal.hosts:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -254,8 +254,8 @@ class Master(_Side):
 
     def closed(self) -> None:
         self.terminal.terminals.remove(self.terminal)
-        for each in self.terminal.hosts:
-            each.changed()
+        for host in self.terminal.hosts:
+            host.changed()
 
 
 class HostSide(_Side):
@@ -332,18 +332,18 @@ class HostSide(_Side):
             terminal.locked_by = self
 
     def closed(self) -> None:
-        """Report the closing; it takes effect later, and for the process that closes before it goes on."""
+        """Report the closing; it takes effect later, and for the closing process before it continues."""
         terminal, kernel = self.terminal, self.kernel
         if terminal.locked_by is self:
             terminal.locked_by = None
         terminal.report(IN_CLOSE_WRITE if self._writes else IN_CLOSE_NOWRITE)
         delay_ns = terminal.terminals.delay_ns("closing", _CLOSING_NS)
-        kernel.at(kernel.now_ns + delay_ns, self._gone)
+        kernel.at(kernel.now_ns + delay_ns, self._detach)
         process = kernel.current
         if process is not None and process.alive and not process.dying:
             kernel.elapse(delay_ns + 1)
 
-    def _gone(self) -> None:
+    def _detach(self) -> None:
         self.terminal.hosts.remove(self)
         if not self.terminal.hosts:
             self.terminal.master.changed()
@@ -354,14 +354,14 @@ class HostSide(_Side):
 
 
 class Terminals:
-    """All pseudo-terminals of a simulation.
+    """Pseudo-terminals of a simulation.
 
     Attributes:
         kernel: Kernel.
         root: Folder in place of the machine's root.
         folder: Folder of their host sides, in place of /dev/pts.
         notices: Reports of inotify.
-        processes: Folder in place of /proc, as of the last look.
+        processes: Folder in place of /proc, in the state of the last `list_processes`.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -390,7 +390,7 @@ class Terminals:
     def make(self) -> tuple[int, int]:
         """Make a terminal; return the descriptors of its two sides."""
         process = self.kernel.called()
-        number = next(each for each in count() if each not in self._open)
+        number = next(candidate for candidate in count() if candidate not in self._open)
         self._open[number] = terminal = Terminal(self, number)
         os.close(os.open(terminal.path, os.O_CREAT | os.O_EXCL))
         self._devices[str(terminal.path)] = terminal
@@ -398,8 +398,8 @@ class Terminals:
 
     def number_of(self, path: str) -> int | None:
         """Return the number of the terminal at a path; None for another file."""
-        found = self._devices.get(path)
-        return found.number if isinstance(found, Terminal) else None
+        device = self._devices.get(path)
+        return device.number if isinstance(device, Terminal) else None
 
     def remove(self, terminal: Terminal) -> None:
         """Remove a terminal whose master is closed; its number is free again."""

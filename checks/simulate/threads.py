@@ -1,6 +1,6 @@
 """Modules `threading` and `queue` on simulated threads: processes that share the files of another.
 
-Without a process, as where a scenario is set up, they are Python's own.
+Without a process, for example where a scenario is set up, they are Python's.
 """
 
 # The functions are Python's, which documents them.
@@ -16,7 +16,7 @@ from checks.simulate.system import Shim
 
 
 class SimulatedThreading(Shim):
-    """Module `threading`, in which each process has its own main thread."""
+    """Module `threading`, in which each process has a main thread."""
 
     def __init__(self, kernel: Kernel) -> None:
         super().__init__(threading, kernel)
@@ -51,7 +51,7 @@ class SimulatedQueue(Shim):
 
 
 class _Shared(OpenFile):
-    """What several threads wait for; it is no file, but processes wait for nothing else."""
+    """Object that several threads wait for; an open file, as the kernel's processes wait only for those."""
 
     def _wait(self, ready: Callable[[], bool], timeout: float | None) -> bool:
         kernel = self.kernel

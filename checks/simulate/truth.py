@@ -1,4 +1,4 @@
-"""What a twin's line has carried, and whether it was true: wheels, speeds and sensors at each reply."""
+"""Exchanges on a twin's line, each reply checked against wheels, speeds and sensors."""
 
 import re
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ _TOLERANCE_PULSES = 4
 
 
 @dataclass(slots=True)
-class Said:
+class Exchange:
     """A line that the robot has carried out, and its reply.
 
     Attributes:
@@ -43,7 +43,7 @@ class Said:
 
 
 def tag(session: int) -> str:
-    """Return the request that begins a session: a write to the empty extension bus, which has no effect."""
+    """Return the request that starts a session: a write to the empty extension bus, which has no effect."""
     return f"W,{session % 256},{session // 256}"
 
 
@@ -56,17 +56,17 @@ class Truth(Observer):
         is_exact: Whether the line has no faults.
 
     Attributes:
-        said: All lines that were carried out.
-        tags: Sessions that have begun.
+        exchanges: All requests that were carried out, with their replies.
+        tags: Sessions that have started.
     """
 
     def __init__(self, simulation: Simulation, twin: Twin, *, is_exact: bool) -> None:
         self._simulation, self._robot, self._world = simulation, twin.robot, twin.world
         self._is_exact = is_exact
-        self.said: list[Said] = []
+        self.exchanges: list[Exchange] = []
         self.tags: set[int] = set()
         self._session = -1
-        self._begun = b""
+        self._partial_line = b""
         self._leaving = False
         self._origins = [0, 0]
         self._slack = [0.0, 0.0]
@@ -79,17 +79,17 @@ class Truth(Observer):
         if event.kind == HostEventKind.DISCONNECT:
             self._leaving = True
         elif event.kind == HostEventKind.SEND and self._leaving:
-            self._leaving, self._begun = False, b""
+            self._leaving, self._partial_line = False, b""
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Take bytes of the line; check a reply."""
         if not to_robot:
-            if self.said:
-                self.said[-1].reply += data.decode("latin-1")
+            if self.exchanges:
+                self.exchanges[-1].reply += data.decode("latin-1")
                 if self._is_exact:
-                    self._check(self.said[-1])
+                    self._check(self.exchanges[-1])
             return
-        *lines, self._begun = (self._begun + data).replace(b"\r", b"\n").split(b"\n")
+        *lines, self._partial_line = (self._partial_line + data).replace(b"\r", b"\n").split(b"\n")
         for line in filter(None, lines):
             self._take(line.decode("latin-1").strip())
 
@@ -106,29 +106,33 @@ class Truth(Observer):
         if self._is_exact and letter == "G" and (values := _integers(fields, 2)):
             self._origins = [pulses - value for pulses, value in zip(self._pulses(), values, strict=True)]
             self._slack = [self._speed(wheel) for wheel in range(2)]
-        self.said.append(Said(self._session, request))
+        self.exchanges.append(Exchange(self._session, request))
 
-    def _check(self, said: Said) -> None:
+    def _check(self, exchange: Exchange) -> None:
         """Check a reply against the wheels and the board."""
         simulation, registers = self._simulation, self._robot.registers
-        letter, *fields = said.reply.rstrip("\r\n").split(",")
+        letter, *fields = exchange.reply.rstrip("\r\n").split(",")
         if letter == "h" and (values := _integers(fields, 2)):
             simulation.count("counters")
             for wheel, (value, pulses) in enumerate(zip(values, self._pulses(), strict=True)):
                 true = pulses - self._origins[wheel]
                 tolerance = _TOLERANCE_PULSES + 1.5 * (self._speed(wheel) + self._slack[wheel])
                 if abs(_wrapped(value - true)) > tolerance:
-                    simulation.violate("counters", f"{said.reply!r}, but wheel {wheel} is at {true} pulses")
-        elif letter == "d" and (values := _integers(said.request.split(",")[1:], 2)):
+                    simulation.violate(
+                        "counters", f"{exchange.reply!r}, but wheel {wheel} is at {true} pulses"
+                    )
+        elif letter == "d" and (values := _integers(exchange.request.split(",")[1:], 2)):
             simulation.count("speeds")
-            wanted = [min(max(value, -127), 127) for value in values]
-            if not drives(self._robot, wanted):
-                simulation.violate("speeds", f"{said.request!r} was answered, but the wheels are not set so")
+            speeds = [min(max(value, -127), 127) for value in values]
+            if not drives(self._robot, speeds):
+                simulation.violate(
+                    "speeds", f"{exchange.request!r} was answered, but the wheels are not set so"
+                )
         elif letter in "no" and len(fields) == 8:
             simulation.count("sensors")
             true = registers[PROXIMITY if letter == "n" else AMBIENT].tolist()
             if _integers(fields, 8) != true:
-                simulation.violate("speeds", f"{said.reply!r}, but the board has {true}")
+                simulation.violate("speeds", f"{exchange.reply!r}, but the board has {true}")
 
     def _pulses(self) -> list[int]:
         angles = self._world.data.qpos[list(self._robot.indices.wheel_angles)].tolist()
@@ -146,16 +150,16 @@ class Truth(Observer):
 
     # Questions of hosts --------------------------------------------------------------------------------
 
-    def replies(self, session: int) -> list[Said]:
-        """Return what was said in a session, after its tag."""
-        return [each for each in self.said if each.session == session and each.reply]
+    def replies(self, session: int) -> list[Exchange]:
+        """Return the answered exchanges of a session, after its tag."""
+        return [exchange for exchange in self.exchanges if exchange.session == session and exchange.reply]
 
-    def stands(self, session: int) -> bool:
+    def has_stopped(self, session: int) -> bool:
         """Return whether the motors were stopped after the last command of a session that moves the robot."""
-        for each in reversed(self.said):
-            if each.request == STOP:
+        for exchange in reversed(self.exchanges):
+            if exchange.request == STOP:
                 return True
-            if each.session == session and _MOVES.fullmatch(each.request):
+            if exchange.session == session and _MOVES.fullmatch(exchange.request):
                 return False
         return True
 
@@ -164,8 +168,8 @@ def drives(robot: Robot, speeds: list[int]) -> bool:
     """Return whether the motors of a robot are controlled to speeds [pulses/10 ms]."""
     registers = robot.registers
     modes = [registers[side + Wheel.MODE] for side in (LEFT, RIGHT)]
-    found = [registers[side + Wheel.SPEED_SETPOINT] for side in (LEFT, RIGHT)]
-    return modes == [Mode.SPEED] * 2 and found == speeds
+    setpoints = [registers[side + Wheel.SPEED_SETPOINT] for side in (LEFT, RIGHT)]
+    return modes == [Mode.SPEED] * 2 and setpoints == speeds
 
 
 def _integers(fields: list[str], count: int) -> list[int] | None:

@@ -1,7 +1,7 @@
 """Simulated workers of a sweep: a Ray cluster, and a pool whose results come late and twice.
 
-The cluster keeps Ray's promises: a task whose worker dies is run again, at most so often, and each reference
-has one result. The tasks themselves, and all that the sweep does, are the product's own code.
+The cluster gives Ray's guarantees: a task whose worker dies is run again, up to a limit, and each reference
+has one result. The tasks, and the sweep itself, are the product's code.
 """
 
 from collections import deque
@@ -26,7 +26,7 @@ MOST_KILLED, MOST_LATE, MOST_KILLERS, MOST_AWAY = 0.4, 0.3, 0.02, 0.2
 """Highest probabilities: a worker dies or is late, a task kills all its workers, a cluster is away."""
 
 REASSIGNED_S = 5.0
-"""Time after which a pool gives a task to another worker, too [s] (assumed)."""
+"""Time after which a pool gives a task to another worker as well [s] (assumed)."""
 
 
 class RayError(Exception):
@@ -46,7 +46,7 @@ class Reference:
 
 
 class Cluster:
-    """Workers of one sweep; each runs a task in its own simulated process."""
+    """Workers of one sweep; each runs a task in a separate simulated process."""
 
     def __init__(self, simulation: Simulation, name: str) -> None:
         self.simulation, self.name = simulation, name
@@ -63,14 +63,14 @@ class Cluster:
 
     def running(self) -> list[Process]:
         """Return the workers that run."""
-        return [each for each in self._workers if each.alive]
+        return [worker for worker in self._workers if worker.alive]
 
     def end(self) -> None:
         """End all workers."""
         self.alive = False
         self._waiting.clear()
-        for each in self.running():
-            self.simulation.kernel.kill(each)
+        for worker in self.running():
+            self.simulation.kernel.kill(worker)
 
     def _place(self) -> None:
         self._workers = self.running()
@@ -120,7 +120,7 @@ class Cluster:
 
 
 class SimulatedRay(ModuleType):
-    """Module `ray`: each simulated process that uses it has its own workers."""
+    """Module `ray`: each simulated process that uses it has separate workers."""
 
     def __init__(self, simulation: Simulation) -> None:
         super().__init__("ray")
@@ -139,11 +139,11 @@ class SimulatedRay(ModuleType):
         self.clusters[process] = Cluster(self._simulation, process.name)
 
     def shutdown(self) -> None:
-        """Leave the cluster; Ray ends what it runs for a process that has left, or died."""
+        """Leave the cluster; Ray ends the tasks of a process that has left, or died."""
         self.left(self._process())
 
     def left(self, process: Process) -> None:
-        """End what runs for a process."""
+        """End the tasks of a process."""
         if (cluster := self.clusters.pop(process, None)) is not None:
             cluster.end()
 
@@ -178,11 +178,11 @@ class SimulatedRay(ModuleType):
         kernel, cluster = self._simulation.kernel, self.clusters[self._process()]
 
         def ready() -> list[Reference]:
-            return [each for each in references if each.result is not None][:num_returns]
+            return [reference for reference in references if reference.result is not None][:num_returns]
 
         kernel.wait([cluster.news], lambda: bool(ready()), kernel.now_ns + round(timeout * NS_PER_S))
-        found = ready()
-        return found, [each for each in references if each not in found]
+        finished = ready()
+        return finished, [reference for reference in references if reference not in finished]
 
     def get(self, reference: Reference) -> object:
         """Return a task's result."""
@@ -197,17 +197,17 @@ class SimulatedRay(ModuleType):
 
 
 def pool(simulation: Simulation, clusters: dict[Process, Cluster]) -> Executor:
-    """Return workers of which some are given up too early: their results come late, and twice."""
+    """Return workers of which some are abandoned early, so that their results come late, and twice."""
     kernel = simulation.kernel
 
     def coming(cluster: Cluster, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
-        given: list[tuple[Shard, Reference]] = []
-        since: dict[int, int] = {}
+        assignments: list[tuple[Shard, Reference]] = []
+        assigned_ns: dict[int, int] = {}
 
         def give(task: Shard) -> None:
-            since[task.index] = kernel.now_ns
+            assigned_ns[task.index] = kernel.now_ns
             reference = Reference(lambda: _run_task(work, task), 1000, False)
-            given.append((task, reference))
+            assignments.append((task, reference))
             cluster.submit(reference)
 
         for task in tasks:
@@ -215,21 +215,23 @@ def pool(simulation: Simulation, clusters: dict[Process, Cluster]) -> Executor:
         missing = {task.index: task for task in tasks}
         while missing:
             kernel.called()
-            arrived = [each for each in given if each[1].result is not None]
+            arrived = [assignment for assignment in assignments if assignment[1].result is not None]
             if not arrived:
                 deadline_ns = kernel.now_ns + NS_PER_S
-                kernel.wait([cluster.news], lambda: any(each.result for _, each in given), deadline_ns)
+                kernel.wait(
+                    [cluster.news], lambda: any(reference.result for _, reference in assignments), deadline_ns
+                )
                 late = [
-                    each
-                    for each in missing
-                    if kernel.now_ns - since[each] > REASSIGNED_S * len(tasks) * NS_PER_S
+                    index
+                    for index in missing
+                    if kernel.now_ns - assigned_ns[index] > REASSIGNED_S * len(tasks) * NS_PER_S
                 ]
                 for index in late:
                     give(missing[index])
                 continue
-            for each in arrived:
-                given.remove(each)
-                task, (answer, _) = each[0], each[1].result or ((b"", ""), None)
+            for assignment in arrived:
+                assignments.remove(assignment)
+                task, (answer, _) = assignment[0], assignment[1].result or ((b"", ""), None)
                 if missing.pop(task.index, None) is None:
                     simulation.count("results twice")
                 yield task, answer[0]
@@ -238,7 +240,7 @@ def pool(simulation: Simulation, clusters: dict[Process, Cluster]) -> Executor:
                     yield task, answer[0]
 
     @contextmanager
-    def done(work: Work, tasks: Sequence[Shard]) -> Generator[Iterable[tuple[Shard, bytes]]]:
+    def executor(work: Work, tasks: Sequence[Shard]) -> Generator[Iterable[tuple[Shard, bytes]]]:
         process = kernel.called()
         clusters[process] = cluster = Cluster(simulation, process.name)
         try:
@@ -247,4 +249,4 @@ def pool(simulation: Simulation, clusters: dict[Process, Cluster]) -> Executor:
             clusters.pop(process, None)
             cluster.end()
 
-    return done
+    return executor

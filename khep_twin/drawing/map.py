@@ -1,8 +1,8 @@
 """Drawings: a playpen from above, to scale, with the paths of robots.
 
 Lamps, objects and robots are drawn to scale (`symbols`), robots at their start. Several named paths have
-a colour each; paths of one robot, or of many, are coloured by time. The robot's outline at the end of a path is
-dashed. The same arguments give the same bytes, independent of the configuration of matplotlib.
+a colour each; paths of one robot, or of many, are coloured by time. The robot's outline at the end of a path
+is dashed. The same arguments give the same bytes, independent of the configuration of matplotlib.
 """
 
 # The annotations of matplotlib leave keyword arguments untyped.

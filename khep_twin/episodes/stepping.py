@@ -41,6 +41,10 @@ _LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 
 
+Records = Any
+"""Arrays of records, whose fields numba infers."""
+
+
 class Controllers(NamedTuple):
     """Controllers of one kind for the robots of a scene, and their sums of metrics.
 
@@ -80,16 +84,16 @@ class Controllers(NamedTuple):
 class EpisodeArguments(NamedTuple):
     """Arguments of compiled code for one episode: `Controllers`, then those of `Simulation.arguments`."""
 
-    controllers: Any
-    scene: Any
-    timing: Any
-    law: Any
-    bulbs: Any
-    hidden: Any
-    robots: Any
-    counters: Any
-    powers: Any
-    tables: Any
+    controllers: Records
+    scene: Records
+    timing: Records
+    law: Records
+    bulbs: Records
+    hidden: Records
+    robots: Records
+    counters: Records
+    powers: Records
+    tables: Records
 
 
 class SlotArrays(NamedTuple):

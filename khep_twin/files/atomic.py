@@ -207,7 +207,7 @@ def free_name(path: Path, infix: str) -> Path:
 def name_taken_message(path: Path, final_path: Path) -> str:
     """Return the message that a file was written under another name, as another file took its name."""
     new_path = final_path if path.is_symlink() else path.with_name(final_path.name)
-    return f"{path}: another file is there by now, and stays; what was to be written is {new_path}"
+    return f"{path}: another file exists by now and is kept; the new one is {new_path}"
 
 
 def _rename_to_new(part: Path, name: Path) -> None:

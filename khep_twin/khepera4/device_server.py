@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from khep_twin.khepera4.machine import BYTE_NS, READS, Machine
-from khep_twin.khepera4.scheduler import NEVER_NS, TIME_REQUEST_NS, Connection, Scheduler
+from khep_twin.khepera4.scheduler import NEVER_NS, TIME_REQUEST_NS, ThreadConnection, Scheduler
 from khep_twin.khepera4.thread_watch import ThreadWatch
 
 MAX_BYTES = 1 << 20
@@ -74,7 +74,7 @@ class DeviceServer:
             listener.listen(64)
             self._listeners[listener] = index
             self._selector.register(listener, selectors.EVENT_READ)
-        self._connections: dict[socket.socket, Connection] = {}
+        self._connections: dict[socket.socket, ThreadConnection] = {}
         self._scheduler = Scheduler(machines[0], self._connections.values(), clock, self._poll, self._reply)
 
     def close(self) -> None:
@@ -109,13 +109,13 @@ class DeviceServer:
                 peer.settimeout(_RECEIVE_TIMEOUT_S)
                 credentials = peer.getsockopt(socket.SOL_SOCKET, _PEER_CREDENTIALS, 4)
                 process = int.from_bytes(credentials, sys.byteorder)
-                self._connections[peer] = Connection(peer, self._listeners[ready], process)
+                self._connections[peer] = ThreadConnection(peer, self._listeners[ready], process)
                 self._selector.register(peer, selectors.EVENT_READ)
             elif not self._receive(self._connections[ready]):
                 self._disconnect(ready)
         return bool(events)
 
-    def _receive(self, connection: Connection) -> bool:
+    def _receive(self, connection: ThreadConnection) -> bool:
         """Receive a request; return False at the end of the connection."""
         header = _read(connection.socket, _REQUEST.size)
         if header is None:
@@ -144,7 +144,7 @@ class DeviceServer:
             self._scheduler.sleep(connection, ns if number else now_ns + ns, futex_address, last_wake)
         return True
 
-    def _reply(self, connection: Connection) -> None:
+    def _reply(self, connection: ThreadConnection) -> None:
         """Execute a request and reply to it."""
         try:
             try:
@@ -156,7 +156,7 @@ class DeviceServer:
         except (OSError, struct.error):  # the program has ended meanwhile, or this is no preload library
             self._disconnect(connection.socket)
 
-    def _execute(self, connection: Connection) -> tuple[int, int, bytes]:
+    def _execute(self, connection: ThreadConnection) -> tuple[int, int, bytes]:
         """Execute a request; return result, value and content of the reply."""
         machine = self._machines[connection.robot]
         kind, number, content = connection.kind, connection.number, connection.content

@@ -55,7 +55,7 @@ _POLL_S = 0.02
 
 
 @dataclass(slots=True)
-class Connection:
+class ThreadConnection:
     """Connection of a thread, with its open request.
 
         running --request--> pending  --reply--> running    due on arrival
@@ -100,10 +100,10 @@ class Scheduler:
     """
 
     machine: Machine
-    connections: Collection[Connection]
+    connections: Collection[ThreadConnection]
     clock: Callable[[], int] | None
     poll: Callable[[float], bool]
-    reply: Callable[[Connection], None]
+    reply: Callable[[ThreadConnection], None]
 
     def __post_init__(self) -> None:
         self._last_ticket = 0
@@ -145,7 +145,7 @@ class Scheduler:
             os.sched_yield()  # to the thread with the reply, which mostly sends its next request
             self.poll(0.0)
 
-    def sleep(self, connection: Connection, end_ns: int, futex_address: int, last_wake: int) -> None:
+    def sleep(self, connection: ThreadConnection, end_ns: int, futex_address: int, last_wake: int) -> None:
         """Queue a wait until a time [ns], or until a WAKE of a futex after the last that its thread knows."""
         now_ns = self.machine.time_ns
         futex = connection.process, futex_address
@@ -164,13 +164,13 @@ class Scheduler:
             connection.due_ns = self.machine.time_ns
             connection.is_woken = True
 
-    def _all_wait(self, watch: ThreadWatch, pending: Collection[Connection]) -> bool:
+    def _all_wait(self, watch: ThreadWatch, pending: Collection[ThreadConnection]) -> bool:
         """Return whether all threads wait, those with an open request included."""
         threads = {(connection.process, connection.thread) for connection in pending}
         blocked = {connection.thread for connection in pending if not connection.is_sleeping}
         return watch.all_wait(threads, blocked, len(self.connections))
 
-    def _serve_first(self, pending: Collection[Connection], end_ns: int) -> None:
+    def _serve_first(self, pending: Collection[ThreadConnection], end_ns: int) -> None:
         """Reply to the request whose turn it is, or advance by one stride towards its due time."""
         first = min(pending, key=attrgetter("due_ns", "ticket", "robot", "thread"))
         next_ns = min(self.machine.time_ns + STRIDE_NS, end_ns)

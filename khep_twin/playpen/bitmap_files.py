@@ -133,8 +133,8 @@ def _select(variables: Mapping[str, Variable], requested: str | None) -> tuple[s
             raise BitmapError(text, "; expected --variable with one of them")
         if not bitmaps:
             raise BitmapError(
-                f"no bitmap among its variables ({_summary(variables, list(variables))}): probably an editable "
-                f"playpen; expected the scanned one, with {SCAN}, which Scan Playpen writes"
+                f"no bitmap among its variables ({_summary(variables, list(variables))}): probably an "
+                f"editable playpen; expected the scanned one, with {SCAN}, which Scan Playpen writes"
             )
         requested = bitmaps[0]
     if requested not in variables:

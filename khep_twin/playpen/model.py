@@ -143,7 +143,7 @@ def place_robots(playpen: Playpen, rng: np.random.Generator) -> Playpen:
     """Return a playpen whose robots stand at random spots.
 
     Raises:
-        PlaypenError: There are too few spots.
+        PlaypenError: There are not enough spots.
     """
     if not any(robot.spots for robot in playpen.robots):
         return playpen

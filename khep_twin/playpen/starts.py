@@ -26,7 +26,7 @@ def at_spots(playpen: Playpen, seed: int) -> Playpen:
     """Return the playpen with its robots at their poses, or at spots that the seed selects.
 
     Raises:
-        PlaypenError: There are too few spots.
+        PlaypenError: There are not enough spots.
     """
     if not any(robot.spots for robot in playpen.robots):
         return playpen

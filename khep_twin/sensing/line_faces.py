@@ -73,7 +73,7 @@ class MovingFaces(NamedTuple):
     stripe_reflectances: Vector[float]
 
 
-class Poses(NamedTuple):
+class FacePoses(NamedTuple):
     """Current positions and orientations in a scene.
 
     Attributes:
@@ -136,9 +136,9 @@ def moving_faces(model: mujoco.MjModel, base: int) -> MovingFaces:
     )
 
 
-def read_poses(data: mujoco.MjData) -> Poses:
+def read_poses(data: mujoco.MjData) -> FacePoses:
     """Return positions and orientations of a scene, in the arrays that MuJoCo updates."""
-    return Poses(data.geom_xpos, data.geom_xmat, data.site_xpos, data.site_xmat)
+    return FacePoses(data.geom_xpos, data.geom_xmat, data.site_xpos, data.site_xmat)
 
 
 def max_faces(moving: MovingFaces, n_fixed: int, n_lamps: int) -> int:
@@ -147,7 +147,7 @@ def max_faces(moving: MovingFaces, n_fixed: int, n_lamps: int) -> int:
 
 
 @compilable
-def place_faces(scene: LineScene, n_fixed: int, moving: MovingFaces, poses: Poses, eye: Eye) -> None:
+def place_faces(scene: LineScene, n_fixed: int, moving: MovingFaces, poses: FacePoses, eye: Eye) -> None:
     """Set the faces of movable geoms, stripes and lamps that are on, in the rows after the fixed faces.
 
     Args:

@@ -245,7 +245,7 @@ def _face_light(
         y = ends[0] if ends[0] * norm >= y else ends[1]
         x, norm = math.sqrt(1 - y * y), 1.0
     length = distance * norm / (x * c + y * s) * (1 + spread / 2)
-    return max(light, 0.0) / (distance * distance) * _coverage(surfaces, index, hidden, chip.height, length)
+    return max(light, 0.0) / (distance * distance) * _lobe_part(surfaces, index, hidden, chip.height, length)
 
 
 @compilable
@@ -294,18 +294,18 @@ def _cylinder_light(
         strength = 1 - lobe.fraction + lobe.fraction * axis_cosine
         for _ in range(lobe.exponent):
             strength *= axis_cosine
-        total += weight * density * strength * _coverage(surfaces, index, hidden, chip.height, length)
+        total += weight * density * strength * _lobe_part(surfaces, index, hidden, chip.height, length)
     return total * half / lobe.norm
 
 
 @compilable
-def _coverage(
+def _lobe_part(
     surfaces: Vector[float], index: int, hidden: tuple[float, float], height: float, length: float
 ) -> float:
     """Return the part of the lobe in elevation that a surface and its mirror image in the floor cover.
 
-    Nearer objects and their mirror images hide it below and above the slopes `hidden`. `height` is that of the
-    sensor, `length` the horizontal distance [m].
+    Nearer objects and their mirror images hide it below and above the slopes `hidden`. `height` is that of
+    the sensor, `length` the horizontal distance [m].
     """
     top, bottom = surfaces[index + TOP], surfaces[index + BOTTOM]
     image_top, image_bottom = -2 * height - top, -2 * height - bottom

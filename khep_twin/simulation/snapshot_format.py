@@ -1,7 +1,7 @@
 """Snapshots as bytes: magic bytes, a version, the fingerprint of the scene, and the state as compressed JSON.
 
 The state consists of nested named tuples, one for each part of a simulation, with types and ranges. A
-snapshot may come from an untrusted log, so pydantic validates all of it. Arrays are stored as their bytes in base64.
+snapshot may come from an untrusted log, so pydantic validates all of it. Arrays are bytes in base64.
 """
 
 import struct

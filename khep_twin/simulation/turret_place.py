@@ -31,7 +31,7 @@ class TurretWorld(Protocol):
         ...
 
     def turret_bodies(self, name: str) -> list[TurretBody | None]:
-        """Return the bodies of the turrets of a kind, by the index of their robot; None for robots without."""
+        """Return the bodies of the turrets of a kind, by the index of their robot; None without one."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""All functions of the Khepera Toolbox for Matlab, for programs ported from it.
+"""Functions of the Khepera Toolbox for Matlab, for programs ported from it.
 
     from khep_twin.toolbox import *
 

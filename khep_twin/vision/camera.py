@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.line_faces import (
     MovingFaces,
-    Poses,
+    FacePoses,
     fixed_faces,
     max_faces,
     moving_faces,
@@ -45,7 +45,7 @@ class LineCamera:
         self,
         fixed: NDArray[np.float64],
         moving: MovingFaces,
-        poses: Poses,
+        poses: FacePoses,
         compiled: Callable[..., int] | None = None,
     ) -> None:
         self._fixed = fixed
@@ -122,7 +122,7 @@ class LineCamera:
             LineScene(*_views(scene)),
             n_fixed,
             MovingFaces(*_views(self._moving)),
-            Poses(*_views(self._poses)),
+            FacePoses(*_views(self._poses)),
         )
 
 
@@ -152,7 +152,7 @@ def capture(
     scene: LineScene,
     n_fixed: int,
     moving: MovingFaces,
-    poses: Poses,
+    poses: FacePoses,
     eye: Eye,
     exposure_ms: int,
     tables: Tables,

@@ -92,8 +92,8 @@ def test_below_4_volts_the_processor_stands_still_and_the_motors_do_not() -> Non
         robot.set_duty(25, -25)
         robot.port.write(b"N\n" * 30)
         robot.sleep(1.5)
-        assert "the supply fell to 4.00 V" in notes.told[0]
-        assert len(notes.told) == 1
+        assert "the supply fell to 4.00 V" in notes.events[0]
+        assert len(notes.events) == 1
         firmware = world.robots[0].firmware
         assert not firmware.powered
         # It was reset, and answers no more …
@@ -114,6 +114,6 @@ def test_a_processor_without_supply_does_not_start_anew_after_a_brown_out_fault(
     with Serial.of(twin, timeout=0.5) as port:
         twin.robot.firmware.register_view[DUTIES[0]] = 20
         assert port.read(100) == b""
-        assert notes.told[-1] == "fault brown-out@0.05 begins"
+        assert notes.events[-1] == "fault brown-out@0.05 begins"
         # The motors keep their duty all the same.
         assert (twin.robot.firmware.powered, twin.robot.firmware.register_view[DUTIES[0]]) == (False, 20)

@@ -68,15 +68,15 @@ def test_dropped_bytes_are_missing_and_reported() -> None:
     replies = [ask(port, b"B") for _ in range(100)]
     good = replies.count(b"b,5.02,5.01\r\n")
     assert 20 < good < 80
-    assert len(notes.told) > 50
-    assert "dropped" in notes.told[0]
+    assert len(notes.events) > 50
+    assert "dropped" in notes.events[0]
 
 
 def test_garbled_bytes_have_one_bit_turned() -> None:
     port, notes = open_with("garble:1")
     port.write(b"B\n")
     port.read(100)
-    assert "2 of b'B\\n' garbled" in notes.told[0]
+    assert "2 of b'B\\n' garbled" in notes.events[0]
 
 
 def test_late_replies_are_late_by_what_is_asked() -> None:
@@ -97,14 +97,14 @@ def test_a_stuck_sensor_reads_what_it_read_last() -> None:
         readings.append([int(count) for count in ask(port, b"O").split(b",")[1:]])
     assert len({counts[2] for counts in readings}) == 1
     assert len({counts[3] for counts in readings}) > 5
-    assert notes.told == ["fault stuck:2@1 begins"]
+    assert notes.events == ["fault stuck:2@1 begins"]
 
 
 def test_a_dead_sensor_reads_nothing_and_the_highest_ambient_counts() -> None:
     port, notes = open_with("dead:2@0.5-1")
     place_robot(port.twin.world, 0, 570, 250, 0)
     port.sleep(0.1)
-    notes.told.clear()
+    notes.events.clear()
     counts = []
     for _ in range(3):
         near, light = (ask(port, command).split(b",")[1:] for command in (b"N", b"O"))
@@ -113,7 +113,7 @@ def test_a_dead_sensor_reads_nothing_and_the_highest_ambient_counts() -> None:
     before, during, after = counts
     assert during[0] == 0 < min(before[0], after[0], during[1])
     assert during[2] == 500
-    assert notes.told == ["fault dead:2@0.5-1 begins", "fault dead:2@0.5-1 ends"]
+    assert notes.events == ["fault dead:2@0.5-1 begins", "fault dead:2@0.5-1 ends"]
 
 
 @pytest.mark.parametrize("kind", ["dead:2", "stuck:2"])
@@ -136,7 +136,7 @@ def test_a_fault_of_the_line_ends() -> None:
         replies.append(ask(port, b"B"))
         port.sleep(max(0.0, 0.11 - port.time_ns / 1e9))
     assert replies == [b"b,5.02,5.01\r\n", b"", b"b,5.02,5.01\r\n"]
-    assert [text for text in notes.told if "dropped" not in text] == [
+    assert [text for text in notes.events if "dropped" not in text] == [
         "fault drop:1@0.1-0.2 begins",
         "fault drop:1@0.1-0.2 ends",
     ]
@@ -149,7 +149,7 @@ def test_a_dead_motor_turns_freely_and_the_other_drives() -> None:
     left, right = (int(count) for count in ask(port, b"H").split(b",")[1:])
     assert right > 800
     assert abs(left) < 200
-    assert notes.told == ["fault dead:left begins"]
+    assert notes.events == ["fault dead:left begins"]
 
 
 def test_a_brown_out_resets_the_board_once() -> None:
@@ -160,7 +160,7 @@ def test_a_brown_out_resets_the_board_once() -> None:
     assert ask(port, b"H") == b"h,0,0\r\n"
     port.sleep(5)
     assert port.read(10) == b""
-    assert notes.told == ["fault brown-out@0.5 begins"]
+    assert notes.events == ["fault brown-out@0.5 begins"]
 
 
 def test_the_same_seed_gives_the_same_faults_and_another_does_not() -> None:

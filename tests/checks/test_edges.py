@@ -2,7 +2,7 @@
 
 import pytest
 
-from checks.edges import playpens, text_of, trouble
+from checks.edges import find_fault, playpens, text_of
 from khep_twin import playpen
 from khep_twin.errors import PlaypenError
 
@@ -10,7 +10,7 @@ SHARE = 4
 
 
 def test_a_share_of_the_search_finds_nothing() -> None:
-    problems = {number: trouble(number, playpen, seconds=3.0) for number, playpen in playpens(0, SHARE)}
+    problems = {number: find_fault(number, playpen, seconds=3.0) for number, playpen in playpens(0, SHARE)}
     assert problems == dict.fromkeys(problems)
 
 
@@ -30,7 +30,7 @@ def test_an_arena_that_a_robot_would_drive_over_is_seen_by_the_search(
         "[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 0\n",
         "low",
     )
-    assert "khepera0/base is outside the arena" in (trouble(0, low) or "")
+    assert "khepera0/base is outside the arena" in (find_fault(0, low) or "")
 
 
 def _passes(text: str) -> bool:

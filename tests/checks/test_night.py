@@ -15,7 +15,7 @@ from checks.__main__ import CHECKS
 from checks.night import runner as night
 from checks.night.page import markdown
 from checks.night.parts import PARTS, Part, Share
-from checks.night.runner import Night, State, rows, wanted_of
+from checks.night.runner import Night, State, rows, target_count
 
 ROOT = Path(__file__).parents[2]
 MAKEFILE = (ROOT / "Makefile").read_text()
@@ -33,9 +33,9 @@ def part(program: str, count: float = 10, share: float = 4, alone: bool = False)
         count,
         share,
         f"-c {shlex.quote(PROLOGUE + program.replace('{', '{{').replace('}', '}}'))}",
-        done=r"^did (\d+)$",
+        count_pattern=r"^did (\d+)$",
         figures=r"(?<=figure: ).*$",
-        under_way=r"^at (\d+)$",
+        progress_pattern=r"^at (\d+)$",
         alone=alone,
     )
 
@@ -51,15 +51,15 @@ GOOD = 'print(f"figure: {number}"); print(f"did {count:.0f}")'
 def test_a_part_is_done_in_shares_and_not_again(tmp_path: Path) -> None:
     status, state = run(part(GOOD), tmp_path)
     assert status == 0
-    assert state.done == 10
+    assert state.completed_count == 10
     assert sorted((part_run.number, part_run.count) for part_run in state.runs) == [(0, 4), (1, 4), (2, 2)]
     _, again = run(part(GOOD), tmp_path)
     assert again.runs == state.runs
 
 
 def test_a_share_of_a_night_is_done_first_and_the_rest_later(tmp_path: Path) -> None:
-    assert run(part(GOOD), tmp_path, share=0.25)[1].done == 3
-    assert run(part(GOOD), tmp_path)[1].done == 10
+    assert run(part(GOOD), tmp_path, share=0.25)[1].completed_count == 3
+    assert run(part(GOOD), tmp_path)[1].completed_count == 10
 
 
 def test_counts_come_from_the_output(tmp_path: Path) -> None:
@@ -73,13 +73,13 @@ def test_a_finding_ends_its_part_and_is_tried_again(
     bad = part(f"import sys; number == 1 and sys.exit('what is wrong'); {GOOD}")
     status, state = run(bad, tmp_path, cores=1)
     assert status == 1
-    assert state.done == 4
+    assert state.completed_count == 4
     (finding,) = state.findings
     assert finding.finding == "what is wrong"
     assert finding.command in capsys.readouterr().out
     assert (tmp_path / "part-1.txt").read_text() == "what is wrong\n"
     status, state = run(part(GOOD), tmp_path, cores=1)
-    assert (status, state.done, state.findings) == (0, 10, [])
+    assert (status, state.completed_count, state.findings) == (0, 10, [])
 
 
 def test_an_output_without_a_count_is_a_finding(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_a_part_that_measures_times_runs_alone(tmp_path: Path) -> None:
     program = f"import pathlib, time; {alone}; {GOOD}"
     status, state = run(part(program, alone=True), tmp_path / "night", cores=4)
     assert status == 0
-    assert state.done == 10
+    assert state.completed_count == 10
 
 
 def interrupted(program: str, ready: Callable[[Path], bool], folder: Path) -> State:
@@ -122,10 +122,10 @@ def test_an_interruption_keeps_what_a_process_has_told(tmp_path: Path) -> None:
         return log.exists() and "at 3" in log.read_text()
 
     state = interrupted(program, ready, tmp_path)
-    assert state.done == 3
+    assert state.completed_count == 3
     assert state.runs[0].status is None
     assert not (tmp_path / "part-0.txt").exists()
-    assert run(part(GOOD, 10, 10), tmp_path)[1].done == 10
+    assert run(part(GOOD, 10, 10), tmp_path)[1].completed_count == 10
 
 
 OUTPUTS = {
@@ -177,7 +177,7 @@ def test_quick_parts_run_with_a_tiny_share(tmp_path: Path) -> None:
     assert process.returncode == 0, process.stdout + process.stderr
     for night_part in PARTS:
         state = State(night_part, tmp_path)
-        assert (state.done >= wanted_of(night_part, 0.0005)) == (night_part.name in QUICK)
+        assert (state.completed_count >= target_count(night_part, 0.0005)) == (night_part.name in QUICK)
     page = (tmp_path / "page.md").read_text()
     assert page.count("nothing found so far") == len(QUICK)
     assert page.count("| not run |") == len(PARTS) - len(QUICK)
@@ -195,10 +195,13 @@ def test_parts_may_follow_the_options_as_make_gives_them(
 
 def test_shares_of_a_part_draw_other_things() -> None:
     for night_part in PARTS:
-        if night_part.wanted == night_part.share:  # which is one thing
+        if night_part.total == night_part.share:  # which is one thing
             continue
         shares = [Share(number, night_part.share * number, night_part.share) for number in range(3)]
-        commands = {(tuple(night_part.command(share)), tuple(night_part.environment(share).items())) for share in shares}
+        commands = {
+            (tuple(night_part.command(share)), tuple(night_part.environment(share).items()))
+            for share in shares
+        }
         assert len(commands) == 3, night_part.name
 
 
@@ -208,13 +211,17 @@ def test_the_page_tells_each_part_and_its_findings_as_text(tmp_path: Path) -> No
     state.add(night.Run(0, 5, 5, 3.0, 1, "python x.py", "2026-01-01 00:00", "abc", [], finding))
     page_rows = rows(tmp_path)
     text = markdown(page_rows, "now")
-    assert all(night_part.what in text for night_part in PARTS)
+    assert all(night_part.description in text for night_part in PARTS)
     assert text.count("```") == 2
     assert "1 finding" in text
 
 
 def test_every_check_is_part_of_a_night() -> None:
-    run_by = {night_part.command(Share(0, 0, night_part.share))[3] for night_part in PARTS if "checks" in night_part.words}
+    run_by = {
+        night_part.command(Share(0, 0, night_part.share))[3]
+        for night_part in PARTS
+        if "checks" in night_part.words
+    }
     assert run_by == set(CHECKS) - {"night"}
 
 

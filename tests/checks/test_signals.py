@@ -12,7 +12,7 @@ import pytest
 from forked import Forked
 from shares import share
 
-from checks.signals import KINDS, end
+from checks.signals import KINDS, end_command
 from khep_twin.errors import StoppedError
 from khep_twin.host import Khepera
 from khep_twin.log.reader import read_log
@@ -282,6 +282,6 @@ def test_a_robot_that_is_held_stands_and_is_not_moved_any_more() -> None:
 
 @pytest.mark.parametrize("name", share([name for name in KINDS if "hangs" not in name], 6))
 def test_a_command_that_is_ended_at_a_random_moment_leaves_nothing_behind(name: str) -> None:
-    problems = end(name, 4, begun=True)
+    problems = end_command(name, 4, has_started=True)
     # How long it takes on a busy machine is for `python -m checks signals` to say.
     assert not [fault for fault in problems.faults if not fault.startswith("took")]

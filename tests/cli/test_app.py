@@ -160,8 +160,8 @@ def test_a_wrong_playpen_is_reported_file_table_key_and_value(
     for command in (["playpen", "compile", file, "-o", tmp_path / "scene.xml"], ["run", "--playpen", file]):
         result = khep_twin(*command)
         assert result.returncode == 1
-        for each in result.stderr.splitlines():
-            assert each.startswith(f"khep-twin: {file}:")
+        for error_line in result.stderr.splitlines():
+            assert error_line.startswith(f"khep-twin: {file}:")
         assert line in result.stderr
     assert not (tmp_path / "scene.xml").exists()
 
@@ -231,7 +231,9 @@ def test_a_mistake_is_one_line_that_says_what_is_right(typed: str, line: str) ->
     ],
 )
 def test_a_file_that_is_there_is_kept(typed: str, tmp_path: Path) -> None:
-    kept_files = dict.fromkeys(("mine", "mine.csv", "mine.py", "mine.png", "series-002.mcap"), "a year's work")
+    kept_files = dict.fromkeys(
+        ("mine", "mine.csv", "mine.py", "mine.png", "series-002.mcap"), "a year's work"
+    )
     kept_files |= dict.fromkeys(("mine.html", "mine.rrd"), "a year's work")
     kept_files["mine.toml"] = GOOD.replace('name = "obstacles"', 'name = "mine"')
     for name, text in kept_files.items():

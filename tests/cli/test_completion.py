@@ -39,7 +39,7 @@ def complete(capsys: pytest.CaptureFixture[str], **variables: str) -> str:
 
 
 def in_bash(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
-    """What bash is told for the last of these words."""
+    """Return the completions of the last of these words in bash."""
     line = "\n".join(["khep-twin", *words])
     variables = {"COMP_WORDS": line, "COMP_CWORD": str(len(words)), "_KHEP_TWIN_COMPLETE": "complete_bash"}
     return complete(capsys, **variables).split()

@@ -1,4 +1,4 @@
-"""`khep-twin drive` in its own terminal: keys go in, screens come out, and it stops whatever ends it."""
+"""`khep-twin drive` in a pseudo-terminal: keys in, screens out, and the robot stops at any end."""
 
 import fcntl
 import os
@@ -54,7 +54,7 @@ class Terminal:
         os.write(self.descriptor, keys)
 
     def wait_for(self, pattern: str, *, holds_key: bool = False) -> None:
-        """Reads the screen until something new on it matches; `held` if only while a key is held."""
+        """Read the screen until new text matches; `holds_key` if only while a key is held."""
         end = time.monotonic() + LONG
         while not re.search(pattern, self.text):
             if time.monotonic() > end:
@@ -77,7 +77,7 @@ class Terminal:
         return self.process.returncode
 
     def restored(self) -> bool:
-        """Whether the terminal's settings are what they were, and its screen is given back."""
+        """Return whether settings and screen of the terminal are restored."""
         return termios.tcgetattr(self._terminal_end) == self.before and "\x1b[?1049l" in self.text
 
     def hang_up(self) -> None:
@@ -222,7 +222,9 @@ def test_a_small_terminal_says_how_large_it_must_be(fake: FakeRobot) -> None:
         (["khep://nowhere"], "xterm", "nowhere: no such file"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(fake: FakeRobot, arguments: list[str], kind: str, message: str) -> None:
+def test_what_cannot_be_done_is_one_line(
+    fake: FakeRobot, arguments: list[str], kind: str, message: str
+) -> None:
     window = Terminal(*[argument.format(url=fake.url) for argument in arguments], kind=kind)
     try:
         assert window.end() == 1

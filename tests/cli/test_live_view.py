@@ -1,4 +1,4 @@
-"""`khep-twin serve --foxglove` and `run --foxglove`, beside what they do without."""
+"""`khep-twin serve --foxglove` and `run --foxglove`, compared with runs without it."""
 
 import json
 import re
@@ -20,19 +20,19 @@ pytest.importorskip("foxglove", reason="foxglove-sdk, the extra [foxglove], is n
 def test_a_served_twin_is_seen_while_a_host_drives_it() -> None:
     with served("default", "--foxglove-at", "127.0.0.1:0") as (process, path):
         assert process.stderr is not None
-        told = process.stderr.readline()
+        announcement = process.stderr.readline()
         match = re.match(
-            r"khep-twin: Foxglove connects to (ws://127\.0\.0\.1:\d+); a layout .*: (.*)\n", told
+            r"khep-twin: Foxglove connects to (ws://127\.0\.0\.1:\d+); a layout .*: (.*)\n", announcement
         )
-        assert match is not None, told
+        assert match is not None, announcement
         assert json.loads(Path(match[2]).read_text())["configById"]
         with client(match[1]) as watcher, Khepera(path) as robot:
             watcher.subscribe("/khepera0/serial", "/khepera0/speed", "/scene")
-            watcher.until("/scene")
+            watcher.receive_until("/scene")
             robot.set_speed(7, 3)
-            line = watcher.until("/khepera0/serial")[-1]
+            line = watcher.receive_until("/khepera0/serial")[-1]
             assert b"D,7,3" in line.data
-            watcher.until("/khepera0/speed", line.time_ns)
+            watcher.receive_until("/khepera0/speed", line.time_ns)
             assert watcher.info["name"] == "khep_twin default"
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0

@@ -1,4 +1,4 @@
-"""The command `khep-twin playpen import`: what it writes, tells and refuses."""
+"""The command `khep-twin playpen import`: its files, output and errors."""
 
 import re
 from pathlib import Path
@@ -153,7 +153,9 @@ def test_a_calibration_that_is_missing_is_named_with_its_playpen_and_robot(tmp_p
         '[[robot]]\nx_mm = 99\ny_mm = 99\nheading_deg = 0\ncalibration = "none.toml"\n'
     )
     process = khep_twin("playpen", "check", "arena.toml", folder=tmp_path)
-    assert re.match(r"khep-twin: arena.toml: robot 1: calibration = .*none.toml: ", process.stderr), process.stderr
+    assert re.match(r"khep-twin: arena.toml: robot 1: calibration = .*none.toml: ", process.stderr), (
+        process.stderr
+    )
 
 
 def test_a_scene_of_many_robots_is_announced_and_a_check_warns_of_it(

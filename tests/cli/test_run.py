@@ -70,7 +70,7 @@ def started(folder: Path, *words: object) -> "Iterator[subprocess.Popen[str]]":
 
 
 def read_rows(folder: Path, short: bool = False) -> list[dict[str, str]]:
-    """What does not hang on the kind of port; with `short` not on the time at which it was asked, either."""
+    """Return the columns that are equal for all kinds of ports; with `short` also for all request times."""
     names = ["run", "cycles", "fitness", "near_share", "proximity_max", "proximity_mean", "speed_mean"]
     names += ["ambient_mean", "ambient_min", "speed"]
     assert {*names} <= {*rows(folder)[0]}
@@ -132,8 +132,8 @@ def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
     assert [line.text for line in log.robots["khepera0"].serial if line.text.startswith("D")][-1] == "D,0,0"
     assert not [*tmp_path.glob("*.part")]
     total = str(n_rows + 2)
-    told = good("run", *words, "--runs", total, "--save", "series", "--resume", folder=tmp_path)
-    assert told.count("run ") >= 2
+    resumed_output = good("run", *words, "--runs", total, "--save", "series", "--resume", folder=tmp_path)
+    assert resumed_output.count("run ") >= 2
     good("run", *words, "--runs", total, "--save", "whole", folder=tmp_path)
     names = sorted(path.name for path in (tmp_path / "whole").iterdir())
     assert names == sorted(path.name for path in (tmp_path / "series").iterdir())
@@ -454,8 +454,8 @@ def test_a_function_for_the_toolboxs_simulator_is_run_in_its_own_playpen_or_anot
     assert "user1" in error
     # The lamps of two-lamps are seen; in the dark default there are none.
     good(*words, "dark", "--playpen", "default", folder=tmp_path)
-    lit, dark = (loadmat(tmp_path / name / "run-001.mat")["light"].min() for name in ("own", "dark"))
-    assert lit < dark - 20
+    lit_minimum, dark = (loadmat(tmp_path / name / "run-001.mat")["light"].min() for name in ("own", "dark"))
+    assert lit_minimum < dark - 20
     error = complaint("run", "tb.py:samp", "--seconds", 5, folder=tmp_path)
     assert "samp: counts its cycles; expected cycles, no seconds" in error
 

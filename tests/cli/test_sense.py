@@ -1,4 +1,4 @@
-"""The command `khep-twin sense`: what it writes, draws and refuses."""
+"""The command `khep-twin sense`: its files, pictures and errors."""
 
 import shlex
 import signal
@@ -82,7 +82,7 @@ def test_a_test_that_breaks_off_keeps_its_data_and_reports_why_in_one_line(folde
 
 
 def drives(part: Path) -> bool:
-    """Whether a log that grows has the order to drive."""
+    """Return whether a growing log has the command to drive."""
     try:
         with GrowingLog(part.with_suffix("")) as log:
             entries: list[Entry] = []

@@ -54,7 +54,9 @@ def test_a_host_that_never_asks_n_is_followed_by_its_counters_which_is_said(tmp_
     good("run", script, "--playpen", "obstacles", "--seconds", 2, "--log", tmp_path / "counts.mcap")
     process = khep_twin("shadow", "obstacles", tmp_path / "counts.mcap", *SOME)
     assert process.returncode == 0, process.stderr
-    assert "no reply to N was heard; expected some: the pose is by commands and counters alone" in process.stderr
+    assert (
+        "no reply to N was heard; expected some: the pose is by commands and counters alone" in process.stderr
+    )
 
 
 def test_it_follows_the_same_way_each_time_and_by_the_seed_another(log: Path) -> None:
@@ -140,14 +142,14 @@ def test_a_calibration_is_taken_from_what_a_shadow_has_learned(
         early = khep_twin("fit", "--from", log, "--playpen", "obstacles")
         assert "determines nothing better than it was known" in early.stderr
     monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.MAX_DEVIATION_RATIO", 0.8)  # by a log of five seconds
-    shadow, found = tmp_path / "shadow.mcap", tmp_path / "mine.toml"
+    shadow, fitted_path = tmp_path / "shadow.mcap", tmp_path / "mine.toml"
     good("shadow", "obstacles", log, "-o", shadow)
-    output = good("fit", "--from", shadow, "-o", found)
+    output = good("fit", "--from", shadow, "-o", fitted_path)
     assert "(95 %)" in output
-    assert calibration.read(str(found))[0].source.endswith("; learned by a shadow in shadow.mcap")
+    assert calibration.read(str(fitted_path))[0].source.endswith("; learned by a shadow in shadow.mcap")
     # The log of a relay is followed first, in the same way.
     again = khep_twin("fit", "--from", log, "--playpen", "obstacles")
-    assert again.stdout == output.replace(f"calibration   {found}\n", "")
+    assert again.stdout == output.replace(f"calibration   {fitted_path}\n", "")
     for words, message in (
         (["--from", log], "no shadow's log; expected one, or --playpen with a relay's log"),
         (["--from", shadow, "--ruler-mm", "1"], "--ruler-mm is for recorded tests, not for --from"),

@@ -1,4 +1,4 @@
-"""Standard streams that cannot be written, or that nobody reads: told in one line, and nothing is lost."""
+"""Standard streams that cannot be written, or without a reader: one line, and no data is lost."""
 
 import errno
 import os
@@ -81,8 +81,8 @@ def started(
 def run(words: str, folder: Path, output: str, errors: str = "pipe") -> tuple[int, str]:
     """A command's exit code, and what it says."""
     with started(words.split(), folder, output, errors) as process:
-        told = process.communicate(timeout=LONG)[1]
-        return process.returncode, told or ""
+        error_text = process.communicate(timeout=LONG)[1]
+        return process.returncode, error_text or ""
 
 
 @full
@@ -173,7 +173,9 @@ def test_too_few_descriptors_are_one_line() -> None:
         assert (process.returncode, process.stdout, process.stderr) == (1, "", message)
     # A lower limit of one's own choice is raised.
     set_limit = partial(allow, 8, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
-    process = subprocess.run([*PROGRAM, "playpen", "list"], capture_output=True, timeout=LONG, preexec_fn=set_limit)
+    process = subprocess.run(
+        [*PROGRAM, "playpen", "list"], capture_output=True, timeout=LONG, preexec_fn=set_limit
+    )
     assert (process.returncode, process.stderr) == (0, b"")
 
 
@@ -199,7 +201,7 @@ def test_a_current_directory_that_is_gone_is_one_line_where_it_is_needed(
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
     message = "khep-twin: the current directory no longer exists; expected an existing one\n"
-    for words, code, shown in (
+    for words, code, printed in (
         ("run --cycles 3", 0, ("3 cycles in 0.1 s", "")),
         ("design --no-browser", 1, ("", message.strip())),
     ):
@@ -208,7 +210,7 @@ def test_a_current_directory_that_is_gone_is_one_line_where_it_is_needed(
             cli.main()
         assert ended.value.code == code
         output, errors = capsys.readouterr()
-        assert (output.partition("\n")[0], errors.strip()) == shown
+        assert (output.partition("\n")[0], errors.strip()) == printed
 
 
 @pytest.mark.parametrize("kind", ["-1", "0", "1", "2", "2147483648", "9" * 30, "shut", "read", "own"])

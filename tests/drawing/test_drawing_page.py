@@ -1,4 +1,4 @@
-"""docs/drawing.md: its programs draw what they say, here of shorter runs."""
+"""docs/drawing.md: its programs draw their pictures, here of shorter runs."""
 
 from functools import partial
 from pathlib import Path

@@ -42,7 +42,7 @@ def test_it_is_dark_behind_things_and_nowhere_else(thing: str) -> None:
 @pytest.mark.parametrize("angle_deg", [0, 45, 90])
 def test_a_turned_block_casts_the_shadow_of_its_width_across(angle_deg: int) -> None:
     block = BLOCK.replace("width_mm = 100", "width_mm = 2") + f"angle_deg = {angle_deg}\n"
-    # Seen from the lamp, the block's end stands this far off the middle, twice that at twice the distance.
+    # Seen from the lamp, the block's end is this far from the middle, twice as far at twice the distance.
     end = 10 * np.sin(np.radians(angle_deg)) + 1 * np.cos(np.radians(angle_deg))
     assert light(LAMP + block, 300, 250 + 1.7 * end) == 0
     assert light(LAMP + block, 300, 250 + 2.7 * end) > 0

@@ -86,7 +86,7 @@ def scene_with(mode: str, lamps: int = 3) -> playpens.Playpen:
 
 
 def glow(figure: Figure) -> NDArray[np.float64]:
-    """Strength of the light along the lamps."""
+    """Return the strength of the tint along the lamps."""
     (image,) = figure.axes[0].images
     alpha = np.asarray(image.get_array())[..., 3]
     return alpha[alpha.shape[0] // 3]
@@ -106,7 +106,7 @@ def test_lamps_at_random_share_the_light_and_none_is_drawn_as_on() -> None:
     assert "one lamp on, at random" in texts(figure)
     assert "one lamp on, at random" not in texts(all_on)
     assert glow(figure).max() < glow(all_on).max()
-    rays = [len(each.axes[0].lines) for each in (figure, all_on)]
+    rays = [len(drawing.axes[0].lines) for drawing in (figure, all_on)]
     assert rays == [0, 24]
 
 
@@ -121,19 +121,19 @@ def test_labels_do_not_overlap_where_paths_end_together() -> None:
         DrawnPath(f"starts-{k:03d}", time_s, np.stack((200 + 3 * k * time_s, 100 + time_s), axis=1))
         for k in range(11)
     ]
-    found = boxes(draw(SCENE, paths))
-    assert len(found) == 14  # two robots, a lamp and eleven ends
-    for index, box in enumerate(found):
-        assert not any(box.overlaps(other) for other in found[:index])
+    label_boxes = boxes(draw(SCENE, paths))
+    assert len(label_boxes) == 14  # two robots, a lamp and eleven ends
+    for index, box in enumerate(label_boxes):
+        assert not any(box.overlaps(other) for other in label_boxes[:index])
 
 
 def test_a_label_at_the_wall_stays_within_the_axes() -> None:
     text = "version = 1\nname = 'x'\n[arena]\nwidth_mm = 600\nheight_mm = 300\n"
     figure = draw(playpens.parse(text + "[[lamp]]\nx_mm = 5\ny_mm = 5\npower_w = 1\n", "x.toml"))
     (box,) = boxes(figure)
-    whole = figure.axes[0].get_window_extent()
-    assert whole.x0 <= box.x0
-    assert whole.y0 <= box.y0
+    window = figure.axes[0].get_window_extent()
+    assert window.x0 <= box.x0
+    assert window.y0 <= box.y0
 
 
 def test_a_small_drawing_keeps_the_size_of_its_letters() -> None:
@@ -200,7 +200,7 @@ def test_the_axes_end_at_the_walls() -> None:
 def test_all_tracks_share_one_scale_of_time() -> None:
     figure = draw(SCENE, [track(), track(start_s=5)])
     paths = [item for item in figure.axes[0].collections if isinstance(item, LineCollection)]
-    assert [(way.norm.vmin, way.norm.vmax) for way in paths] == [(0, 15), (0, 15)]
+    assert [(path.norm.vmin, path.norm.vmax) for path in paths] == [(0, 15), (0, 15)]
     assert {"time [s]", "start", "end"} <= texts(figure)
 
 
@@ -217,10 +217,12 @@ def test_paths_of_several_robots_have_a_colour_and_a_name_each() -> None:
 
 def test_arrays_in_metres_are_paths_by_name_or_without() -> None:
     one, other = np.array([[0.1, 0.1], [0.2, 0.2]]), np.array([[0.3, 0.1, 0.0], [0.4, 0.1, np.pi]])
-    gone = np.full((2, 3), np.nan)  # of an episode that failed
-    for paths in ([one, other], {"a": one, "b": other}, [DrawnPath("", None, 1000 * one), other, gone]):
-        drawn = [each for each in draw(SCENE, paths).axes[0].collections if isinstance(each, LineCollection)]
-        assert [each.get_segments()[0].tolist() for each in drawn] == pytest.approx(
+    failed = np.full((2, 3), np.nan)  # of an episode that failed
+    for paths in ([one, other], {"a": one, "b": other}, [DrawnPath("", None, 1000 * one), other, failed]):
+        drawn = [
+            lines for lines in draw(SCENE, paths).axes[0].collections if isinstance(lines, LineCollection)
+        ]
+        assert [lines.get_segments()[0].tolist() for lines in drawn] == pytest.approx(
             np.array([[[100, 100], [200, 200]], [[300, 100], [400, 100]]])
         )
         assert drawn[0].get_colors().tolist() != drawn[1].get_colors().tolist()
@@ -228,7 +230,7 @@ def test_arrays_in_metres_are_paths_by_name_or_without() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "told"),
+    ("path", "message"),
     [
         (np.zeros(3), r"ndarray of shape \(3,\); expected positions \(n, 2\) or poses \(n, 3\) \[m\]"),
         (["x"], r"a path: str of shape \(0,\); expected positions"),
@@ -236,16 +238,16 @@ def test_arrays_in_metres_are_paths_by_name_or_without() -> None:
         (np.full((3, 2), 250.0), "a path with a coordinate of 250 m; expected metres"),
     ],
 )
-def test_other_arrays_are_refused_in_one_line(path: Any, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_other_arrays_are_refused_in_one_line(path: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         draw(SCENE, path)
 
 
 def test_a_track_runs_from_its_first_to_its_last_point() -> None:
     figure = draw(SCENE, [track()])
-    (way,) = figure.axes[0].collections
-    assert isinstance(way, LineCollection)
-    segments = way.get_segments()
+    (path,) = figure.axes[0].collections
+    assert isinstance(path, LineCollection)
+    segments = path.get_segments()
     assert segments[0][0] == pytest.approx((100, 100))
     assert segments[-1][1] == pytest.approx((200, 150))
 
@@ -256,9 +258,9 @@ def test_the_shortest_tracks_can_be_drawn(tmp_path: Path, n: int) -> None:
 
 
 def test_of_a_long_track_evenly_many_points_are_drawn() -> None:
-    (way,) = draw(SCENE, [track(3 * POINT_LIMIT + 1)]).axes[0].collections
-    assert isinstance(way, LineCollection)
-    assert POINT_LIMIT / 2 < len(way.get_segments()) <= POINT_LIMIT
+    (path,) = draw(SCENE, [track(3 * POINT_LIMIT + 1)]).axes[0].collections
+    assert isinstance(path, LineCollection)
+    assert POINT_LIMIT / 2 < len(path.get_segments()) <= POINT_LIMIT
 
 
 @pytest.mark.parametrize(

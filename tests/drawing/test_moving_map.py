@@ -1,4 +1,4 @@
-"""Maps over time: robots and movable objects are drawn where they are, and what stays is drawn once."""
+"""Maps over time: robots and movable objects are drawn at their poses, static parts only once."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""MuJoCo's own viewer beside a run: it shows the run and changes nothing of it. A stand-in is the window."""
+"""MuJoCo's viewer on a run: it shows the run without any effect on it. A fake replaces the window."""
 
 # MuJoCo's rendering is not typed here.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -27,7 +27,7 @@ from khep_twin.world import World
 
 
 class Window:
-    """A window that counts its pictures, and whose user pulls at everything that it is given."""
+    """A window that records its frames, and whose user modifies model and state."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, **_: Any) -> None:
         self.model, self.data, self.cam = model, data, mujoco.MjvCamera()
@@ -72,9 +72,9 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
 def test_a_run_with_the_viewer_is_bit_for_bit_the_run_without(tmp_path: Path, windows: list[Window]) -> None:
     words = ["run", "braitenberg", "--playpen", "obstacles", "--seconds", "0.4", "--log"]
     logs = [tmp_path / "with.mcap", tmp_path / "without.mcap"]
-    for log, more in zip(logs, (["--viewer"], []), strict=True):
-        done = CliRunner().invoke(app, [*words, str(log), *more])
-        assert done.exit_code == 0, done.output
+    for log, options in zip(logs, (["--viewer"], []), strict=True):
+        result = CliRunner().invoke(app, [*words, str(log), *options])
+        assert result.exit_code == 0, result.output
     assert logs[0].read_bytes() == logs[1].read_bytes()
     (window,) = windows
     assert len(window.pictures) >= 20
@@ -95,8 +95,8 @@ def test_a_series_of_new_twins_has_one_window(windows: list[Window]) -> None:
         "100,100,0",
         "--viewer",
     ]
-    done = CliRunner().invoke(app, [*words, "--start", "400,400,0"])
-    assert done.exit_code == 0, done.output
+    result = CliRunner().invoke(app, [*words, "--start", "400,400,0"])
+    assert result.exit_code == 0, result.output
     (window,) = windows
     places = np.round(np.array(window.pictures) * 10)
     assert places[0].tolist() == [1, 1]
@@ -147,7 +147,7 @@ def test_without_a_screen_one_line_says_what_is_expected(words: list[str], tmp_p
     environment = {key: text for key, text in os.environ.items() if "DISPLAY" not in key}
     if sys.platform != "linux":
         pytest.skip("other systems have a screen")
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "khep_twin", *words, "--viewer"],
         env=environment,
         cwd=tmp_path,
@@ -156,10 +156,10 @@ def test_without_a_screen_one_line_says_what_is_expected(words: list[str], tmp_p
         timeout=60,
         check=False,
     )
-    assert done.returncode == 1
-    (line,) = done.stderr.splitlines()
+    assert process.returncode == 1
+    (line,) = process.stderr.splitlines()
     assert line.startswith("khep-twin: --viewer: DISPLAY is not set, expected a desktop")
-    assert done.stdout == ""
+    assert process.stdout == ""
 
 
 def test_a_compiled_playpen_opens_without_the_rays_of_its_rangefinders() -> None:

@@ -1,4 +1,4 @@
-"""Playpens as a camera sees them, where there is OpenGL."""
+"""Playpens as seen by a camera, if OpenGL is available."""
 
 from functools import cache
 from io import BytesIO
@@ -17,7 +17,7 @@ ARENA = 'version = 1\nname = "seen"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
 
 
 @cache
-def seen(text: str) -> NDArray[np.int64]:
+def render_pixels(text: str) -> NDArray[np.int64]:
     """Return the pixels of an arena with these tables (HEIGHT, WIDTH, 3)."""
     try:
         picture = render(playpens.parse(ARENA + text, "seen"), Path("seen.png"))
@@ -30,22 +30,22 @@ def seen(text: str) -> NDArray[np.int64]:
 
 def test_blocks_differ_from_the_floor_and_their_tops_from_their_sides() -> None:
     # A square in the middle; the picture's centre, away from the lines, is on its top or on the floor.
-    at = HEIGHT // 2 - 20, WIDTH // 2 + 20
-    floor = seen("")
+    centre = HEIGHT // 2 - 20, WIDTH // 2 + 20
+    floor = render_pixels("")
     for surface in ("white", "grey"):
         block = "[[block]]\nx_mm = 300\ny_mm = 250\nlength_mm = 200\nwidth_mm = 200\nheight_mm = 50\n"
-        pixels = seen(f'{block}surface = "{surface}"\n')
-        top = pixels[at]
-        assert np.abs(top - floor[at]).max() > 25, surface
-        column = pixels[:, at[1]]
+        pixels = render_pixels(f'{block}surface = "{surface}"\n')
+        top = pixels[centre]
+        assert np.abs(top - floor[centre]).max() > 25, surface
+        column = pixels[:, centre[1]]
         side = column[np.flatnonzero(np.abs(column - top).max(axis=1) < 2)[-1] + 20]
         assert top.sum() > side.sum() + 15, surface
 
 
 def test_the_floor_has_a_shadow_beside_a_block_and_lines() -> None:
-    floor = seen("")
+    floor = render_pixels("")
     block = "[[block]]\nx_mm = 300\ny_mm = 250\nlength_mm = 50\nwidth_mm = 50\nheight_mm = 80\n"
-    darker = (floor - seen(block)).min(axis=2) > 30
+    darker = (floor - render_pixels(block)).min(axis=2) > 30
     assert darker.sum() > 500
     inside = floor[HEIGHT // 2 - 100 : HEIGHT // 2 + 100, WIDTH // 2 - 200 : WIDTH // 2 + 200]
     colours = {tuple(colour) for colour in inside.reshape(-1, 3)}
@@ -54,10 +54,10 @@ def test_the_floor_has_a_shadow_beside_a_block_and_lines() -> None:
 
 
 def test_where_a_library_does_not_render_the_next_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    floor = seen("")
+    floor = render_pixels("")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr("khep_twin.drawing.render._libraries", lambda: ["glfw", "egl"])
-    np.testing.assert_array_equal(seen.__wrapped__(""), floor)
+    np.testing.assert_array_equal(render_pixels.__wrapped__(""), floor)
     monkeypatch.setattr("khep_twin.drawing.render._libraries", lambda: ["glfw"])
     with pytest.raises(KhepTwinError, match=r"there is no OpenGL to render with \(glfw: \w+\); expected"):
         render(playpens.parse(ARENA, "seen"), Path("seen.png"))

@@ -1,4 +1,4 @@
-"""Files of users: what is no file is refused at once, and nothing that is read is replaced or moved."""
+"""Users' files: special files are refused without waiting, and input files are never replaced or moved."""
 
 import os
 import socket
@@ -27,7 +27,7 @@ from khep_twin.sweep import study
 from khep_twin.sweep.shards import work_of
 
 LONG = 60.0
-"""How long anything may take on a busy machine [s]."""
+"""Time-out on a busy machine [s]."""
 
 STUDY = """version = 1
 name = "study"
@@ -78,13 +78,13 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 @contextmanager
-def odd(kind: str, path: Path) -> Iterator[None]:
-    """Something that is no file, under a name."""
+def special_file(kind: str, path: Path) -> Iterator[None]:
+    """Create a special file under a name."""
     if kind == "pipe":
         os.mkfifo(path)
     elif kind == "socket":
         with socket.socket(socket.AF_UNIX) as end:
-            end.bind(os.path.relpath(path))  # such names may be short only
+            end.bind(os.path.relpath(path))  # names of sockets are limited in length
             yield
         return
     elif kind == "device":
@@ -95,13 +95,13 @@ def odd(kind: str, path: Path) -> Iterator[None]:
 
 
 def failure(call: Callable[[], object]) -> BaseException | None:
-    """What a call that must not wait for anybody has failed with."""
+    """Return the error of a call that must not block; None without."""
     failures: list[BaseException] = []
 
     def run() -> None:
         try:
             call()
-        except BaseException as error:  # told by whoever asked
+        except BaseException as error:  # returned to the caller
             failures.append(error)
 
     thread = threading.Thread(target=run, daemon=True)
@@ -116,16 +116,16 @@ def failure(call: Callable[[], object]) -> BaseException | None:
 def test_what_is_no_file_is_refused_at_once(reader: str, kind: str, tmp_path: Path) -> None:
     name, call = READERS[reader]
     path = tmp_path / name
-    with odd(kind, path):
-        before = path.lstat()
+    with special_file(kind, path):
+        status = path.lstat()
         error = failure(lambda: call(path))
-        assert (path.lstat().st_ino, path.lstat().st_mode) == (before.st_ino, before.st_mode)
+        assert (path.lstat().st_ino, path.lstat().st_mode) == (status.st_ino, status.st_mode)
     assert isinstance(error, KhepTwinError), repr(error)
-    told = str(error)
-    assert name in told
-    assert "\n" not in told
+    message = str(error)
+    assert name in message
+    assert "\n" not in message
     expected = "this is no regular file; expected the name of a file"
-    assert ("s a directory" if kind == "directory" else expected) in told
+    assert ("s a directory" if kind == "directory" else expected) in message
 
 
 def test_a_log_moves_nothing_away_but_logs(tmp_path: Path, field: playpen.Playpen) -> None:
@@ -143,18 +143,18 @@ def test_a_log_moves_nothing_away_but_logs(tmp_path: Path, field: playpen.Plaype
 
 
 def test_a_file_that_is_written_takes_no_other_ones_name_meanwhile(tmp_path: Path) -> None:
-    path, others = tmp_path / "a.csv", [tmp_path / ".a.csv.part", tmp_path / ".a.csv.part1"]
-    others[0].write_text("mine")
-    others[1].symlink_to("nowhere")
+    path, existing = tmp_path / "a.csv", [tmp_path / ".a.csv.part", tmp_path / ".a.csv.part1"]
+    existing[0].write_text("mine")
+    existing[1].symlink_to("nowhere")
     write_atomic(path, b"data")
     assert path.read_bytes() == b"data"
-    assert others[0].read_text() == "mine"
-    assert os.readlink(others[1]) == "nowhere"
-    assert {*tmp_path.iterdir()} == {path, *others}
+    assert existing[0].read_text() == "mine"
+    assert os.readlink(existing[1]) == "nowhere"
+    assert {*tmp_path.iterdir()} == {path, *existing}
 
 
 @pytest.mark.parametrize(
-    "typed",
+    "command",
     [
         "playpen draw arena.png -o arena.png",
         "playpen draw arena.png -o linked.png",
@@ -166,7 +166,7 @@ def test_a_file_that_is_written_takes_no_other_ones_name_meanwhile(tmp_path: Pat
     ],
 )
 def test_what_is_read_is_not_replaced(
-    typed: str,
+    command: str,
     tmp_path: Path,
     field: playpen.Playpen,
     monkeypatch: pytest.MonkeyPatch,
@@ -175,13 +175,13 @@ def test_what_is_read_is_not_replaced(
     monkeypatch.chdir(tmp_path)
     Path("arena.png").write_text(playpen.dump(field))
     Path("linked.png").symlink_to("arena.png")
-    monkeypatch.setattr("sys.argv", ["khep-twin", *typed.split()])
-    with pytest.raises(SystemExit) as ended:
+    monkeypatch.setattr("sys.argv", ["khep-twin", *command.split()])
+    with pytest.raises(SystemExit) as exit_error:
         cli.main()
-    assert ended.value.code == 1
-    name = "linked.png" if "linked" in typed else "arena.png"
-    told = f"khep-twin: {name}: this is an input file; expected a separate file\n"
-    assert capsys.readouterr() == ("", told)
+    assert exit_error.value.code == 1
+    name = "linked.png" if "linked" in command else "arena.png"
+    message = f"khep-twin: {name}: this is an input file; expected a separate file\n"
+    assert capsys.readouterr() == ("", message)
     assert Path("arena.png").read_text() == playpen.dump(field)
     assert {path.name for path in tmp_path.iterdir()} == {"arena.png", "linked.png"}
 
@@ -189,33 +189,33 @@ def test_what_is_read_is_not_replaced(
 def test_a_file_is_on_the_disk_before_it_is_renamed_and_its_name_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise a power failure leaves an empty file in the place of the old one, or the old one again."""
-    done: list[str] = []
+    """Check the order that keeps the new file, not an empty or the old one, after a power failure."""
+    calls: list[str] = []
     synchronize, rename, new_name = os.fsync, os.replace, os.link
 
     def fsync(descriptor: int) -> None:
-        done.append("folder" if os.path.isdir(f"/proc/self/fd/{descriptor}") else "file")
-        assert done[-1] == "folder" or os.fstat(descriptor).st_size == 4
+        calls.append("folder" if os.path.isdir(f"/proc/self/fd/{descriptor}") else "file")
+        assert calls[-1] == "folder" or os.fstat(descriptor).st_size == 4
         synchronize(descriptor)
 
-    def replace(before: Path, after: Path) -> None:
-        done.append("rename")
-        rename(before, after)
+    def replace(source: Path, target: Path) -> None:
+        calls.append("rename")
+        rename(source, target)
 
-    def link(before: Path, after: Path) -> None:
-        done.append("name")
-        new_name(before, after)
+    def link(source: Path, target: Path) -> None:
+        calls.append("name")
+        new_name(source, target)
 
     monkeypatch.setattr(os, "fsync", fsync)
     monkeypatch.setattr(os, "replace", replace)
     monkeypatch.setattr(os, "link", link)
     write_atomic(tmp_path / "file", b"four")
-    assert done == ["file", "rename", "folder"]
-    done.clear()
+    assert calls == ["file", "rename", "folder"]
+    calls.clear()
     twin = open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap")))
-    monkeypatch.setattr(os, "fsync", lambda descriptor: done.append("file"))
+    monkeypatch.setattr(os, "fsync", lambda descriptor: calls.append("file"))
     twin.close()
-    assert done == ["file", "name"]
+    assert calls == ["file", "name"]
 
 
 def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path: Path) -> None:
@@ -227,7 +227,7 @@ def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path: Path) -> None:
 
 
 def test_a_file_that_appears_while_another_is_written_is_kept(tmp_path: Path) -> None:
-    """As under the name of a table that a command is still computing."""
+    """For example, under the name of a table that a command is computing."""
     path = tmp_path / "table.csv"
 
     def write() -> None:
@@ -236,12 +236,12 @@ def test_a_file_that_appears_while_another_is_written_is_kept(tmp_path: Path) ->
             path.write_text("a year's work")
 
     for number in ("", ".2"):
-        with pytest.raises(KhepTwinError, match=rf"what was to be written is .*/table\.kept{number}\.csv"):
+        with pytest.raises(KhepTwinError, match=rf"the new one is .*/table\.kept{number}\.csv"):
             write()
     path.write_bytes(b"")
     with atomic_file(path, replace=False) as file:
         file.write(b"new")
-    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {
+    assert {file_path.name: file_path.read_bytes() for file_path in tmp_path.iterdir()} == {
         "table.csv": b"new",
         "table.kept.csv": b"rows",
         "table.kept.2.csv": b"rows",

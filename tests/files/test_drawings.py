@@ -1,4 +1,4 @@
-"""Drawings may be drawn again, where no one has changed them since."""
+"""Drawings may be replaced if they are unchanged."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,20 +7,20 @@ import pytest
 from command_line import complaint, good
 from PIL import Image
 
-from khep_twin.files.drawings import is_replaceable, add_checksum
+from khep_twin.files.drawings import add_checksum, is_replaceable
 
 
-def _painted(path: Path) -> None:
+def _paint(path: Path) -> None:
     with Image.open(path) as picture:
         picture.putpixel((5, 5), (0, 0, 0))
         picture.save(path, pnginfo=picture.info.get("pnginfo"))
 
 
-def _added(path: Path) -> None:
+def _add_note(path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"</svg>", b"<!-- a note --></svg>"))
 
 
-@pytest.mark.parametrize(("name", "change"), [("map.png", _painted), ("map.svg", _added), ("map.pdf", None)])
+@pytest.mark.parametrize(("name", "change"), [("map.png", _paint), ("map.svg", _add_note), ("map.pdf", None)])
 def test_a_map_is_drawn_again_until_someone_changes_it(
     name: str, change: Callable[[Path], None] | None, tmp_path: Path
 ) -> None:
@@ -39,16 +39,16 @@ def test_a_map_is_drawn_again_until_someone_changes_it(
 
 
 def test_a_scan_that_was_imported_is_no_drawing(tmp_path: Path) -> None:
-    """The playpen's name, from which that of its picture is derived, is the scan's."""
+    """The default name of the playpen's picture is that of the scan."""
     scan = tmp_path / "maze.png"
     picture = Image.new("L", (300, 300), 255)
     picture.paste(0, (100, 100, 150, 200))
     picture.save(scan)
-    before = scan.read_bytes()
+    scan_data = scan.read_bytes()
     good("playpen", "import", "maze.png", folder=tmp_path)
-    told = complaint("playpen", "draw", "maze.toml", folder=tmp_path)
-    assert told == "maze.png: is there already; expected another name, or --force to replace it"
-    assert scan.read_bytes() == before
+    message = complaint("playpen", "draw", "maze.toml", folder=tmp_path)
+    assert message == "maze.png: is there already; expected another name, or --force to replace it"
+    assert scan.read_bytes() == scan_data
 
 
 @pytest.mark.parametrize("head", [b"\x89PNG\r\n\x1a\n", b"<svg>", b"%PDF-1.4\n", b"<!doctype html>"])

@@ -20,11 +20,11 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 
 PACKAGE = Path(khep_twin.__file__).parent
 RESULTS = {"ChallengeFile", "LoggedRun"}
-"""Classes that functions return; nobody makes one."""
+"""Classes that functions return, which users do not create."""
 
 
 def public_functions() -> Iterator[tuple[str, Callable[..., object]]]:
-    """Yield the functions, classes and methods that the packages give at their roots."""
+    """Yield the functions, classes and methods that the packages export."""
     for path in PACKAGE.rglob("__init__.py"):
         if "lazy.names" not in path.read_text():
             continue
@@ -38,19 +38,19 @@ def public_functions() -> Iterator[tuple[str, Callable[..., object]]]:
 
 
 def test_no_public_function_takes_a_path_alone() -> None:
-    found: list[str] = []
-    takes: list[str] = []
+    path_only: list[str] = []
+    with_paths: list[str] = []
     for name, function in public_functions():
         try:
             parameters = inspect.signature(function).parameters.values()
         except (TypeError, ValueError):  # of a module, a number or a class of C
             continue
-        for each in parameters:
-            kinds = inspect.formatannotation(each.annotation)
-            takes += [name] * ("PathLike" in kinds)
-            found += [f"{name}({each.name}: {kinds})"] * bool(re.search(r"\bPath\b", kinds))
-    assert not found
-    assert len(takes) > 30
+        for parameter in parameters:
+            kinds = inspect.formatannotation(parameter.annotation)
+            with_paths += [name] * ("PathLike" in kinds)
+            path_only += [f"{name}({parameter.name}: {kinds})"] * bool(re.search(r"\bPath\b", kinds))
+    assert not path_only
+    assert len(with_paths) > 30
 
 
 def test_a_path_may_be_a_string(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Saving into a file that has comments: what does not change stays as it is."""
+"""Saving into a file with comments: unchanged lines stay."""
 
 import contextlib
 import tomllib
@@ -52,7 +52,7 @@ def test_a_shipped_playpen_comes_back_byte_for_byte(name: str) -> None:
     assert playpens.edited(text, playpens.parse(text, name)) == text
 
 
-def changed(**update: object) -> str:
+def edited_text(**update: object) -> str:
     playpen = playpens.parse(TEXT, "mine").model_copy(update=update)
     text = playpens.edited(TEXT, playpen)
     assert playpens.parse(text, "edited") == playpen
@@ -61,23 +61,23 @@ def changed(**update: object) -> str:
 
 def test_a_value_is_changed_where_it_stands_and_its_comment_stays() -> None:
     robot = playpens.parse(TEXT, "mine").robots[0].model_copy(update={"heading_deg": 45.0, "mode": 2})
-    assert changed(robots=(robot,)) == TEXT.replace(
+    assert edited_text(robots=(robot,)) == TEXT.replace(
         "heading_deg = 90  # up", "heading_deg = 45.0  # up\nmode = 2"
     )
 
 
 def test_a_thing_that_goes_takes_its_lines_with_it_and_no_others() -> None:
     first, second = playpens.parse(TEXT, "mine").blocks
-    text = changed(blocks=(second,))
+    text = edited_text(blocks=(second,))
     assert "[[block]]         # the second" in text
     assert "made of wood" not in text.split("[[block]]")[1]
-    assert "width_mm  =  20   # two spaces" in changed(blocks=(first,))
+    assert "width_mm  =  20   # two spaces" in edited_text(blocks=(first,))
 
 
 def test_a_new_thing_comes_behind_those_of_its_kind() -> None:
     playpen = playpens.parse(TEXT, "mine")
     third = Block(name="third", x_mm=400, y_mm=400, length_mm=20, width_mm=20, height_mm=50)
-    text = changed(blocks=(*playpen.blocks, third))
+    text = edited_text(blocks=(*playpen.blocks, third))
     assert text.startswith(TEXT[: TEXT.index("[[robot]]")].rstrip())
     assert text.index("third") < text.index("[[robot]]")
     assert "# by the ruler" in text
@@ -85,7 +85,7 @@ def test_a_new_thing_comes_behind_those_of_its_kind() -> None:
 
 def test_a_new_thing_has_no_keys_with_their_defaults() -> None:
     head = 'version = 1\nname = "p"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
-    whole = playpens.parse(
+    playpen = playpens.parse(
         head
         + "[lighting]\nmode = 'random'\n"
         + "[[block]]\nx_mm = 100\ny_mm = 100\nlength_mm = 60\nwidth_mm = 20\nheight_mm = 50\n"
@@ -95,38 +95,38 @@ def test_a_new_thing_has_no_keys_with_their_defaults() -> None:
         + "[[robot]]\nx_mm = 500\ny_mm = 400\nheading_deg = 90\nmodel = 'khepera2'\nrom = '5.02'\n",
         "p",
     )
-    text = playpens.edited(head, whole)
-    assert playpens.parse(text, "p") == whole
-    found = tomllib.loads(text)
-    assert found["arena"] == {"width_mm": 600, "height_mm": 500}
-    assert found["lighting"] == {"mode": "random"}
-    assert found["lamp"] == [{"x_mm": 50, "y_mm": 50, "power_w": 2}]
-    assert sorted(found["block"][0]) == ["height_mm", "length_mm", "width_mm", "x_mm", "y_mm"]
-    # What follows from a spot or a model is not written, what deviates from it is.
-    assert found["robot"] == [
+    text = playpens.edited(head, playpen)
+    assert playpens.parse(text, "p") == playpen
+    data = tomllib.loads(text)
+    assert data["arena"] == {"width_mm": 600, "height_mm": 500}
+    assert data["lighting"] == {"mode": "random"}
+    assert data["lamp"] == [{"x_mm": 50, "y_mm": 50, "power_w": 2}]
+    assert sorted(data["block"][0]) == ["height_mm", "length_mm", "width_mm", "x_mm", "y_mm"]
+    # Keys that follow from a spot or a model are written only if they deviate.
+    assert data["robot"] == [
         {"spots": ["a"]},
         {"x_mm": 500, "y_mm": 400, "heading_deg": 90, "model": "khepera2", "rom": "5.02"},
     ]
-    # A default that somebody has written into the file stays.
-    said = head.replace("height_mm = 500", "height_mm = 500\nsurface = 'white'")
-    assert "surface = 'white'" in playpens.edited(said, whole)
+    # A default that the file states stays.
+    explicit = head.replace("height_mm = 500", "height_mm = 500\nsurface = 'white'")
+    assert "surface = 'white'" in playpens.edited(explicit, playpen)
 
 
 def test_the_first_thing_of_a_kind_can_be_given() -> None:
-    text = changed(lamps=(Lamp(x_mm=50, y_mm=50, power_w=2),))
+    text = edited_text(lamps=(Lamp(x_mm=50, y_mm=50, power_w=2),))
     assert text.startswith(TEXT.rstrip())
     assert "[[lamp]]" in text
 
 
 def test_all_things_of_a_kind_can_be_taken_away() -> None:
-    assert "[[block]]" not in changed(blocks=())
+    assert "[[block]]" not in edited_text(blocks=())
 
 
 def test_a_file_without_a_last_line_end_can_be_added_to() -> None:
     text = TEXT.rstrip()
     playpen = playpens.parse(text, "mine")
-    more = playpen.model_copy(update={"lamps": (Lamp(x_mm=50, y_mm=50, power_w=2),)})
-    assert playpens.parse(playpens.edited(text, more), "edited") == more
+    extended = playpen.model_copy(update={"lamps": (Lamp(x_mm=50, y_mm=50, power_w=2),)})
+    assert playpens.parse(playpens.edited(text, extended), "edited") == extended
 
 
 SPOTS = (
@@ -147,11 +147,11 @@ def test_what_follows_from_spots_and_model_is_written_where_they_change() -> Non
         {"model": "khepera2", "calibration": "khepera2", "rom": "khepera2"},
     ):
         changed_robot = playpen.robots[0].model_copy(update=update)
-        more = playpen.model_copy(update={"robots": (changed_robot,)})
-        assert playpens.parse(playpens.edited(text, more), "edited") == more
+        extended = playpen.model_copy(update={"robots": (changed_robot,)})
+        assert playpens.parse(playpens.edited(text, extended), "edited") == extended
     moved = (playpen.spots[0].model_copy(update={"x_mm": 120.0}), playpen.spots[1])
-    more = playpen.model_copy(update={"spots": moved})
-    assert playpens.parse(playpens.edited(text, more), "edited") == more
+    extended = playpen.model_copy(update={"spots": moved})
+    assert playpens.parse(playpens.edited(text, extended), "edited") == extended
     assert robot
 
 
@@ -159,8 +159,8 @@ def test_a_file_in_other_styles_is_changed_rightly_or_not_at_all() -> None:
     text = 'version = 1\nname = "p"\nsurfaces.a = {reflectance = 0.5, rgb = [1, 2, 3]}\n'
     text += 'lighting.mode = "all"\narena = {width_mm = 600, height_mm = 500}\n'
     playpen = playpens.parse(text, "p")
-    more = playpen.model_copy(update={"surfaces": {**playpen.surfaces, "z": playpen.surfaces["a"]}})
-    found = None
+    extended = playpen.model_copy(update={"surfaces": {**playpen.surfaces, "z": playpen.surfaces["a"]}})
+    result = None
     with contextlib.suppress(PlaypenError):
-        found = playpens.parse(playpens.edited(text, more), "edited")
-    assert found in (None, more)
+        result = playpens.parse(playpens.edited(text, extended), "edited")
+    assert result in (None, extended)

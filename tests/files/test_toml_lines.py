@@ -1,4 +1,4 @@
-"""Where in a TOML file a table or a key stands."""
+"""Line numbers of tables and keys in a TOML file."""
 
 import pytest
 

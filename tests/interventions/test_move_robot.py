@@ -1,4 +1,4 @@
-"""Putting a robot down in a world that runs."""
+"""Moving a robot manually in a running world."""
 
 import math
 from pathlib import Path
@@ -31,15 +31,15 @@ def test_a_robot_stands_where_it_was_put_and_its_counters_stay(field: Playpen) -
         twin.robot.send(b"D,0,0\n")
         twin.advance_to(3 * SECOND)
         x, y, _ = twin.robot.pose
-        # Its motors were on until the command had come.
+        # Its motors were on until the command arrived.
         assert math.dist((x, y), (0.7, 0.8)) < 0.02
 
 
 def test_a_robot_that_lies_is_put_upright(field: Playpen) -> None:
     with open_twin(field, TwinOptions(noise=False)) as twin:
         model, data = twin.world.model, twin.world.data
-        at = model.joint("khepera0/pose").qposadr[0]
-        data.qpos[at + 2 : at + 7] = 0.05, 0, 1, 0, 0
+        address = model.joint("khepera0/pose").qposadr[0]
+        data.qpos[address + 2 : address + 7] = 0.05, 0, 1, 0, 0
         place_robot(twin.world, 0, 700, 800, 0)
         twin.advance_to(SECOND)
         assert data.xmat[model.body("khepera0/base").id, 8] > 0.999

@@ -1,4 +1,4 @@
-"""Lamps in a world that runs, switched by hand."""
+"""Lamps in a running world, switched manually."""
 
 import pytest
 
@@ -12,8 +12,8 @@ from khep_twin.world import World
 SECOND = 10**9
 
 
-def lit() -> Playpen:
-    """One lamp ahead of the robot."""
+def lamp_ahead() -> Playpen:
+    """Return a playpen with one lamp in front of the robot."""
     return playpens.parse(
         'version = 1\nname = "lit"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
         "[[lamp]]\nx_mm = 450\ny_mm = 250\npower_w = 7\n[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n",
@@ -22,7 +22,7 @@ def lit() -> Playpen:
 
 
 def test_a_lamp_is_dark_to_the_sensors_until_it_is_switched_on_again() -> None:
-    world = World(lit(), noise=False)
+    world = World(lamp_ahead(), noise=False)
     counts = []
     for on in (True, False, True):
         switch(world, 0, on)
@@ -32,7 +32,7 @@ def test_a_lamp_is_dark_to_the_sensors_until_it_is_switched_on_again() -> None:
 
 
 def test_a_lamp_that_blinks_stays_dark_when_a_hand_has_switched_it_off() -> None:
-    playpen = lit()
+    playpen = lamp_ahead()
     lamp = playpen.lamps[0].model_copy(update={"blink_period_s": 0.2})
     world = World(playpen.model_copy(update={"lamps": (lamp,)}))
     switch(world, 0, False)
@@ -43,11 +43,11 @@ def test_a_lamp_that_blinks_stays_dark_when_a_hand_has_switched_it_off() -> None
 
 def test_a_lamp_that_there_is_not_is_told() -> None:
     with pytest.raises(PlaypenError, match="lamp = 1: there is none"):
-        switch(World(lit()), 1, False)
+        switch(World(lamp_ahead()), 1, False)
 
 
 def test_a_lamp_that_fades_does_so_from_the_moment_a_hand_switches_it() -> None:
-    playpen = lit()
+    playpen = lamp_ahead()
     lamp = playpen.lamps[0].model_copy(update={"fade_s": 1.0})
     world = World(playpen.model_copy(update={"lamps": (lamp,)}))
     world.advance_to(2 * SECOND + 1)

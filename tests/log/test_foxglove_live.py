@@ -56,12 +56,12 @@ def test_a_client_has_the_messages_of_the_log_byte_by_byte(server: FoxgloveServe
         twin.record(tmp_path / "run.mcap")
         twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         watcher.subscribe(*topics)
-        watcher.until("/scene")  # it has subscribed
+        watcher.receive_until("/scene")  # it has subscribed
         twin.world.log_event(0, "put down")
         drive(twin)
         twin.flush()
         twin.world.log_event(0, "taken away")
-        messages = watcher.until("/events", 2 * SECOND)
+        messages = watcher.receive_until("/events", 2 * SECOND)
     sent: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
     for message in messages:
         sent[message.topic].append((message.time_ns, message.data))
@@ -77,11 +77,11 @@ def test_an_independent_reader_decodes_them(server: FoxgloveServer) -> None:
     with open_twin("obstacles", TwinOptions(seed=3)) as twin, client(server.address) as watcher:
         twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         watcher.subscribe("/khepera0/speed", "/tf", "/khepera0/serial", "/events", "/scene")
-        scene = watcher.until("/scene")[-1]
+        scene = watcher.receive_until("/scene")[-1]
         drive(twin)
         twin.flush()
         twin.world.log_event(0, "taken away")
-        messages = watcher.until("/events", 2 * SECOND)
+        messages = watcher.receive_until("/events", 2 * SECOND)
         assert watcher.info["capabilities"] == ["time"]  # nothing that a client could change
     last = {message.topic: decoded(watcher, message) for message in messages}
     assert last["/khepera0/speed"].data[2:] == [8.0, 5.0]
@@ -103,10 +103,10 @@ def test_who_subscribes_late_has_the_scene_and_the_time(server: FoxgloveServer, 
         drive(twin, 1)
         with client(server.address) as watcher:
             watcher.subscribe("/events", *STANDING)
-            messages = watcher.until(STANDING[-1])  # it has subscribed
+            messages = watcher.receive_until(STANDING[-1])  # it has subscribed
             twin.flush()
             twin.world.log_event(0, "taken away")
-            watcher.until("/events")
+            watcher.receive_until("/events")
             watcher.until_time(SECOND)
     logged = by_topic(tmp_path / "run.mcap")
     assert {message.topic: message.data for message in messages} == {
@@ -120,7 +120,7 @@ def test_a_client_that_never_reads_holds_no_run_up(server: FoxgloveServer) -> No
     with open_twin("default", TwinOptions()) as twin, client(server.address) as watcher:
         twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         watcher.subscribe(*SAMPLED, "/tf", "/scene")
-        watcher.until("/scene")
+        watcher.receive_until("/scene")
 
         def go() -> None:
             twin.advance_to(20 * SECOND)
@@ -176,10 +176,10 @@ def test_what_a_client_sends_changes_nothing(server: FoxgloveServer) -> None:
         watcher.connection.send(b"\x01\x01\x00\x00\x00D,9,9\n")
         watcher.connection.send("no JSON")
         watcher.subscribe("/khepera0/speed", "/scene")
-        watcher.until("/scene")
+        watcher.receive_until("/scene")
         drive(twin, 1)
         twin.flush()
-        speeds = decoded(watcher, watcher.until("/khepera0/speed", SECOND)[-1])
+        speeds = decoded(watcher, watcher.receive_until("/khepera0/speed", SECOND)[-1])
     with open_twin("default", TwinOptions()) as alone:
         drive(alone, 1)
     assert speeds.data[2:] == [8.0, 5.0]

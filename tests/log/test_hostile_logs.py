@@ -14,7 +14,7 @@ from driving import SECOND
 from log_rewriting import rewritten
 from mcap.opcode import Opcode
 
-from checks.fuzz.log_mutations import Record, put_together, taken_apart
+from checks.fuzz.log_mutations import Record, assemble_log, parse_records
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
 from khep_twin.lab.conformance.recording.conform import conform_recording
@@ -321,7 +321,7 @@ def with_schemas(small: Path, path: Path, old: bytes, new: bytes) -> Path:
             record, inner=inner, content=record.content.replace(old, new) if is_schema else record.content
         )
 
-    path.write_bytes(put_together([changed(record) for record in taken_apart(small.read_bytes())]))
+    path.write_bytes(assemble_log([changed(record) for record in parse_records(small.read_bytes())]))
     return path
 
 

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC
 
-from checks.fuzz.log_mutations import HEAD, Record, bytes_of, put_together, taken_apart, with_packed
+from checks.fuzz.log_mutations import HEAD, Record, assemble_log, bytes_of, parse_records, with_packed
 from khep_twin.errors import LogError
 from khep_twin.log.reader import read_end_ns, read_label, read_log, read_series
 from khep_twin.log.record_bytes import LARGEST_CHUNK
@@ -49,7 +49,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
     path = tmp_path_factory.mktemp("log") / "small.mcap"
     with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
         twin.advance_to(SECOND // 10)
-    return taken_apart(path.read_bytes())
+    return parse_records(path.read_bytes())
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def printed_lines(path: Path) -> list[str]:
 
 def test_a_log_put_together_again_is_the_log(parts: list[Record], tmp_path: Path) -> None:
     path = tmp_path / "again.mcap"
-    path.write_bytes(put_together(parts))
+    path.write_bytes(assemble_log(parts))
     assert len(read_log(path).robots["khepera0"].times_ns) == 6
     assert read_end_ns(path) == SECOND // 10
     assert printed_lines(path) == []
@@ -90,7 +90,7 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_refused_in_little_memory(
     }
     for name, (packed, size) in lies.items():
         path = tmp_path / f"{name}.mcap"
-        path.write_bytes(put_together(with_packed(parts, packed, size)))
+        path.write_bytes(assemble_log(with_packed(parts, packed, size)))
         lines = printed_lines(path)
         assert len(lines) == 2, lines  # the label is whole, and so is what recover writes
         expected = f"at most {LARGEST_CHUNK}" if size > LARGEST_CHUNK else "what its size and checksum say"
@@ -102,7 +102,7 @@ def test_many_chunks_that_unpack_to_much_are_refused_in_time(parts: list[Record]
     packed = zstandard.ZstdCompressor(level=1).compress(bytes(LARGEST_CHUNK))
     chunks = [Record(Opcode.CHUNK, b"", (), packed, LARGEST_CHUNK) for _ in range(200)]
     path = tmp_path / "many.mcap"
-    path.write_bytes(put_together([*parts, *chunks]))
+    path.write_bytes(assemble_log([*parts, *chunks]))
     began = time.process_time()
     with pytest.raises(LogError, match=r"chunks? .* expected"):
         read_log(path)
@@ -130,7 +130,7 @@ def index(data: bytes, change: Callable[[list[tuple[int, bytes]]], Sequence[tupl
 
 def test_an_index_that_names_a_record_twice_is_refused(parts: list[Record], tmp_path: Path) -> None:
     path = tmp_path / "twice.mcap"
-    path.write_bytes(index(put_together(parts), lambda records: [*records, *records]))
+    path.write_bytes(index(assemble_log(parts), lambda records: [*records, *records]))
     with pytest.raises(LogError, match=r"record at byte \d+ named twice in the index; expected each once"):
         read_label(path)
 
@@ -156,14 +156,14 @@ def test_an_index_that_names_records_across_each_other_is_refused(
         ]
 
     path = tmp_path / "across.mcap"
-    path.write_bytes(index(put_together(parts), longer))
+    path.write_bytes(index(assemble_log(parts), longer))
     with pytest.raises(LogError, match=r"no whole log: record .* expected"):
         read_log(path)
 
 
 @pytest.mark.parametrize("size", [2**20, 2**31, 2**62, 2**64 - 1])
 def test_lengths_of_records_are_not_believed(parts: list[Record], tmp_path: Path, size: int) -> None:
-    data = put_together(parts)
+    data = assemble_log(parts)
     start, end = foot(data)
     first = len(MCAP0_MAGIC)
     (header,) = struct.unpack_from("<Q", data, first + 1)
@@ -185,7 +185,7 @@ def test_lengths_of_texts_and_counts_are_not_believed(parts: list[Record], tmp_p
                 for part in parts
             ]
             path = tmp_path / "x.mcap"
-            path.write_bytes(put_together(changed))
+            path.write_bytes(assemble_log(changed))
             try:
                 read_series(path)
             except LogError as error:
@@ -194,7 +194,7 @@ def test_lengths_of_texts_and_counts_are_not_believed(parts: list[Record], tmp_p
 
 def test_what_is_recovered_of_a_bomb_can_be_read(parts: list[Record], bomb: bytes, tmp_path: Path) -> None:
     path = tmp_path / "bomb.mcap"
-    path.write_bytes(put_together(with_packed(parts, bomb, 1 << 31)))
+    path.write_bytes(assemble_log(with_packed(parts, bomb, 1 << 31)))
     recovery = recover(path)
     assert recovery.n_damaged == 1
     read_log(recovery.path)

@@ -110,9 +110,7 @@ def test_a_file_that_appears_under_a_logs_name_meanwhile_is_kept(
     kept_log = file.with_name(f"{file.stem}.kept.mcap")
     with pytest.raises(LogError) as error:
         log.finish()
-    assert str(error.value) == (
-        f"{path}: another file is there by now, and stays; what was to be written is {kept_log}"
-    )
+    assert str(error.value) == (f"{path}: another file exists by now and is kept; the new one is {kept_log}")
     assert file.read_text() == "a year's work"
     assert read_label(kept_log).robots == ("khepera0",)
     assert sorted(tmp_path.iterdir()) == sorted({path, file, kept_log})

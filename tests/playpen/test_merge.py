@@ -1,4 +1,4 @@
-"""Blocks that continue each other are one geom, and nothing else changes."""
+"""Adjoining blocks become one geom, without other changes."""
 
 import numpy as np
 import pytest
@@ -11,9 +11,9 @@ from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.world import World
 
 
-def block(x_mm: float, y_mm: float, length_mm: float = 40, width_mm: float = 10, **more: object) -> Block:
+def block(x_mm: float, y_mm: float, length_mm: float = 40, width_mm: float = 10, **keys: object) -> Block:
     values = {"x_mm": x_mm, "y_mm": y_mm, "length_mm": length_mm, "width_mm": width_mm, "height_mm": 50.0}
-    return Block.model_validate({**values, **more})
+    return Block.model_validate({**values, **keys})
 
 
 def test_blocks_in_a_line_that_touch_or_cross_are_one() -> None:
@@ -34,7 +34,9 @@ def test_a_checker_of_squares_becomes_one_block() -> None:
 
 def test_slanting_blocks_are_merged_along_their_own_axis() -> None:
     step = 40 / np.sqrt(2)
-    ((_, one),) = merge_blocks([block(100, 100, angle_deg=45.0), block(100 + step, 100 + step, angle_deg=45.0)])
+    ((_, one),) = merge_blocks(
+        [block(100, 100, angle_deg=45.0), block(100 + step, 100 + step, angle_deg=45.0)]
+    )
     assert one.length_mm == pytest.approx(80)
     np.testing.assert_allclose([one.x_mm, one.y_mm], 100 + step / 2)
 
@@ -58,9 +60,11 @@ def test_a_scene_has_fewer_geoms_and_looks_the_same_to_a_robot() -> None:
     head = 'version = 1\nname = "m"\n[arena]\nwidth_mm = 400\nheight_mm = 400\n'
     robot = "[[robot]]\nx_mm = 200\ny_mm = 200\nheading_deg = 20\n"
     table = "[[block]]\nx_mm = {}\ny_mm = 245\nlength_mm = {}\nwidth_mm = 10\nheight_mm = 50\n"
-    many = playpen.parse(head + robot + "".join(table.format(110 + 20 * i, 20) for i in range(10)), "m")
-    one = playpen.parse(head + robot + table.format(200, 200), "m")
-    assert to_spec(many).compile().ngeom == to_spec(one).compile().ngeom
-    seen = [World(each, noise=False).robots[0].registers[PROXIMITY] for each in (many, one)]
-    np.testing.assert_array_equal(*seen)
-    assert seen[0].max() > 100
+    split = playpen.parse(head + robot + "".join(table.format(110 + 20 * i, 20) for i in range(10)), "m")
+    merged = playpen.parse(head + robot + table.format(200, 200), "m")
+    assert to_spec(split).compile().ngeom == to_spec(merged).compile().ngeom
+    readings = [
+        World(world_playpen, noise=False).robots[0].registers[PROXIMITY] for world_playpen in (split, merged)
+    ]
+    np.testing.assert_array_equal(*readings)
+    assert readings[0].max() > 100

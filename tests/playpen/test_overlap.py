@@ -1,4 +1,4 @@
-"""Things in an arena: which of them stand in each other's way."""
+"""Placement: detection of overlapping parts in an arena."""
 
 import itertools
 import re
@@ -18,14 +18,14 @@ def arena(side_mm: float) -> Arena:
     return Arena(width_mm=side_mm, height_mm=side_mm)
 
 
-def thing(
-    number: int, footprint: Footprint, *, free: bool = True, bottom: float = 0, top: float = 50
+def block(
+    number: int, footprint: Footprint, *, is_free: bool = True, bottom: float = 0, top: float = 50
 ) -> PlacedPart:
-    return PlacedPart("block", number, None, footprint, bottom, top, free)
+    return PlacedPart("block", number, None, footprint, bottom, top, is_free)
 
 
-def holds(shape: Footprint, points: Points) -> NDArray[np.bool_]:
-    """Which of the points (n, 2) lie in a shape."""
+def contains(shape: Footprint, points: Points) -> NDArray[np.bool_]:
+    """Return whether points (n, 2) lie in a shape (n,)."""
     offsets = points - np.array((shape.x_mm, shape.y_mm))
     if isinstance(shape, Circle):
         return np.hypot(*offsets.T) < shape.radius_mm
@@ -33,7 +33,7 @@ def holds(shape: Footprint, points: Points) -> NDArray[np.bool_]:
     return (abs(along) < shape.length_mm / 2) & (abs(across) < shape.width_mm / 2)
 
 
-def grown(shape: Footprint, by_mm: float) -> Footprint:
+def grow(shape: Footprint, by_mm: float) -> Footprint:
     if isinstance(shape, Circle):
         return Circle(shape.x_mm, shape.y_mm, shape.radius_mm + by_mm)
     length_mm, width_mm = shape.length_mm + by_mm, shape.width_mm + by_mm
@@ -52,36 +52,44 @@ def random_shapes(n: int) -> list[Footprint]:
 def test_shapes_overlap_exactly_where_they_share_points() -> None:
     axis = np.arange(0, 300, 1.0)
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    shapes = [(shape, holds(shape, points), holds(grown(shape, 3), points)) for shape in random_shapes(12)]
-    for (one, its, around_it), (other, others, around_other) in itertools.combinations(shapes, 2):
+    shapes = [
+        (shape, contains(shape, points), contains(grow(shape, 3), points)) for shape in random_shapes(12)
+    ]
+    for (one, points_in_one, points_near_one), (
+        other,
+        points_in_other,
+        points_near_other,
+    ) in itertools.combinations(shapes, 2):
         assert overlap(one, other) == overlap(other, one)
-        if (its & others).any():
+        if (points_in_one & points_in_other).any():
             assert overlap(one, other)
-        # Between points 1 mm apart hides no more than a sliver.
-        if not (around_it & around_other).any():
+        # Between points 1 mm apart only a sliver can be missed.
+        if not (points_near_one & points_near_other).any():
             assert not overlap(one, other)
 
 
 def test_each_free_thing_is_held_against_every_other_thing() -> None:
-    things = [thing(number, shape, free=number % 3 == 0) for number, shape in enumerate(random_shapes(12), 1)]
+    parts = [
+        block(number, shape, is_free=number % 3 == 0) for number, shape in enumerate(random_shapes(12), 1)
+    ]
     expected = {
         (one.number, other.number)
-        for one, other in itertools.combinations(things, 2)
+        for one, other in itertools.combinations(parts, 2)
         if (one.is_free or other.is_free) and overlap(one.footprint, other.footprint)
     }
-    told = [re.findall(r"block (\d+)", each.text) for each in placement_problems(things, arena(1000))]
-    assert {tuple(sorted(map(int, numbers))) for numbers in told} == expected
-    assert len(told) == len(expected) > 5
+    pairs = [re.findall(r"block (\d+)", problem.text) for problem in placement_problems(parts, arena(1000))]
+    assert {tuple(sorted(map(int, numbers))) for numbers in pairs} == expected
+    assert len(pairs) == len(expected) > 5
 
 
 def test_fixed_things_may_overlap() -> None:
-    assert not list(placement_problems([thing(1, Circle(50, 50, 9), free=False)] * 2, arena(100)))
+    assert not list(placement_problems([block(1, Circle(50, 50, 9), is_free=False)] * 2, arena(100)))
 
 
-@pytest.mark.parametrize(("bottom", "told"), [(50, 0), (49.9, 1)])
-def test_things_above_each_other_are_clear_of_each_other(bottom: float, told: int) -> None:
-    things = [thing(1, Circle(50, 50, 9)), thing(2, Circle(50, 50, 9), bottom=bottom, top=90)]
-    assert len(list(placement_problems(things, arena(100)))) == told
+@pytest.mark.parametrize(("bottom", "n_problems"), [(50, 0), (49.9, 1)])
+def test_things_above_each_other_are_clear_of_each_other(bottom: float, n_problems: int) -> None:
+    parts = [block(1, Circle(50, 50, 9)), block(2, Circle(50, 50, 9), bottom=bottom, top=90)]
+    assert len(list(placement_problems(parts, arena(100)))) == n_problems
 
 
 def test_a_label_has_kind_number_and_name() -> None:

@@ -1,4 +1,4 @@
-"""Playpen files: what they say, what they may not say, and how they are told so."""
+"""Playpen files: keys, defaults, invalid values and their error messages."""
 
 import json
 import os
@@ -46,11 +46,11 @@ def numbered_lines_about(text: str) -> list[str]:
 
 
 def lines_about(text: str) -> list[str]:
-    """The same without the numbers of the file's lines."""
+    """Return the error lines without line numbers."""
     return [re.sub(r"^p\.toml:\d+:", "p.toml:", line) for line in numbered_lines_about(text)]
 
 
-# What a file says ----------------------------------------------------------------------------------------
+# Content of a file ---------------------------------------------------------------------------------------
 
 
 def test_what_a_file_leaves_out_has_the_defaults_of_the_format() -> None:
@@ -132,7 +132,7 @@ def test_a_playpen_does_not_change() -> None:
         parse().name = "other"  # type: ignore[misc]
 
 
-# What ships ----------------------------------------------------------------------------------------------
+# Shipped playpens ----------------------------------------------------------------------------------------
 
 
 def test_the_shipped_playpens_are_listed() -> None:
@@ -156,17 +156,17 @@ def test_the_default_is_four_walls_and_one_robot_in_the_middle() -> None:
 def test_no_lane_between_the_obstacles_is_narrower_than_90_mm() -> None:
     playpen = Playpen.load("obstacles")
     inner = [block for block in playpen.blocks if not (block.name or "").startswith("corner")]
-    things = [item.footprint for item in (*inner, *playpen.cylinders)]
-    # A disc as wide as a lane, anywhere in the arena, meets at most one thing or wall.
+    footprints = [item.footprint for item in (*inner, *playpen.cylinders)]
+    # A disc as wide as a lane overlaps at most one object or wall, anywhere in the arena.
     for x in range(0, 801, 10):
         for y in range(0, 601, 10):
             disc = Circle(x, y, 45)
-            met = sum(overlap(disc, thing) for thing in things)
-            met += min(x, 800 - x, y, 600 - y) < disc.radius_mm
-            assert met <= 1, (x, y)
+            n_overlaps = sum(overlap(disc, footprint) for footprint in footprints)
+            n_overlaps += min(x, 800 - x, y, 600 - y) < disc.radius_mm
+            assert n_overlaps <= 1, (x, y)
 
 
-# Wrong files ---------------------------------------------------------------------------------------------
+# Invalid files -------------------------------------------------------------------------------------------
 
 SURFACES = "(choices: white, grey, black, wood, styropor, sponge, copper, lego)"
 PLACE = "expected a number from 0 to 10000"
@@ -314,7 +314,7 @@ WRONG_IN_ARENA = {
     '[[patch]]\nname = "q"\nx_mm = 99\ny_mm = 99\nradius_mm = 9\n' * 2: 'patch 2 (q): name = "q": taken '
     "by patch 1 (q); expected a unique name",
 }
-"""What follows a good head and arena, and what is wrong with it."""
+"""Invalid text after a valid head and arena, and its error message."""
 
 WRONG = {
     "": "name is missing; expected 1 to 64 letters, digits, '_' or '-'",
@@ -342,11 +342,11 @@ def test_a_wrong_file_is_reported_place_key_value_and_what_would_be_right(text: 
 @pytest.mark.parametrize(("text", "line"), WRONG.items(), ids=range(len(WRONG)))
 def test_the_line_that_is_reported_has_the_key_or_begins_the_table(text: str, line: str) -> None:
     numbers = re.findall(r"^p\.toml:(\d+): (.*)$", "\n".join(numbered_lines_about(text)), re.MULTILINE)
-    for number, told in numbers:
-        there = text.splitlines()[int(number) - 1]
-        words = re.findall(r"\w+", told)
-        assert set(re.findall(r"\w+", there.partition("=")[0])) & set(words), (there, told)
-    # Only what is missing or wrong as a whole has no line.
+    for number, message in numbers:
+        reported_line = text.splitlines()[int(number) - 1]
+        words = re.findall(r"\w+", message)
+        assert set(re.findall(r"\w+", reported_line.partition("=")[0])) & set(words), (reported_line, message)
+    # Only missing keys and files that are not TOML have no line.
     if not numbers:
         assert "is missing" in line or "not TOML" in line or "is no name" in line
 
@@ -389,7 +389,7 @@ def test_of_very_many_problems_of_a_place_only_the_first_are_reported() -> None:
     )
 
 
-# Where things may stand ----------------------------------------------------------------------------------
+# Placement -----------------------------------------------------------------------------------------------
 
 
 def test_fixed_objects_may_cross_each_other_and_the_walls() -> None:
@@ -397,8 +397,8 @@ def test_fixed_objects_may_cross_each_other_and_the_walls() -> None:
 
 
 def test_a_robot_may_touch_a_wall_and_another_robot() -> None:
-    beside = ROBOT.replace("x_mm = 300", "x_mm = 27.5")
-    assert len(parse(beside, beside.replace("27.5", "82.5")).robots) == 2
+    robot = ROBOT.replace("x_mm = 300", "x_mm = 27.5")
+    assert len(parse(robot, robot.replace("27.5", "82.5")).robots) == 2
 
 
 def test_a_robot_fits_beside_the_corner_of_a_turned_block() -> None:
@@ -464,7 +464,7 @@ def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
         Playpen.load(locked)
 
 
-# There and back ------------------------------------------------------------------------------------------
+# Dump and parse ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", playpens.names())
@@ -479,15 +479,15 @@ def test_a_dump_can_be_given_more_by_hand() -> None:
     assert len(playpens.parse(playpens.dump(parse(ROBOT)) + LAMP, "dump").lamps) == 1
 
 
-places = st.floats(0, 500, allow_nan=False)
+coordinates = st.floats(0, 500, allow_nan=False)
 sizes = st.floats(1, 400, allow_nan=False)
 object_names = st.none() | st.from_regex(r"[A-Za-z0-9_-]{1,64}", fullmatch=True)
 surfaces = st.sampled_from(["white", "grey", "black", "lego"])
 angles = st.floats(-360, 360)
 blocks = st.builds(
     Block,
-    x_mm=places,
-    y_mm=places,
+    x_mm=coordinates,
+    y_mm=coordinates,
     angle_deg=angles,
     length_mm=sizes,
     width_mm=sizes,
@@ -495,8 +495,12 @@ blocks = st.builds(
     surface=surfaces,
     mass_g=sizes,
 )
-cylinders = st.builds(Cylinder, x_mm=places, y_mm=places, radius_mm=sizes, height_mm=sizes, surface=surfaces)
-lamps = st.builds(Lamp, x_mm=places, y_mm=places, z_mm=st.floats(41, 1000), power_w=st.floats(0, 1000))
+cylinders = st.builds(
+    Cylinder, x_mm=coordinates, y_mm=coordinates, radius_mm=sizes, height_mm=sizes, surface=surfaces
+)
+lamps = st.builds(
+    Lamp, x_mm=coordinates, y_mm=coordinates, z_mm=st.floats(41, 1000), power_w=st.floats(0, 1000)
+)
 robots = st.builds(
     RobotEntry,
     name=object_names,
@@ -559,17 +563,17 @@ lines = st.one_of(
 @settings(derandomize=True, database=None, max_examples=100, deadline=None)
 @given(st.lists(lines, max_size=8).map("\n".join))
 def test_any_text_is_a_playpen_or_is_refused_as_one(text: str) -> None:
-    told: list[str] = []
+    messages: list[str] = []
     try:
         playpen = playpens.parse(text, "p.toml")
         assert playpens.parse(playpens.dump(playpen), "dump") == playpen
     except PlaypenError as error:
-        told = str(error).splitlines()
-    assert all(re.match(r"p\.toml:(\d+:)? ", line) for line in told)
+        messages = str(error).splitlines()
+    assert all(re.match(r"p\.toml:(\d+:)? ", line) for line in messages)
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "line"),
+    ("old", "new", "line"),
     [
         ("version = 1", "version = 0x" + "9" * 5000, "version = a number of thousands of digits; expected 1"),
         (
@@ -579,10 +583,10 @@ def test_any_text_is_a_playpen_or_is_refused_as_one(text: str) -> None:
         ),
     ],
 )
-def test_a_number_too_long_to_write_out_is_reported(before: str, after: str, line: str) -> None:
+def test_a_number_too_long_to_write_out_is_reported(old: str, new: str, line: str) -> None:
     text = 'version = 1\nname = "x"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
     with pytest.raises(PlaypenError) as caught:
-        playpens.parse(text.replace(before, after), "x")
+        playpens.parse(text.replace(old, new), "x")
     assert re.sub(r"^x:\d+:", "x:", str(caught.value)) == f"x: {line}"
 
 
@@ -598,21 +602,21 @@ def test_nesting_of_any_depth_is_an_error_of_ours() -> None:
 TWO_SPOTS = SPOT + SPOT.replace('"a"', '"b"').replace("300", "100")
 
 
-def drawn(text: str, seed: int) -> list[float]:
+def drawn_positions(text: str, seed: int) -> list[float]:
     playpen = playpens.place_robots(parse(text), np.random.default_rng(seed))
     assert not any(robot.spots for robot in playpen.robots)
     return [robot.x_mm for robot in playpen.robots]
 
 
 def test_a_robot_stands_at_one_of_its_spots_by_the_seed() -> None:
-    places = [drawn(TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n', seed) for seed in range(20)]
-    assert {x for (x,) in places} == {100, 300}
-    assert places[0] == drawn(TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n', 0)
+    positions = [drawn_positions(TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n', seed) for seed in range(20)]
+    assert {x for (x,) in positions} == {100, 300}
+    assert positions[0] == drawn_positions(TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n', 0)
 
 
 def test_robots_that_share_spots_always_find_room_where_there_is() -> None:
     text = TWO_SPOTS + '[[robot]]\nspots = ["a", "b"]\n[[robot]]\nspots = ["a"]\n'
-    assert all(drawn(text, seed) == [100, 300] for seed in range(20))
+    assert all(drawn_positions(text, seed) == [100, 300] for seed in range(20))
 
 
 @pytest.mark.parametrize(
@@ -644,7 +648,7 @@ def test_a_wall_thicker_than_a_notch_is_refused() -> None:
     assert parse(arena=ARENA + notch + "wall_thickness_mm = 1\n")
 
 
-# For editors ---------------------------------------------------------------------------------------------
+# Schema --------------------------------------------------------------------------------------------------
 
 
 def test_the_published_schema_is_that_of_the_format() -> None:

@@ -1,4 +1,4 @@
-"""Walls along lines: polygons, what is in them, and the walls around them."""
+"""Polygons: area, contained points, crossings, and the walls around them."""
 
 import math
 
@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from khep_twin.playpen.footprint import Rectangle
-from khep_twin.playpen.polygon import area, contains, corner_before, find_crossing, distance, pieces, walls_around
+from khep_twin.playpen.polygon import (
+    area,
+    contains,
+    corner_before,
+    distance,
+    find_crossing,
+    pieces,
+    walls_around,
+)
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 L_SHAPE = [(0.0, 0.0), (300.0, 0.0), (300.0, 100.0), (100.0, 100.0), (100.0, 300.0), (0.0, 300.0)]
@@ -28,7 +36,7 @@ def test_the_area_of_a_polygon_has_the_sign_of_its_sense() -> None:
 
 
 @pytest.mark.parametrize(
-    ("points", "meeting"),
+    ("points", "edges"),
     [
         (SQUARE, None),
         (L_SHAPE, None),
@@ -38,9 +46,9 @@ def test_the_area_of_a_polygon_has_the_sign_of_its_sense() -> None:
     ],
 )
 def test_a_polygon_that_meets_itself_is_found(
-    points: list[tuple[float, float]], meeting: tuple[int, int] | None
+    points: list[tuple[float, float]], edges: tuple[int, int] | None
 ) -> None:
-    assert find_crossing(points) == meeting
+    assert find_crossing(points) == edges
 
 
 def test_what_is_inside_a_polygon() -> None:
@@ -65,14 +73,16 @@ def test_walls_around_a_polygon_are_outside_it_and_leave_no_gap(points: list[tup
         inside = contains(points, x, y)
         assert not (inside and covers(walls, x, y))
         if not inside and distance(points, x, y) < 9.9:
-            # Beyond a sharp corner a wall ends where both outer faces meet; along edges none is missing.
+            # A wall ends at a sharp corner where both outer faces meet; along edges it has no gap.
             near_corner = min(math.dist((x, y), corner) for corner in points) < 9.9
             assert covers(walls, x, y) or near_corner
     # A ray from the middle of each corner outwards hits a wall.
-    for before, corner, after in zip([points[-1], *points], points, [*points[1:], points[0]], strict=False):
-        away = 2 * np.array(corner) - np.array(before) / 2 - np.array(after) / 2 - np.array(corner)
-        if contains(points, *(np.array(corner) - 1e-3 * away / np.linalg.norm(away))):
-            assert covers(walls, *(np.array(corner) + 5 * away / np.linalg.norm(away)))
+    for previous, corner, following in zip(
+        [points[-1], *points], points, [*points[1:], points[0]], strict=False
+    ):
+        outwards = 2 * np.array(corner) - np.array(previous) / 2 - np.array(following) / 2 - np.array(corner)
+        if contains(points, *(np.array(corner) - 1e-3 * outwards / np.linalg.norm(outwards))):
+            assert covers(walls, *(np.array(corner) + 5 * outwards / np.linalg.norm(outwards)))
 
 
 def test_a_free_standing_wall_is_rectangles_with_round_corners() -> None:

@@ -1,4 +1,4 @@
-"""Fields of obstacles: as dense as asked, with room for a robot everywhere, the same for the same seed."""
+"""Obstacle fields: the requested density, lanes for a robot, and reproducibility by the seed."""
 
 import itertools
 import math
@@ -19,22 +19,22 @@ def field(density: float, seed: int) -> Playpen:
 @pytest.mark.parametrize("density", [0.0, 0.02, 0.06])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_field_covers_what_was_asked_and_leaves_lanes(density: float, seed: int) -> None:
-    found = field(density, seed)
-    shapes = [item.footprint for item in (*found.blocks, *found.cylinders)]
+    playpen = field(density, seed)
+    shapes = [item.footprint for item in (*playpen.blocks, *playpen.cylinders)]
     area = sum(
         math.pi * shape.radius_mm**2 if isinstance(shape, Circle) else shape.length_mm * shape.width_mm
         for shape in shapes
     )
     assert density <= area / 1e6 < density + 0.015
-    for one, other in itertools.combinations([*shapes, found.robots[0].footprint], 2):
-        # A grown rectangle has corners that are farther off; one clear way round is enough.
+    for one, other in itertools.combinations([*shapes, playpen.robots[0].footprint], 2):
+        # A grown rectangle has corners farther off; one of the two tests suffices.
         grown, other_grown = (_grow(shape, LANE_MM - 1e-6) for shape in (one, other))
         assert not (overlap(grown, other) and overlap(one, other_grown))
     for shape in shapes:
-        for way in ((1.0, 0.0), (0.0, 1.0)):
-            middle = shape.x_mm if way[0] else shape.y_mm
-            assert LANE_MM <= middle - shape.reach(way) + 0.1
-            assert middle + shape.reach(way) <= 1000 - LANE_MM + 0.1
+        for direction in ((1.0, 0.0), (0.0, 1.0)):
+            middle = shape.x_mm if direction[0] else shape.y_mm
+            assert LANE_MM <= middle - shape.reach(direction) + 0.1
+            assert middle + shape.reach(direction) <= 1000 - LANE_MM + 0.1
 
 
 def test_the_same_seed_draws_the_same_field() -> None:

@@ -1,4 +1,4 @@
-"""Tests of random start poses: every user of a seed draws the same ones."""
+"""Random start poses: all callers with a seed draw the same ones."""
 
 import inspect
 import sys
@@ -10,7 +10,14 @@ import pytest
 from khep_twin import playpen
 from khep_twin.lab.experiment.start_poses import starts
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.starts import anywhere, at_spots, at_start, draw_free_pose, find_obstruction, starts_rng
+from khep_twin.playpen.starts import (
+    anywhere,
+    at_spots,
+    at_start,
+    draw_free_pose,
+    find_obstruction,
+    starts_rng,
+)
 from khep_twin.world import World
 
 ARENA = Playpen.load("obstacles")
@@ -20,7 +27,9 @@ def test_runs_and_trials_draw_the_same_pose_by_the_same_seed() -> None:
     for seed in range(10):
         robot = anywhere(ARENA, seed).robots[0]
         (start,) = starts(["random"], ARENA, 0, 1, seed)
-        assert start == (robot.x_mm, robot.y_mm, robot.heading_deg) == draw_free_pose(ARENA, 0, starts_rng(seed))
+        assert (
+            start == (robot.x_mm, robot.y_mm, robot.heading_deg) == draw_free_pose(ARENA, 0, starts_rng(seed))
+        )
 
 
 def test_the_draws_of_a_seed_stay_those_of_earlier_versions() -> None:
@@ -33,7 +42,7 @@ def test_a_free_pose_has_room_and_one_decimal() -> None:
         start = draw_free_pose(ARENA, 0, rng)
         assert start is not None
         assert not find_obstruction(ARENA, 0, start[0], start[1])
-        assert start == tuple(round(each, 1) for each in start)
+        assert start == tuple(round(value, 1) for value in start)
 
 
 def test_a_full_floor_has_no_free_pose() -> None:
@@ -46,24 +55,24 @@ def test_a_full_floor_has_no_free_pose() -> None:
 def test_a_world_takes_the_spot_that_the_seed_draws() -> None:
     spots = [playpen.Spot(name=f"s{x}", x_mm=x, y_mm=250, heading_deg=0) for x in (100, 300, 500)]
     robot = ARENA.robots[0].model_copy(update={"spots": tuple(spot.name for spot in spots)})
-    scene = Playpen.load("default").model_copy(update={"spots": tuple(spots), "robots": (robot,)})
+    arena = Playpen.load("default").model_copy(update={"spots": tuple(spots), "robots": (robot,)})
     for seed in range(3):
-        entry = at_spots(scene, seed).robots[0]
-        assert World(scene, seed=seed, noise=False).robots[0].pose[0] == pytest.approx(
+        entry = at_spots(arena, seed).robots[0]
+        assert World(arena, seed=seed, noise=False).robots[0].pose[0] == pytest.approx(
             entry.x_mm / 1000, abs=1e-6
         )
-    assert at_start(scene, 0, (1.0, 2.0, 3.0)).robots[0].spots == ()
+    assert at_start(arena, 0, (1.0, 2.0, 3.0)).robots[0].spots == ()
 
 
 def test_more_robots_than_python_has_calls_find_their_spots(request: pytest.FixtureRequest) -> None:
     request.addfinalizer(partial(sys.setrecursionlimit, sys.getrecursionlimit()))
     sys.setrecursionlimit(len(inspect.stack(0)) + 200)
     head = 'version = 1\nname = "many"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
-    places = [(100 + 65 * (number % 40), 100 + 65 * (number // 40)) for number in range(250)]
+    positions = [(100 + 65 * (number % 40), 100 + 65 * (number // 40)) for number in range(250)]
     spots = "".join(
         f'[[spot]]\nname = "s{number}"\nx_mm = {x}\ny_mm = {y}\nheading_deg = 0\n'
-        for number, (x, y) in enumerate(places)
+        for number, (x, y) in enumerate(positions)
     )
     robots = "".join(f'[[robot]]\nspots = ["s{number}"]\n' for number in range(250))
     placed = at_spots(playpen.parse(head + spots + robots, "many"), 1)
-    assert [(robot.x_mm, robot.y_mm) for robot in placed.robots] == places
+    assert [(robot.x_mm, robot.y_mm) for robot in placed.robots] == positions

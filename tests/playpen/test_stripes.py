@@ -1,4 +1,4 @@
-"""Stripes of a playpen: their panels, their checks, their scene and what the infrared sees of them."""
+"""Stripes of a playpen: panels, checks, scene and infrared reflectance."""
 
 import math
 
@@ -21,29 +21,35 @@ ROUND = "[[cylinder]]\nx_mm = 400\ny_mm = 250\nradius_mm = 12.5\nheight_mm = 50\
 WALL = "[[wall]]\npoints_mm = [[200, 100], [300, 100], [300, 200]]\n"
 
 
-def parsed(text: str) -> Playpen:
+def parse(text: str) -> Playpen:
     return playpens.parse(text, "p.toml")
 
 
 def test_a_pattern_repeats_along_a_side_and_its_last_stripe_is_cut() -> None:
-    found = list(stripe_intervals(110, PATTERN))
-    assert [(first, last) for first, last, _ in found] == [(0, 20), (20, 50), (50, 70), (70, 100), (100, 110)]
-    assert [surface for _, _, surface in found] == ["black", "white", "black", "white", "black"]
+    intervals = list(stripe_intervals(110, PATTERN))
+    assert [(first, last) for first, last, _ in intervals] == [
+        (0, 20),
+        (20, 50),
+        (50, 70),
+        (70, 100),
+        (100, 110),
+    ]
+    assert [surface for _, _, surface in intervals] == ["black", "white", "black", "white", "black"]
 
 
 def test_the_sides_of_a_block_begin_at_their_left_as_seen_from_outside() -> None:
-    found = list(panels(Rectangle(0, 0, 60, 40, 0), PATTERN))
-    front, right, back, left = found[:3], found[3:5], found[5:8], found[8:]
+    block_panels = list(panels(Rectangle(0, 0, 60, 40, 0), PATTERN))
+    front, right, back, left = block_panels[:3], block_panels[3:5], block_panels[5:8], block_panels[8:]
     assert [panel.ends for panel in front] == [
         ((-30, -20), (-10, -20)),
         ((-10, -20), (20, -20)),
         ((20, -20), (30, -20)),
     ]
-    # Who stands beyond x = 30 and looks back at the block has its lower corner on the left.
+    # Seen from x > 30, the lower corner of the block is on the left.
     assert right[0].ends == (pytest.approx((30, -20)), pytest.approx((30, 0)))
     assert back[0].ends == (pytest.approx((30, 20)), pytest.approx((10, 20)))
     assert left[0].ends == (pytest.approx((-30, 20)), pytest.approx((-30, 0)))
-    assert sum(panel.width_mm for panel in found) == pytest.approx(200)
+    assert sum(panel.width_mm for panel in block_panels) == pytest.approx(200)
 
 
 @pytest.mark.parametrize(
@@ -52,31 +58,31 @@ def test_the_sides_of_a_block_begin_at_their_left_as_seen_from_outside() -> None
 def test_the_walls_of_an_arena_begin_at_their_left_as_seen_from_inside(
     corners: tuple[tuple[float, float], ...],
 ) -> None:
-    found = list(panels_within(corners, ((100.0, "black"),)))
-    assert len(found) == 4
-    for panel in found:
+    wall_panels = list(panels_within(corners, ((100.0, "black"),)))
+    assert len(wall_panels) == 4
+    for panel in wall_panels:
         (x0, y0), (x1, y1) = panel.ends
-        # Inside is at the right hand of who walks from the left end to the right one.
+        # The inside is on the right on the way from the left end to the right end.
         assert (x1 - x0) * (25 - y0) - (y1 - y0) * (30 - x0) < 0
 
 
 def test_a_cylinder_s_stripes_cover_it_by_flat_panels_that_touch_it() -> None:
-    found = list(panels(Circle(100, 50, 10), PATTERN))
-    assert {panel.surface for panel in found} == {"black", "white"}
-    middles = np.array([(panel.x_mm, panel.y_mm) for panel in found]) - (100, 50)
+    cylinder_panels = list(panels(Circle(100, 50, 10), PATTERN))
+    assert {panel.surface for panel in cylinder_panels} == {"black", "white"}
+    middles = np.array([(panel.x_mm, panel.y_mm) for panel in cylinder_panels]) - (100, 50)
     assert np.hypot(*middles.T) == pytest.approx(10)
-    ends = np.array([panel.ends for panel in found]) - (100, 50)
+    ends = np.array([panel.ends for panel in cylinder_panels]) - (100, 50)
     assert np.hypot(ends[..., 0], ends[..., 1]).max() <= 10 / math.cos(math.radians(3)) + 1e-9
     turns = np.unwrap(np.arctan2(ends[..., 1], ends[..., 0]).ravel())
     # Counter-clockwise all the way round, with neither gap nor overlap.
     assert turns[1:-1:2] == pytest.approx(turns[2::2])
     assert turns[-1] - turns[0] == pytest.approx(2 * math.pi)
-    black = [panel for panel in found if panel.surface == "black"]
+    black = [panel for panel in cylinder_panels if panel.surface == "black"]
     assert sum(panel.width_mm for panel in black) == pytest.approx(20 + 62.832 - 50, rel=0.002)
 
 
 def test_the_infrared_sees_the_mean_reflectance() -> None:
-    model = to_spec(parsed(HEAD + STRIPES + BLOCK + STRIPES)).compile()
+    model = to_spec(parse(HEAD + STRIPES + BLOCK + STRIPES)).compile()
     mean = (20 * 0.023 + 30 * 1.0) / 50
     for name in ("wall_left", "wall_top", "block0"):
         assert model.geom(name).user[0] == pytest.approx(mean)
@@ -85,7 +91,7 @@ def test_the_infrared_sees_the_mean_reflectance() -> None:
 
 def test_stripes_are_sites_that_nothing_touches() -> None:
     plain, striped = (
-        to_spec(parsed(text)).compile() for text in (HEAD + ROUND, HEAD + STRIPES + ROUND + STRIPES)
+        to_spec(parse(text)).compile() for text in (HEAD + ROUND, HEAD + STRIPES + ROUND + STRIPES)
     )
     assert striped.ngeom == plain.ngeom
     assert striped.nsite > plain.nsite + 40
@@ -94,7 +100,7 @@ def test_stripes_are_sites_that_nothing_touches() -> None:
 
 
 def test_stripes_move_with_what_they_are_on() -> None:
-    model = to_spec(parsed(HEAD + BLOCK + STRIPES + "movable = true\nangle_deg = 30\n")).compile()
+    model = to_spec(parse(HEAD + BLOCK + STRIPES + "movable = true\nangle_deg = 30\n")).compile()
     block = model.body("block0").id
     assert (model.site_bodyid == block).all()
     # In the frame of the block its sides are at half of its length and width.
@@ -126,14 +132,14 @@ def test_striped_blocks_are_not_merged() -> None:
 )
 def test_a_wrong_pattern_is_refused(text: str, line: str) -> None:
     with pytest.raises(PlaypenError) as error:
-        parsed(text)
+        parse(text)
     assert line in str(error.value)
 
 
 def test_stripes_survive_a_file_and_an_edit() -> None:
-    mine = parsed(HEAD + STRIPES + BLOCK + STRIPES + ROUND + WALL + STRIPES)
+    mine = parse(HEAD + STRIPES + BLOCK + STRIPES + ROUND + WALL + STRIPES)
     assert playpens.parse(playpens.dump(mine), "p.toml") == mine
     moved = mine.blocks[0].model_copy(update={"x_mm": 130.0, "stripes": ((10.0, "grey"),)})
     changed = mine.model_copy(update={"blocks": (moved,)})
     text = HEAD + STRIPES + BLOCK + STRIPES + ROUND + WALL + STRIPES
-    assert parsed(playpens.edited(text, changed)) == changed
+    assert parse(playpens.edited(text, changed)) == changed

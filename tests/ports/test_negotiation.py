@@ -92,12 +92,10 @@ def test_the_twin_signs_where_it_is_asked_to() -> None:
 
 
 @pytest.mark.parametrize(
-    ("request", "in_force"), [*((value, 14) for value in (13, 14, 15, 16, 18)), (17, 1), (19, 1)]
+    ("state", "in_force"), [*((value, 14) for value in (13, 14, 15, 16, 18)), (17, 1), (19, 1)]
 )
-def test_flow_control_that_there_is_not_is_answered_with_what_is_in_force(
-    request: int, in_force: int
-) -> None:
-    assert negotiate(BEGIN + bytes((5, request)) + END)[1] == BEGIN + bytes((105, in_force)) + END
+def test_flow_control_that_there_is_not_is_answered_with_what_is_in_force(state: int, in_force: int) -> None:
+    assert negotiate(BEGIN + bytes((5, state)) + END)[1] == BEGIN + bytes((105, in_force)) + END
 
 
 @pytest.mark.parametrize("baud", [LOWEST_BAUD, 19200, HIGHEST_BAUD])

@@ -303,7 +303,7 @@ def test_a_host_that_finds_no_descriptor_is_reported_and_let_in_later(port: TcpP
                 os.close(descriptor)
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         host.sendall(b"B\n")
-        assert wait_for(port, lambda received: received.descriptors, 10).descriptors == b"B\n"
+        assert wait_for(port, lambda received: received.data, 10).data == b"B\n"
 
 
 def test_no_more_waits_here_than_is_bounded(port: TcpPort) -> None:

@@ -31,7 +31,7 @@ def scene(*tables: str, heading_deg: float = 0) -> str:
 
 
 def counts(text: str) -> np.ndarray:
-    """What a quiet robot that stands still reads."""
+    """Return the ambient counts of a robot at rest, without noise."""
     return World(playpen.parse(text, "scene"), noise=False).robots[0].registers[AMBIENT]
 
 
@@ -42,12 +42,12 @@ def test_light_falls_with_the_square_of_the_distance() -> None:
 
 
 def test_off_the_axis_a_lobe_and_a_diffuse_part_are_left() -> None:
-    ahead, tangential, behind = (
+    on_axis, at_60_deg, opposite = (
         lamp_light.light_per_watt(RECEIVERS, LEFT_10, 0.2, cosine) for cosine in (1.0, 0.5, -1.0)
     )
     part, exponent = KHEPERA1.diffuse, KHEPERA1.lobe_exponent[LEFT_10]
-    assert tangential / ahead == pytest.approx((1 - part) * 0.5**exponent + part * 0.75)
-    assert behind == 0
+    assert at_60_deg / on_axis == pytest.approx((1 - part) * 0.5**exponent + part * 0.75)
+    assert opposite == 0
 
 
 @pytest.mark.parametrize(("angle_deg", "left"), [(0, 1), (19, 1), (40, math.cos(math.radians(45))), (81, 0)])
@@ -57,8 +57,8 @@ def test_the_toolboxs_law_loses_nothing_up_to_an_angle_and_all_beyond_another(
     cosine = math.cos(math.radians(angle_deg))
     world = World(playpen.parse(scene(), "scene"))
     light = build_light(SightLines(world.model, world.robots[0].indices, []), LIGHTING)
-    found = lamp_light.toolbox_light_per_watt(RECEIVERS, light.law, LEFT_10, 0.2, cosine)
-    assert found == pytest.approx(left * KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
+    light_per_watt = lamp_light.toolbox_light_per_watt(RECEIVERS, light.law, LEFT_10, 0.2, cosine)
+    assert light_per_watt == pytest.approx(left * KHEPERA1.gain_counts_mm2_per_w[LEFT_10] / 200**2)
 
 
 def test_a_lamp_ahead_is_seen_ahead() -> None:
@@ -69,10 +69,10 @@ def test_a_lamp_ahead_is_seen_ahead() -> None:
 
 def test_a_scene_gives_what_the_law_says() -> None:
     x, y = SENSOR_POSITIONS[LEFT_10]
-    way = np.array([0.4 - x, -y, 0.015 - SENSOR_HEIGHT])
-    distance = float(np.linalg.norm(way))
+    ray = np.array([0.4 - x, -y, 0.015 - SENSOR_HEIGHT])
+    distance = float(np.linalg.norm(ray))
     heading = math.radians(KHEPERA1.heading_deg[LEFT_10])
-    cosine = float(way @ [math.cos(heading), math.sin(heading), 0]) / distance
+    cosine = float(ray @ [math.cos(heading), math.sin(heading), 0]) / distance
     light = 7 * lamp_light.light_per_watt(RECEIVERS, LEFT_10, distance, cosine)
     assert counts(scene(LAMP))[LEFT_10] == pytest.approx(DARK - light, abs=1)
 
@@ -82,9 +82,9 @@ def test_behind_a_wall_it_is_dark() -> None:
 
 
 def test_behind_another_robot_it_is_dark() -> None:
-    other = "[[robot]]\nx_mm = 400\ny_mm = 250\nheading_deg = 0\n"
-    assert (counts(scene(other, LAMP))[2:4] == DARK).all()
-    assert (counts(scene(other.replace("y_mm = 250", "y_mm = 400"), LAMP))[2:4] < 400).all()
+    robot = "[[robot]]\nx_mm = 400\ny_mm = 250\nheading_deg = 0\n"
+    assert (counts(scene(robot, LAMP))[2:4] == DARK).all()
+    assert (counts(scene(robot.replace("y_mm = 250", "y_mm = 400"), LAMP))[2:4] < 400).all()
 
 
 def test_a_lamp_above_a_low_wall_is_seen_over_it() -> None:
@@ -99,31 +99,31 @@ def test_the_toolboxs_lamps_shine_through_walls() -> None:
 
 
 def test_the_edge_of_a_shadow_is_as_soft_as_the_bulb_is_wide() -> None:
-    # The end of a thin screen moves across the bulb: what is left of a disc beside a line.
+    # The end of a thin screen moves across the bulb: the visible part of a disc beside a straight line.
     x_mm, y_mm = 300 + SENSOR_POSITIONS[LEFT_10][0] * 1e3, 250 + SENSOR_POSITIONS[LEFT_10][1] * 1e3
     screen_mm, lamp_mm = 400, 700
     stretch = (lamp_mm - x_mm) / (screen_mm - x_mm)
     middle_mm = y_mm + (250 - y_mm) / stretch
-    full = DARK - counts(scene(LAMP))[LEFT_10]
-    seen: list[float] = []
+    full_light = DARK - counts(scene(LAMP))[LEFT_10]
+    parts: list[float] = []
     shifts_mm = np.arange(-4, 4.1, 0.5)
     for shift_mm in shifts_mm:
         screen = (
             f"[[block]]\nx_mm = {screen_mm + 0.5}\ny_mm = {middle_mm + shift_mm + 100}\nlength_mm = 1\n"
             "width_mm = 200\nheight_mm = 100\n"
         )
-        seen.append((DARK - counts(scene(LAMP, screen))[LEFT_10]) / full)
+        parts.append((DARK - counts(scene(LAMP, screen))[LEFT_10]) / full_light)
     across = np.clip(shifts_mm * stretch / (BULB_RADIUS * 1e3), -1, 1)
     np.testing.assert_allclose(
-        seen, 0.5 + (across * np.sqrt(1 - across**2) + np.arcsin(across)) / np.pi, atol=0.04
+        parts, 0.5 + (across * np.sqrt(1 - across**2) + np.arcsin(across)) / np.pi, atol=0.04
     )
-    assert all(earlier <= later for earlier, later in pairwise(seen))
+    assert all(earlier <= later for earlier, later in pairwise(parts))
 
 
 def test_lamps_add_up_down_to_the_floor() -> None:
     near = LAMP.replace("x_mm = 700", "x_mm = 400")
-    one, both = counts(scene(LAMP))[2], counts(scene(LAMP, LAMP.replace("250", "260")))[2]
-    assert DARK - both == pytest.approx(2 * (DARK - one), rel=0.05)
+    single, double = counts(scene(LAMP))[2], counts(scene(LAMP, LAMP.replace("250", "260")))[2]
+    assert DARK - double == pytest.approx(2 * (DARK - single), rel=0.05)
     assert counts(scene(near))[2] == round(KHEPERA1.floor_counts)
 
 
@@ -138,14 +138,14 @@ DEPTH = 0.8
 
 
 def under(power_w: float, mains_hz: float, x_mm: float) -> World:
-    """A world with a quiet robot right under a lamp that flickers."""
+    """Return a world with a robot without noise below a lamp that flickers."""
     lamp = f"[[lamp]]\nx_mm = 300\ny_mm = 250\nz_mm = 1000\npower_w = {power_w}\nflicker = {DEPTH}\n"
     text = scene(f"[lighting]\nmains_hz = {mains_hz}\n", lamp).replace("x_mm = 300", f"x_mm = {x_mm}")
     return World(playpen.parse(text, "scene"), noise=False, seed=5)
 
 
 def scans(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """What the robot reads in 100 scans: proximity and ambient counts (100, 8)."""
+    """Return the readings of 100 scans: proximity and ambient counts (100, 8)."""
     rows: list[np.ndarray] = []
     for _ in range(100):
         world.advance_to(world.time_ns + 20_000_000)
@@ -155,16 +155,16 @@ def scans(world: World) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize(("mains_hz", "repeat"), [(50, 1), (50.5, 50), (52, 25)])
 def test_flicker_is_a_beat_of_the_mains_with_the_scan(mains_hz: float, repeat: int) -> None:
-    _, found = scans(under(400, mains_hz, 300))
-    assert (found[repeat:] == found[:-repeat]).all()
+    _, readings = scans(under(400, mains_hz, 300))
+    assert (readings[repeat:] == readings[:-repeat]).all()
     if repeat > 1:
-        assert (np.ptp(found, axis=0) > 30).all()
+        assert (np.ptp(readings, axis=0) > 30).all()
 
 
 def test_sensors_see_flicker_in_the_order_of_the_scan() -> None:
     # Each is converted 2.5 ms after the one before it.
-    _, found = scans(under(400, 52, 300))
-    light = KHEPERA1.dark_counts - found
+    _, readings = scans(under(400, 52, 300))
+    light = KHEPERA1.dark_counts - readings
     parts = light / light.mean(axis=0) - 1
     times = 0.02 * np.arange(100)[:, None] + 0.0025 * np.arange(8)
     phase = under(400, 52, 300).simulation.plain.light.law.flicker_phase

@@ -22,7 +22,7 @@ class Outer(NamedTuple):
 
 def test_records_of_the_same_fields_have_one_type_object() -> None:
     """A call of compiled code by numba takes twice as long with another object, however equal."""
-    made = [as_records([(each := Outer(np.zeros(3), Inner(number)))], each) for number in range(2)]
-    assert made[0].dtype is made[1].dtype
+    records = [as_records([(template := Outer(np.zeros(3), Inner(number)))], template) for number in range(2)]
+    assert records[0].dtype is records[1].dtype
     other = Outer(np.zeros(4), Inner(1))
-    assert as_records([other], other).dtype is not made[0].dtype
+    assert as_records([other], other).dtype is not records[0].dtype

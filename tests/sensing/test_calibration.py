@@ -1,4 +1,4 @@
-"""Calibration files: what ships can be used, and what cannot be used is told by place."""
+"""Calibration files: the built-in ones are valid, and errors are reported with their position."""
 
 import re
 
@@ -26,54 +26,63 @@ def test_what_ships_can_be_used() -> None:
 
 
 def test_what_is_not_said_of_wheels_and_motors_is_as_the_manual_has_it() -> None:
-    found = calibration.read("khepera1")[0]
-    assert 2 * 3.14159265 * found.wheels.radius_mm / 600 == pytest.approx(0.08)
+    khepera = calibration.read("khepera1")[0]
+    assert 2 * 3.14159265 * khepera.wheels.radius_mm / 600 == pytest.approx(0.08)
     # Full duty overcomes the gear's friction of 0.5 mN m besides, at no load as at a blocked wheel.
-    assert found.motors.constant == pytest.approx(5 / 150 / 1.05)
-    assert found.motors.resistance == pytest.approx(5 * 5 / 150 / 1.05 / 0.0105)
+    assert khepera.motors.constant == pytest.approx(5 / 150 / 1.05)
+    assert khepera.motors.resistance == pytest.approx(5 * 5 / 150 / 1.05 / 0.0105)
 
 
 def test_wheels_of_different_size_have_the_mean_radius_and_their_ratio() -> None:
     left, right = calibration.WheelCalibration(radius_mm=7.5, right_over_left=1.01).radii
     assert (left + right) / 2 == pytest.approx(0.0075, rel=1e-12)
     assert right / left == pytest.approx(1.01, rel=1e-12)
-    alike = calibration.WheelCalibration(radius_mm=7.7)
-    assert alike.radii == (0.0077, 0.0077)
+    equal = calibration.WheelCalibration(radius_mm=7.7)
+    assert equal.radii == (0.0077, 0.0077)
 
 
 def test_robots_of_the_same_make_spread_around_their_calibration_as_told() -> None:
-    made = calibration.read("khepera1")[0]
-    drawn = [calibration.vary(made, np.random.default_rng(seed)) for seed in range(600)]
+    nominal_robot = calibration.read("khepera1")[0]
+    drawn = [calibration.vary(nominal_robot, np.random.default_rng(seed)) for seed in range(600)]
 
     def spread(values: list[float], nominal: float = 1.0) -> tuple[float, float]:
         parts = np.array(values) / nominal
         return float(parts.mean()), float(parts.std())
 
-    wheels, motors = [each.wheels for each in drawn], [each.motors for each in drawn]
-    found = {
-        calibration.RADIUS_SPREAD: spread([each.radius_mm for each in wheels], made.wheels.radius_mm),
-        calibration.INEQUALITY_SPREAD: spread([each.right_over_left for each in wheels]),
-        calibration.NO_LOAD_SPREAD: spread([each.no_load_speed_rad_s for each in motors], 150),
-        calibration.STALL_SPREAD: spread([each.stall_torque_n_m for each in motors], 0.01),
+    wheels, motors = [robot.wheels for robot in drawn], [robot.motors for robot in drawn]
+    spreads = {
+        calibration.RADIUS_SPREAD: spread(
+            [robot.radius_mm for robot in wheels], nominal_robot.wheels.radius_mm
+        ),
+        calibration.INEQUALITY_SPREAD: spread([robot.right_over_left for robot in wheels]),
+        calibration.NO_LOAD_SPREAD: spread([robot.no_load_speed_rad_s for robot in motors], 150),
+        calibration.STALL_SPREAD: spread([robot.stall_torque_n_m for robot in motors], 0.01),
     }
-    assert spread([each.base_mm for each in wheels], 52)[1] == pytest.approx(calibration.BASE_SPREAD, rel=0.1)
-    assert spread([each.friction for each in wheels], 0.9)[1] == pytest.approx(
+    assert spread([robot.base_mm for robot in wheels], 52)[1] == pytest.approx(
+        calibration.BASE_SPREAD, rel=0.1
+    )
+    assert spread([robot.friction for robot in wheels], 0.9)[1] == pytest.approx(
         calibration.FRICTION_SPREAD, rel=0.1
     )
-    for expected, (mean, sd) in found.items():
+    for expected, (mean, sd) in spreads.items():
         assert mean == pytest.approx(1, abs=expected / 8)
         assert sd == pytest.approx(expected, rel=0.1)
     gains = np.log(
-        [np.divide(each.proximity.gain_counts_mm2, made.proximity.gain_counts_mm2) for each in drawn]
+        [
+            np.divide(robot.proximity.gain_counts_mm2, nominal_robot.proximity.gain_counts_mm2)
+            for robot in drawn
+        ]
     )
     assert gains.mean(axis=1).std() == pytest.approx(calibration.COMMON_GAIN_SPREAD, rel=0.1)
     assert gains.std(axis=1).mean() == pytest.approx(calibration.GAIN_SPREAD, rel=0.1)
-    for turned in (
-        np.array([np.subtract(each.heading_deg, made.heading_deg) for each in drawn]),
-        np.array([np.subtract(each.ambient.heading_deg, made.ambient.heading_deg) for each in drawn]),
+    for deviations in (
+        np.array([np.subtract(robot.heading_deg, nominal_robot.heading_deg) for robot in drawn]),
+        np.array(
+            [np.subtract(robot.ambient.heading_deg, nominal_robot.ambient.heading_deg) for robot in drawn]
+        ),
     ):
-        assert turned.std() == pytest.approx(calibration.HEADING_SPREAD_DEG, rel=0.05)
-        assert abs(turned.mean()) < 0.2
+        assert deviations.std() == pytest.approx(calibration.HEADING_SPREAD_DEG, rel=0.05)
+        assert abs(deviations.mean()) < 0.2
 
 
 @pytest.mark.parametrize(
@@ -105,5 +114,5 @@ def test_robots_of_the_same_make_spread_around_their_calibration_as_told() -> No
 def test_what_is_wrong_is_reported_by_line_value_and_what_would_be_right(
     old: str, new: str, line: str
 ) -> None:
-    told = [re.sub(r":\d+:", ":", each) for each in lines_about(old, new)]
-    assert any(each.startswith(f"mine.toml: {line}") for each in told), told
+    messages = [re.sub(r":\d+:", ":", message) for message in lines_about(old, new)]
+    assert any(message.startswith(f"mine.toml: {line}") for message in messages), messages

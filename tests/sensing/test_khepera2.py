@@ -1,4 +1,4 @@
-"""The Khepera II beside what is published of real ones: at rest, before a wall, and following walls."""
+"""The Khepera II against published data of real ones: at rest, in front of a wall, and following walls."""
 
 import numpy as np
 import pytest
@@ -11,30 +11,30 @@ from khep_twin.sensing import calibration
 from khep_twin.units import SCAN_NS
 from khep_twin.world import World
 
-MADE = calibration.read("khepera2")[0].proximity
+KHEPERA2 = calibration.read("khepera2")[0].proximity
 
 
 def world(x_mm: float, *, noise: bool = True, calibrated: str = "khepera2") -> World:
-    """A Khepera II in an empty arena of 3 m that looks along x."""
-    own = robot(x_mm, 1500, model="khepera2", calibration=calibrated)
-    return World(playpen.parse(arena(3000, 3000) + own, "empty"), seed=1, noise=noise)
+    """Return a world with a Khepera II that faces along x, in an empty arena of 3 m."""
+    robot_table = robot(x_mm, 1500, model="khepera2", calibration=calibrated)
+    return World(playpen.parse(arena(3000, 3000) + robot_table, "empty"), seed=1, noise=noise)
 
 
 def test_readings_at_rest_have_the_noise_and_the_means_of_real_robots() -> None:
     empty = world(1500)
-    seen: list[list[int]] = []
+    scans: list[list[int]] = []
     for scan in range(400):
         empty.advance_to((scan + 1) * SCAN_NS)
-        seen.append(empty.robots[0].registers[PROXIMITY].tolist())
-    read = np.array(seen)
+        scans.append(empty.robots[0].registers[PROXIMITY].tolist())
+    readings = np.array(scans)
     # Single readings of three robots vary by 5 to 20; means of a hundred are 56 to 133 by sensor, 84 in all.
-    assert ((read.std(axis=0) > 5) & (read.std(axis=0) < 20)).all()
-    assert ((read.mean(axis=0) >= 56) & (read.mean(axis=0) <= 133)).all()
-    assert read.mean() == pytest.approx(84, abs=5)
+    assert ((readings.std(axis=0) > 5) & (readings.std(axis=0) < 20)).all()
+    assert ((readings.mean(axis=0) >= 56) & (readings.mean(axis=0) <= 133)).all()
+    assert readings.mean() == pytest.approx(84, abs=5)
 
 
 def net(calibrated: str) -> NDArray[np.float64]:
-    """Front sensors' counts above rest, 20 mm before a wall."""
+    """Return the front sensors' counts above rest, 20 mm in front of a wall."""
     near, far = (
         world(x_mm, noise=False, calibrated=calibrated).robots[0].registers[PROXIMITY][2:4]
         for x_mm in (3000 - 35 - 20, 1500)
@@ -53,8 +53,8 @@ def test_robots_of_the_same_make_span_the_robots_that_were_measured() -> None:
         calibration.vary(calibration.read("khepera2")[0], np.random.default_rng(seed)).proximity
         for seed in range(100)
     ]
-    gains = np.array([each.gain_counts_mm2 for each in drawn]) / MADE.gain_counts_mm2
-    rests = -np.array([each.threshold_counts for each in drawn])
+    gains = np.array([robot.gain_counts_mm2 for robot in drawn]) / KHEPERA2.gain_counts_mm2
+    rests = -np.array([robot.threshold_counts for robot in drawn])
     # The manufacturer's robot has 1 / 0.61 times the gain, pykhepera's 0.37 / 0.61.
     assert np.quantile(gains, 0.03) < 0.37 / 0.61
     assert np.quantile(gains, 0.97) > 1 / 0.61
@@ -63,17 +63,17 @@ def test_robots_of_the_same_make_span_the_robots_that_were_measured() -> None:
 
 
 def test_a_published_wall_follower_drives_straight_through_an_empty_arena() -> None:
-    """The rules of AngusP/Khepera-II-IAR: stuck from 112 ahead, 192 aside; follows what is aside from 160."""
-    empty, followed = world(1500), False
+    """The rules of AngusP/Khepera-II-IAR: stuck from 112 in front, 192 at a side; follows a wall from 160."""
+    empty, is_following = world(1500), False
     orders: list[tuple[int, int]] = []
     for step in range(100):
-        read = empty.robots[0].registers[PROXIMITY].tolist()
-        if max(read[1], read[4]) > 192 or max(read[2:4]) > 112:
-            order, followed = (8, -8), False
-        elif max(read[0], read[5]) > 160 or (followed and max(read[0], read[5]) >= 80):
-            order, followed = (8, 2) if read[0] > read[5] else (2, 8), True
+        readings = empty.robots[0].registers[PROXIMITY].tolist()
+        if max(readings[1], readings[4]) > 192 or max(readings[2:4]) > 112:
+            order, is_following = (8, -8), False
+        elif max(readings[0], readings[5]) > 160 or (is_following and max(readings[0], readings[5]) >= 80):
+            order, is_following = (8, 2) if readings[0] > readings[5] else (2, 8), True
         else:
-            order, followed = (8, 8), False
+            order, is_following = (8, 8), False
         if order != (orders[-1] if orders else None):
             empty.robots[0].send(b"D,%d,%d\n" % order)
             orders.append(order)

@@ -1,4 +1,4 @@
-"""Lamps over time: they blink, fade, and shine in sequence as the Khepera Toolbox for Matlab had it."""
+"""Lamps over time: they blink, fade, and take turns as in the Khepera Toolbox for Matlab."""
 
 from functools import cache, partial
 from itertools import pairwise
@@ -24,8 +24,8 @@ def lamps(text: str, seed: int = 0) -> Lamps:
     return Lamps(playpen.parse(head + text, "lamps"), cache(partial(stream, seed, "lamps")))
 
 
-def lamp(x_mm: float, y_mm: float, more: str = "") -> str:
-    return f"[[lamp]]\nx_mm = {x_mm}\ny_mm = {y_mm}\npower_w = 2\n{more}"
+def lamp(x_mm: float, y_mm: float, options: str = "") -> str:
+    return f"[[lamp]]\nx_mm = {x_mm}\ny_mm = {y_mm}\npower_w = 2\n{options}"
 
 
 THREE = lamp(200, 200) + lamp(800, 200) + lamp(800, 800)
@@ -33,8 +33,8 @@ CORNERS = [(0.2, 0.2), (0.8, 0.2), (0.8, 0.8)]
 
 
 def test_all_lamps_are_on_unless_the_playpen_says_otherwise() -> None:
-    found = lamps(THREE)
-    assert (found.powers, found.lit_index, found.are_constant) == ([2, 2, 2], None, True)
+    three = lamps(THREE)
+    assert (three.powers, three.lit_index, three.are_constant) == ([2, 2, 2], None, True)
 
 
 def test_a_dimmed_lamp_shines_with_a_part_of_its_power() -> None:
@@ -42,42 +42,42 @@ def test_a_dimmed_lamp_shines_with_a_part_of_its_power() -> None:
 
 
 def test_a_lamp_blinks_by_its_period_and_duty() -> None:
-    found = lamps(lamp(200, 200, "blink_period_s = 0.1\nblink_duty = 0.3\n"))
-    assert not found.are_constant
-    shown = []
+    blinking = lamps(lamp(200, 200, "blink_period_s = 0.1\nblink_duty = 0.3\n"))
+    assert not blinking.are_constant
+    powers = []
     for step in range(1, 81):
-        found.update(step * STEP_NS, [(*MIDDLE, 0.0275)])
-        shown.append(found.powers[0])
+        blinking.update(step * STEP_NS, [(*MIDDLE, 0.0275)])
+        powers.append(blinking.powers[0])
     expected = [2.0 if step * STEP_NS % 100_000_000 < 30_000_000 else 0.0 for step in range(1, 81)]
-    assert shown == expected
+    assert powers == expected
 
 
 def test_a_lamp_that_fades_goes_on_and_off_along_a_line() -> None:
-    found = lamps(lamp(200, 200, "blink_period_s = 1\nfade_s = 0.2\n"))
-    shown = {}
+    fading = lamps(lamp(200, 200, "blink_period_s = 1\nfade_s = 0.2\n"))
+    powers = {}
     for step in range(1, 401):
-        found.update(step * STEP_NS, [(*MIDDLE, 0.0275)])
-        shown[step * STEP_NS] = found.powers[0]
-    assert shown[500_000_000 - STEP_NS] == 2
-    assert shown[600_000_000 - STEP_NS] == pytest.approx(1)
-    assert shown[700_000_000] == 0
-    assert shown[1_000_000_000] == pytest.approx(2 * 2.5 / 200)
+        fading.update(step * STEP_NS, [(*MIDDLE, 0.0275)])
+        powers[step * STEP_NS] = fading.powers[0]
+    assert powers[500_000_000 - STEP_NS] == 2
+    assert powers[600_000_000 - STEP_NS] == pytest.approx(1)
+    assert powers[700_000_000] == 0
+    assert powers[1_000_000_000] == pytest.approx(2 * 2.5 / 200)
 
 
 def test_all_lamps_that_flicker_have_one_phase_which_the_seed_draws() -> None:
-    still = Light(LightLaw(False, 0.0, 0.0, True, 10_000_000, 0.0), [Bulb()] * 2, [])
-    assert lamps(lamp(200, 200) * 2).add_flicker(still) is still
-    both = lamp(200, 200, "flicker = 0.3\n") + lamp(300, 300)
-    found = [lamps(both, seed) for seed in (1, 1, 2)]
-    phases = [each.add_flicker(still).law.flicker_phase for each in found]
+    steady_light = Light(LightLaw(False, 0.0, 0.0, True, 10_000_000, 0.0), [Bulb()] * 2, [])
+    assert lamps(lamp(200, 200) * 2).add_flicker(steady_light) is steady_light
+    text = lamp(200, 200, "flicker = 0.3\n") + lamp(300, 300)
+    by_seed = [lamps(text, seed) for seed in (1, 1, 2)]
+    phases = [pair.add_flicker(steady_light).law.flicker_phase for pair in by_seed]
     assert phases[0] == phases[1] != phases[2]
-    assert [bulb.flicker for bulb in found[0].add_flicker(still).bulbs] == [0.3, 0]
-    assert (found[0].powers, found[0].are_constant) == ([2, 2], True)
+    assert [bulb.flicker for bulb in by_seed[0].add_flicker(steady_light).bulbs] == [0.3, 0]
+    assert (by_seed[0].powers, by_seed[0].are_constant) == ([2, 2], True)
 
 
 def test_the_mains_go_on_when_the_lamps_of_a_world_are_changed() -> None:
     scene = Playpen.load("two-lamps")
-    flickering = [each.model_copy(update={"flicker": 0.5}) for each in scene.lamps]
+    flickering = [lamp.model_copy(update={"flicker": 0.5}) for lamp in scene.lamps]
     world = World(scene, seed=3)
     world.set_lamps(flickering)
     phase = world.simulation.plain.light.law.flicker_phase
@@ -85,53 +85,53 @@ def test_the_mains_go_on_when_the_lamps_of_a_world_are_changed() -> None:
     assert world.simulation.plain.light.law.flicker_phase == phase > 0
 
 
-def walk(found: Lamps, *positions: tuple[float, float]) -> list[int | None]:
-    lit = []
+def walk(room_lamps: Lamps, *positions: tuple[float, float]) -> list[int | None]:
+    indices = []
     for number, position in enumerate(positions, 1):
-        found.update(number * STEP_NS, [(*position, 0.0275)])
-        lit.append(found.lit_index)
-    return lit
+        room_lamps.update(number * STEP_NS, [(*position, 0.0275)])
+        indices.append(room_lamps.lit_index)
+    return indices
 
 
 def test_in_sequence_the_next_lamp_is_on_when_a_robot_comes_near_the_one_that_is() -> None:
-    found = lamps('[lighting]\nmode = "sequenced"\n' + THREE)
-    assert found.powers == [2, 0, 0]
-    way = [MIDDLE, CORNERS[0], CORNERS[0], MIDDLE, CORNERS[2], CORNERS[1], MIDDLE, CORNERS[2], MIDDLE]
-    assert walk(found, *way) == [0, 1, 1, 1, 1, 2, 2, 0, 0]
-    assert found.powers == [2, 0, 0]
+    three = lamps('[lighting]\nmode = "sequenced"\n' + THREE)
+    assert three.powers == [2, 0, 0]
+    positions = [MIDDLE, CORNERS[0], CORNERS[0], MIDDLE, CORNERS[2], CORNERS[1], MIDDLE, CORNERS[2], MIDDLE]
+    assert walk(three, *positions) == [0, 1, 1, 1, 1, 2, 2, 0, 0]
+    assert three.powers == [2, 0, 0]
 
 
 def test_in_sequence_the_next_lamp_is_on_when_a_robot_comes_near_a_wall() -> None:
-    found = lamps('[lighting]\nmode = "sequenced"\n' + THREE)
+    three = lamps('[lighting]\nmode = "sequenced"\n' + THREE)
     wall = (0.05, 0.5)
-    assert walk(found, MIDDLE, wall, wall, MIDDLE, wall) == [0, 1, 1, 1, 2]
+    assert walk(three, MIDDLE, wall, wall, MIDDLE, wall) == [0, 1, 1, 1, 2]
 
 
 def test_a_robot_that_starts_at_a_wall_has_not_come_there() -> None:
-    found = lamps('[lighting]\nmode = "sequenced"\n' + THREE)
-    assert walk(found, (0.05, 0.5), (0.05, 0.5), MIDDLE, (0.5, 0.95)) == [0, 0, 0, 1]
+    three = lamps('[lighting]\nmode = "sequenced"\n' + THREE)
+    assert walk(three, (0.05, 0.5), (0.05, 0.5), MIDDLE, (0.5, 0.95)) == [0, 0, 0, 1]
 
 
 def test_how_near_is_near_is_the_playpens_choice() -> None:
     text = '[lighting]\nmode = "sequenced"\nswitch_distance_mm = 100\n' + THREE
-    beside = (0.2 + 0.0275 + 0.010 + 0.099, 0.2)
-    beyond = (beside[0] + 0.002, 0.2)
-    assert walk(lamps(text), MIDDLE, beyond) == [0, 0]
-    assert walk(lamps(text), MIDDLE, beside) == [0, 1]
+    inside = (0.2 + 0.0275 + 0.010 + 0.099, 0.2)
+    outside = (inside[0] + 0.002, 0.2)
+    assert walk(lamps(text), MIDDLE, outside) == [0, 0]
+    assert walk(lamps(text), MIDDLE, inside) == [0, 1]
 
 
 def test_with_a_distance_of_0_the_first_lamp_stays_wherever_robots_are() -> None:
     text = '[lighting]\nmode = "random"\nswitch_distance_mm = 0\n' + THREE
-    drawn = [walk(lamps(text, seed), MIDDLE, *CORNERS, (0.01, 0.5), MIDDLE) for seed in range(1, 20)]
-    assert all(len({*lit}) == 1 for lit in drawn)
-    assert {lit[0] for lit in drawn} == {0, 1, 2}
+    walks = [walk(lamps(text, seed), MIDDLE, *CORNERS, (0.01, 0.5), MIDDLE) for seed in range(1, 20)]
+    assert all(len({*indices}) == 1 for indices in walks)
+    assert {indices[0] for indices in walks} == {0, 1, 2}
 
 
 def test_by_chance_another_lamp_is_on_each_time_and_each_gets_its_turn() -> None:
-    found = lamps('[lighting]\nmode = "random"\n' + THREE, seed=5)
-    lit = walk(found, *([MIDDLE, (0.05, 0.5)] * 300))[1::2]
-    assert all(one != other for one, other in pairwise(lit))
-    np.testing.assert_allclose(np.bincount(np.array(lit)) / 300, 1 / 3, atol=0.06)
+    three = lamps('[lighting]\nmode = "random"\n' + THREE, seed=5)
+    indices = walk(three, *([MIDDLE, (0.05, 0.5)] * 300))[1::2]
+    assert all(previous != current for previous, current in pairwise(indices))
+    np.testing.assert_allclose(np.bincount(np.array(indices)) / 300, 1 / 3, atol=0.06)
 
 
 def test_the_same_seed_draws_the_same_lamps() -> None:
@@ -163,4 +163,4 @@ def test_a_robot_that_drives_to_a_lamp_sees_the_next_one_come_on() -> None:
     world.advance_to(2_500_000_000)
     front, back = world.robots[0].registers[AMBIENT][[2, 6]]
     assert front == 485 > back
-    assert notes.told == ["second is on"]
+    assert notes.events == ["second is on"]

@@ -1,4 +1,4 @@
-"""Random draws of the sensors; noise of the sampled robot and of a twin of it in a twin of its room."""
+"""Random draws of the sensors; noise of the sampled robot and of its twin in a twin of its room."""
 
 from functools import cache
 
@@ -22,8 +22,8 @@ def in_the_room(target: str) -> np.ndarray:
 
 @pytest.mark.parametrize("target", ["wall", "cylinder"])
 def test_in_a_twin_of_its_room_the_robots_noise_is_that_of_the_samples(target: str) -> None:
-    found = [differences(in_the_room(target), order) for order in ORDERS]
-    assert found == pytest.approx(SAMPLED[target], rel=0.15)
+    deviations = [differences(in_the_room(target), order) for order in ORDERS]
+    assert deviations == pytest.approx(SAMPLED[target], rel=0.15)
 
 
 @pytest.mark.parametrize("target", ["wall", "cylinder"])
@@ -34,17 +34,17 @@ def test_what_a_robot_without_any_noise_reads_is_smooth(target: str) -> None:
 
 @pytest.mark.parametrize("target", share(["wall", "cylinder"], 2))
 def test_the_rooms_light_runs_through_the_sensors_in_the_order_of_the_scan(target: str) -> None:
-    found = ripple(in_the_room(target))
-    assert found.period == pytest.approx(PERIOD, rel=0.03)
-    assert found.amplitude == pytest.approx(55, rel=0.15)
-    assert found.lead_deg == pytest.approx(360 * 0.0025 * 103.6, abs=15)
-    assert found.coherence > 0.8
+    room_ripple = ripple(in_the_room(target))
+    assert room_ripple.period == pytest.approx(PERIOD, rel=0.03)
+    assert room_ripple.amplitude == pytest.approx(55, rel=0.15)
+    assert room_ripple.lead_deg == pytest.approx(360 * 0.0025 * 103.6, abs=15)
+    assert room_ripple.coherence > 0.8
 
 
 def test_without_the_room_the_noise_is_white() -> None:
     readings = twin("wall", lamp_w=0, bearing_sd_deg=0, distances_mm=DISTANCES_MM)
-    found = [differences(readings, order) for order in ORDERS]
-    assert found == pytest.approx([22, 22, 22], rel=0.08)
+    deviations = [differences(readings, order) for order in ORDERS]
+    assert deviations == pytest.approx([22, 22, 22], rel=0.08)
 
 
 def test_differences_of_white_noise_are_its_deviation_and_of_a_wave_as_in_closed_form() -> None:
@@ -66,13 +66,13 @@ def test_the_generator_gives_the_published_answers() -> None:
 
 def test_draws_have_the_moments_of_their_distributions_and_no_relation_to_each_other() -> None:
     tables, key = quantiles(), key_words(2**63 + 12345)
-    found = np.array([draws(tables, key, number) for number in range(100_000)])
-    assert found.mean(axis=0) == pytest.approx([0, 0, 1], abs=0.01)
-    assert found.std(axis=0) == pytest.approx([1, 1, 1], abs=0.01)
-    assert (found**3).mean(axis=0) == pytest.approx([0, 0, 6], abs=0.25)
-    assert (found[:, :2] ** 4).mean(axis=0) == pytest.approx([3, 3], abs=0.1)
-    related = np.corrcoef(np.hstack([found[1:], found[:-1]]).T)
-    assert np.abs(related - np.eye(6)).max() < 0.015
+    sample = np.array([draws(tables, key, number) for number in range(100_000)])
+    assert sample.mean(axis=0) == pytest.approx([0, 0, 1], abs=0.01)
+    assert sample.std(axis=0) == pytest.approx([1, 1, 1], abs=0.01)
+    assert (sample**3).mean(axis=0) == pytest.approx([0, 0, 6], abs=0.25)
+    assert (sample[:, :2] ** 4).mean(axis=0) == pytest.approx([3, 3], abs=0.1)
+    correlations = np.corrcoef(np.hstack([sample[1:], sample[:-1]]).T)
+    assert np.abs(correlations - np.eye(6)).max() < 0.015
 
 
 def test_a_draw_without_noise_is_zero_and_another_key_draws_something_else() -> None:

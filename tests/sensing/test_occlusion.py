@@ -1,4 +1,4 @@
-"""Sight lines that are surely clear: rays agree wherever they say so, and they say so often."""
+"""Precomputed lines of sight: rays confirm every clear one, and many are clear."""
 
 import math
 
@@ -19,28 +19,28 @@ from khep_twin.world import World
 
 
 def share_of_clear(text: str, n: int = 400) -> float:
-    """Asserts that rays see all of each lamp where it is said to be clear; the share of such places."""
+    """Check by rays that lamps with a clear line of sight are fully visible; return the clear share."""
     world = World(playpen.parse(text, "sight"), noise=False)
-    lines = SightLines(world.model, world.robots[0].indices, world.lamps.positions)
-    light, plain = build_light(lines, playpen.Lighting()), world.simulation.plain
+    sight_lines = SightLines(world.model, world.robots[0].indices, world.lamps.positions)
+    light, plain = build_light(sight_lines, playpen.Lighting()), world.simulation.plain
     sensors = plain.robots[0].sensors
-    place = world.data.cam_xpos[sensors.cameras[0]]
+    position = world.data.cam_xpos[sensors.cameras[0]]
     width, depth = world.playpen.arena.width_mm / 1e3, world.playpen.arena.height_mm / 1e3
-    clear = 0
+    n_clear = 0
     for x, y in np.random.default_rng(7).uniform((0, 0), (width, depth), (n, 2)).tolist():
-        for lamp, at in enumerate(world.lamps.positions):
+        for lamp, bulb in enumerate(world.lamps.positions):
             if lamp_light.is_clear(light, lamp, x, y):
-                clear += 1
-                place[:] = x, y, SENSOR_HEIGHT
-                way = at[0] - x, at[1] - y, at[2] - SENSOR_HEIGHT
-                distance = float(np.linalg.norm(way))
+                n_clear += 1
+                position[:] = x, y, SENSOR_HEIGHT
+                ray = bulb[0] - x, bulb[1] - y, bulb[2] - SENSOR_HEIGHT
+                distance = float(np.linalg.norm(ray))
                 if distance > 0.03:
-                    assert lamp_light.sample_bulb(plain.scene, sensors, 0, way, distance, FINE) == 1, (
+                    assert lamp_light.sample_bulb(plain.scene, sensors, 0, ray, distance, FINE) == 1, (
                         x,
                         y,
                         lamp,
                     )
-    return clear / n / len(world.lamps.positions)
+    return n_clear / n / len(world.lamps.positions)
 
 
 @pytest.mark.parametrize("name", ["default", "obstacles", "two-lamps", "light-seeking", "t-maze"])
@@ -48,7 +48,7 @@ def test_where_a_line_is_clear_rays_reach_all_of_the_bulb(name: str) -> None:
     text = playpen.dump(Playpen.load(name))
     if "[[lamp]]" not in text:
         text += "[[lamp]]\nx_mm = 100\ny_mm = 100\npower_w = 1\n"
-    # The sign of the T-maze hangs right at a wall, which may hide it from anywhere.
+    # The sign of the T-maze touches a wall, which may hide it in all directions.
     assert share_of_clear(text) >= (0 if name == "t-maze" else 0.4)
 
 
@@ -82,7 +82,7 @@ def test_where_something_may_move_nothing_is_known(other: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("channel", "way"),
+    ("channel", "to_bulb"),
     [
         (6, (0.01727616, -0.02480710, 0.01669987)),
         (5, (-0.03669416, -0.02120774, 0.01989215)),
@@ -90,46 +90,49 @@ def test_where_something_may_move_nothing_is_known(other: str) -> None:
     ],
 )
 def test_corners_of_the_gripper_beside_a_sensor_stop_light(
-    channel: int, way: tuple[float, float, float]
+    channel: int, to_bulb: tuple[float, float, float]
 ) -> None:
     world = World(Playpen.load("gripper"), noise=False, compiled=False)
     world.advance_to(100_000_000)
     model, data = world.model, world.data
     scene, sensors = world.simulation.plain.scene, world.simulation.plain.robots[0].sensors
-    place, distance = data.cam_xpos[sensors.cameras[channel]], float(np.linalg.norm(way))
-    (x, y, z), flat = way, math.hypot(*way[:2])
-    left, up = np.array((-y / flat, x / flat, 0)), np.array((-x * z / flat, -y * z / flat, flat)) / distance
-    others = (model.geom_bodyid != sensors.base) & (model.geom_rgba[:, 3] > 0)
-    stopped = 0
+    origin, distance = data.cam_xpos[sensors.cameras[channel]], float(np.linalg.norm(to_bulb))
+    (x, y, z), horizontal = to_bulb, math.hypot(*to_bulb[:2])
+    left, up = (
+        np.array((-y / horizontal, x / horizontal, 0)),
+        np.array((-x * z / horizontal, -y * z / horizontal, horizontal)) / distance,
+    )
+    is_obstacle = (model.geom_bodyid != sensors.base) & (model.geom_rgba[:, 3] > 0)
+    n_blocked = 0
     for across, upward in bulb_points(FINE):
-        ray = np.array(way) + lamp_light.BULB_RADIUS * (across * left + upward * up)
+        ray = np.array(to_bulb) + lamp_light.BULB_RADIUS * (across * left + upward * up)
         hits = [
             mujoco.mju_rayGeom(
                 data.geom_xpos[geom],
                 data.geom_xmat[geom],
                 model.geom_size[geom],
-                place,
+                origin,
                 ray,
                 model.geom_type[geom],
             )
-            for geom in np.flatnonzero(others)
+            for geom in np.flatnonzero(is_obstacle)
         ]
-        stopped += any(0 <= hit < 1 - lamp_light.BULB_RADIUS / distance for hit in hits)
-    assert lamp_light.sample_bulb(scene, sensors, channel, way, distance, FINE) == 1 - stopped / 64
-    assert stopped in (1, 2, 55)
+        n_blocked += any(0 <= hit < 1 - lamp_light.BULB_RADIUS / distance for hit in hits)
+    assert lamp_light.sample_bulb(scene, sensors, channel, to_bulb, distance, FINE) == 1 - n_blocked / 64
+    assert n_blocked in (1, 2, 55)
 
 
 @pytest.mark.parametrize("bulb", ["x_mm = 620\ny_mm = 500\nz_mm = 3", "x_mm = 999\ny_mm = 500"])
 def test_a_bulb_within_floor_or_wall_has_the_same_light_beside_what_can_move(bulb: str) -> None:
     arena = 'version = 1\nname = "a"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
     robot = "[[robot]]\nx_mm = 500\ny_mm = 500\nheading_deg = 0\n"
-    loose = (
+    movable = (
         "[[cylinder]]\nx_mm = 60\ny_mm = 60\nradius_mm = 10\nheight_mm = 20\nmass_g = 20\nmovable = true\n"
     )
     text = f"{arena}{robot}[[lamp]]\npower_w = 1\n{bulb}\n"
-    seen: list[list[int]] = []
-    for each in (text, text + loose):
-        world = World(playpen.parse(each, "bulb"), noise=False)
+    readings: list[list[int]] = []
+    for scene in (text, text + movable):
+        world = World(playpen.parse(scene, "bulb"), noise=False)
         world.advance_to(200_000_000)
-        seen.append([int(count) for count in world.robots[0].registers[AMBIENT]])
-    assert seen[0] == seen[1]
+        readings.append([int(count) for count in world.robots[0].registers[AMBIENT]])
+    assert readings[0] == readings[1]

@@ -1,4 +1,4 @@
-"""Robots see each other by infrared and stand in each other's light, as they pass."""
+"""Robots that pass each other are visible by infrared and cast shadows."""
 
 from functools import cache
 
@@ -31,11 +31,11 @@ calibration = "khepera1-manual"
 
 
 @cache
-def passed(y_mm: float, lamp: str = "") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Let the second robot pass the first; return its places, and what both see, every 10 ms.
+def pass_by(y_mm: float, lamp: str = "") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Let the second robot pass the first; return positions and readings every 10 ms.
 
     Returns:
-        Places x, y beside the first (n, 2) [m], proximity (n, 2, 8), ambient (n, 2, 8).
+        Positions x, y relative to the first robot (n, 2) [m], proximity (n, 2, 8), ambient (n, 2, 8).
     """
     world = World(playpen.parse(SCENE.format(y_mm=y_mm, lamp=lamp), "passing"), noise=False)
     world.robots[1].send(b"D,10,10\n")
@@ -55,29 +55,34 @@ def passed(y_mm: float, lamp: str = "") -> tuple[np.ndarray, np.ndarray, np.ndar
 def test_a_robot_that_passes_is_seen_by_one_sensor_after_the_other(
     side: int, lateral: int, oblique: int
 ) -> None:
-    places, proximity, _ = passed(250 + side * 58)
-    seen = proximity[:, 0]
-    assert seen[:, lateral].max() > 100
-    assert seen[:, oblique].max() > 100
-    # It comes from behind: first it is beside the sensor that looks sideways, then before the oblique one.
-    beside, before = (np.average(places[:, 0], weights=seen[:, sensor]) for sensor in (lateral, oblique))
-    assert beside == pytest.approx(SENSOR_POSITIONS[lateral][0], abs=0.006)
-    assert beside + 0.005 < before < 0.055
-    others = [sensor for sensor in range(6) if (sensor < 3) != (side == 1)]
-    assert not seen[:, others].any()
+    places, proximity, _ = pass_by(250 + side * 58)
+    counts = proximity[:, 0]
+    assert counts[:, lateral].max() > 100
+    assert counts[:, oblique].max() > 100
+    # It comes from behind: first it is in front of the lateral sensor, then of the oblique one.
+    lateral_x, oblique_x = (
+        np.average(places[:, 0], weights=counts[:, sensor]) for sensor in (lateral, oblique)
+    )
+    assert lateral_x == pytest.approx(SENSOR_POSITIONS[lateral][0], abs=0.006)
+    assert lateral_x + 0.005 < oblique_x < 0.055
+    other_sensors = [sensor for sensor in range(6) if (sensor < 3) != (side == 1)]
+    assert not counts[:, other_sensors].any()
 
 
 def test_it_sees_the_one_that_it_passes_as_that_one_sees_it() -> None:
-    places, proximity, _ = passed(250 + 58)
-    seen, back = proximity[:, 0, 0], proximity[:, 1, 5]
+    places, proximity, _ = pass_by(250 + 58)
+    counts, counts_back = proximity[:, 0, 0], proximity[:, 1, 5]
     # At the same heading, one is on the left of the other, and that one on its right.
-    ahead, ahead_of_other = np.average(places[:, 0], weights=seen), np.average(-places[:, 0], weights=back)
-    assert ahead == pytest.approx(ahead_of_other, abs=0.003)
+    offset, offset_back = (
+        np.average(places[:, 0], weights=counts),
+        np.average(-places[:, 0], weights=counts_back),
+    )
+    assert offset == pytest.approx(offset_back, abs=0.003)
 
 
 @pytest.mark.parametrize("gaps_mm", share([[4, 8, 40], [4, 8, 40, 6, 12]], 2), ids=len)
 def test_a_robot_is_seen_the_more_the_nearer_it_passes(gaps_mm: list[int]) -> None:
-    peaks = [passed(250 + 55 + gap_mm)[1][:, 0, 0].max() for gap_mm in sorted(gaps_mm)]
+    peaks = [pass_by(250 + 55 + gap_mm)[1][:, 0, 0].max() for gap_mm in sorted(gaps_mm)]
     assert peaks == sorted(peaks, reverse=True)
     assert peaks[0] > 2 * peaks[len(peaks) // 2] or peaks[0] == 1023
     assert peaks[-1] == 0
@@ -85,7 +90,7 @@ def test_a_robot_is_seen_the_more_the_nearer_it_passes(gaps_mm: list[int]) -> No
 
 def test_a_robot_that_passes_before_a_lamp_takes_its_light() -> None:
     lamp = "[[lamp]]\nx_mm = 400\ny_mm = 420\npower_w = 4\n"
-    places, _, ambient = passed(340, lamp)
+    places, _, ambient = pass_by(340, lamp)
     light = ambient[:, 0, 0].max() - ambient[:, 0, 0]
     dark = light < 0.1 * light.max()
     # The shadow lies where the way from the lamp to the sensor crosses the robot: it is as wide as the robot.

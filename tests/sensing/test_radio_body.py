@@ -1,4 +1,4 @@
-"""The radios of several robots, period by period: what is delivered to whom, when, and in which order."""
+"""The radios of several robots, period by period: receivers, times and order of the messages."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
@@ -20,8 +20,10 @@ def world() -> World:
     return World(playpen_with_radios([(100, 250), (200, 250), (400, 250), (500, 250)]))
 
 
-def run(air: Air, count: int, seed: int, to: Sequence[int], shuffled: bool = False) -> tuple[Counter, dict]:
-    """Sends random messages from all radios, reads them, and returns what was sent and what arrived where."""
+def run(
+    air: Air, count: int, seed: int, receivers: Sequence[int], shuffled: bool = False
+) -> tuple[Counter, dict]:
+    """Send random messages from all radios; return the counts by sender and the messages by receiver."""
     rng, order = np.random.default_rng(seed), np.random.default_rng(seed + 1)
     sent: Counter[int] = Counter()
     arrived: dict[int, list[Message]] = defaultdict(list)
@@ -32,7 +34,7 @@ def run(air: Air, count: int, seed: int, to: Sequence[int], shuffled: bool = Fal
         for number in range(1, N_ROBOTS + 1):
             if sum(sent.values()) < count and air.status(number) & RadioStatus.READY and rng.random() < 0.5:
                 failed += bool(air.status(number) & RadioStatus.FAILED)
-                goal = int(rng.choice([other for other in to if other != number]))
+                goal = int(rng.choice([other for other in receivers if other != number]))
                 data = sent[number].to_bytes(4, "little") + rng.bytes(int(rng.integers(13)))
                 assert air.send(number, goal, data)
                 sent[number] += 1
@@ -45,12 +47,12 @@ def run(air: Air, count: int, seed: int, to: Sequence[int], shuffled: bool = Fal
 
 
 def senders(arrived: Sequence[Message]) -> Iterator[tuple[int, list[int]]]:
-    """The numbers of the messages that arrived at a radio, for each sender."""
+    """Yield each sender with the numbers of its messages that arrived at a radio."""
     for sender in range(1, N_ROBOTS + 1):
-        found = [
+        numbers = [
             int.from_bytes(message.data[:4], "little") for message in arrived if message.sender == sender
         ]
-        yield sender, found
+        yield sender, numbers
 
 
 @pytest.mark.parametrize("count", share([1000, 10_000], 2))
@@ -58,12 +60,12 @@ def test_each_message_is_delivered_at_most_once_and_in_the_order_of_its_sender(
     world: World, count: int
 ) -> None:
     air = Air(world, seed=3, loss=0.5)
-    sent, arrived = run(air, count, seed=1, to=range(1, 5))
+    sent, arrived = run(air, count, seed=1, receivers=range(1, 5))
     failed = sent.pop(0)
     assert sent.total() == count
     delivered: Counter[tuple[int, int]] = Counter()
-    for found in arrived.values():
-        for sender, numbers in senders(found):
+    for messages in arrived.values():
+        for sender, numbers in senders(messages):
             assert numbers == sorted(set(numbers))
             delivered.update((sender, number) for number in numbers)
     assert max(delivered.values()) == 1
@@ -79,16 +81,16 @@ def test_a_transmission_is_lost_to_each_receiver_as_often_as_the_playpen_has_it(
     world: World, loss: float, count: int
 ) -> None:
     air = Air(world, seed=5, loss=loss)
-    sent, arrived = run(air, count, seed=2, to=[RADIO_ALL])
+    sent, arrived = run(air, count, seed=2, receivers=[RADIO_ALL])
     assert sent[0] == 0
-    got = sum(map(len, arrived.values())) / (count * (N_ROBOTS - 1))
-    assert got == pytest.approx(1 - loss, abs=4 * (loss * (1 - loss) / (3 * count)) ** 0.5)
+    share_received = sum(map(len, arrived.values())) / (count * (N_ROBOTS - 1))
+    assert share_received == pytest.approx(1 - loss, abs=4 * (loss * (1 - loss) / (3 * count)) ** 0.5)
     # One receiver's luck is not that of the others.
     if 0 < loss < 1:
-        [(_, first)] = [each for each in senders(arrived[3]) if each[0] == 1]
-        [(_, second)] = [each for each in senders(arrived[4]) if each[0] == 1]
-        both = len(set(first) & set(second)) / sent[1]
-        assert both == pytest.approx((1 - loss) ** 2, abs=4 * (0.25 / sent[1]) ** 0.5)
+        [(_, first)] = [received for received in senders(arrived[3]) if received[0] == 1]
+        [(_, second)] = [received for received in senders(arrived[4]) if received[0] == 1]
+        received_by_both = len(set(first) & set(second)) / sent[1]
+        assert received_by_both == pytest.approx((1 - loss) ** 2, abs=4 * (0.25 / sent[1]) ** 0.5)
 
 
 @pytest.mark.parametrize("count", share([100, 300], 2))
@@ -96,7 +98,7 @@ def test_the_same_seed_gives_the_same_registers_and_another_seed_others(world: W
     outcomes = []
     for seed in (7, 7, 8):
         air = Air(world, seed=seed, loss=0.4)
-        outcome = run(air, count, seed=3, to=[1, 2, 3, 4, RADIO_ALL])
+        outcome = run(air, count, seed=3, receivers=[1, 2, 3, 4, RADIO_ALL])
         outcomes.append((outcome, air.registers()))
     assert outcomes[0] == outcomes[1]
     assert outcomes[0] != outcomes[2]
@@ -107,7 +109,7 @@ def test_the_order_in_which_the_robots_of_a_period_run_changes_nothing(world: Wo
     outcomes = []
     for shuffled in (False, True):
         air = Air(world, seed=7, loss=0.4)
-        outcome = run(air, count, seed=4, to=[1, 2, 3, 4, RADIO_ALL], shuffled=shuffled)
+        outcome = run(air, count, seed=4, receivers=[1, 2, 3, 4, RADIO_ALL], shuffled=shuffled)
         outcomes.append((outcome, air.registers()))
     assert outcomes[0] == outcomes[1]
 
@@ -205,11 +207,11 @@ def test_registers_out_of_a_damaged_snapshot_are_no_error(world: World, snapshot
     extremes = np.array([-(2**63), -1, 0, 1, 2, 5, 255, TICK_NS, 2**63 - 1])
     for _ in range(snapshots):
         air = Air(world, loss=0.5)
-        for each in air.electronics:
-            each.registers[:] = rng.choice(extremes, len(each.registers))
+        for electronics in air.electronics:
+            electronics.registers[:] = rng.choice(extremes, len(electronics.registers))
         for _ in range(3):
             air.tick()
-        for number, each in enumerate(air.electronics, 1):
+        for number, electronics in enumerate(air.electronics, 1):
             assert air.send(number, 1, b"?") in (True, False)
             for message in (b"F", b"R", b"B"):
-                assert each.receive(message).startswith(b"t,4,")
+                assert electronics.receive(message).startswith(b"t,4,")

@@ -16,7 +16,7 @@ from khep_twin.units import SENSOR_HEIGHT
 
 
 class Thing(NamedTuple):
-    """A box, or a cylinder if it has no width, in millimetres from the chip: x along its axis."""
+    """A box, or a cylinder if its width is negative, in millimetres from the chip: x along its axis."""
 
     x: float
     y: float
@@ -28,77 +28,77 @@ class Thing(NamedTuple):
     reflectance: float = 1.0
 
 
-def wall(distance: float, angle_deg: float = 0.0, **more: float) -> Thing:
-    """An endless tall wall at a distance [mm], whose normal is turned by an angle."""
-    angle, tall = math.radians(angle_deg), {"top": 1e6} | more
-    away = distance + 5000
-    return Thing(away * math.cos(angle), away * math.sin(angle), 5000, 1e6, angle_deg, **tall)
+def wall(distance: float, angle_deg: float = 0.0, **options: float) -> Thing:
+    """Return an infinite tall wall at a distance [mm], whose normal is turned by an angle."""
+    angle, tall = math.radians(angle_deg), {"top": 1e6} | options
+    centre = distance + 5000
+    return Thing(centre * math.cos(angle), centre * math.sin(angle), 5000, 1e6, angle_deg, **tall)
 
 
 def lobe_of(exponent: float) -> Lobe:
-    whole, norm = int(exponent), lobes.norm(exponent)
-    return Lobe(whole, exponent - whole, norm, lobes.width(exponent) / norm, lobes.table(exponent))
+    integer, norm = int(exponent), lobes.norm(exponent)
+    return Lobe(integer, exponent - integer, norm, lobes.width(exponent) / norm, lobes.table(exponent))
 
 
 def surfaces(things: Sequence[Thing], reach: float = 100.0) -> tuple[list[float], int, Chip]:
-    found, count = [0.0] * (N_SURFACES * N_COLUMNS), 0
+    columns, count = [0.0] * (N_SURFACES * N_COLUMNS), 0
     chip = Chip(0.0, 0.0, 1.0, 0.0, SENSOR_HEIGHT, reach)
     for x, y, half, width, angle_deg, top, bottom, reflectance in things:
-        turn = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+        direction = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
         size = half / 1e3, width / 1e3 if width > 0 else -1.0
         span = bottom / 1e3, top / 1e3
-        count = add_upright(found, count, chip, ((x / 1e3, y / 1e3), turn, size, span), reflectance)
-    return found, count, chip
+        count = add_upright(columns, count, chip, ((x / 1e3, y / 1e3), direction, size, span), reflectance)
+    return columns, count, chip
 
 
 def light(things: Sequence[Thing], exponent: float = 3.0, reach: float = 100.0) -> float:
-    found, count, chip = surfaces(things, reach)
-    return reflected_light(found, count, chip, lobe_of(exponent)) if count else 0.0
+    columns, count, chip = surfaces(things, reach)
+    return reflected_light(columns, count, chip, lobe_of(exponent)) if count else 0.0
 
 
 def cast(thing: Thing, cosines: np.ndarray, sines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances [m] along flat rays to a thing, inf where it is missed, and cosines of the incidence."""
+    """Return distances [m] along horizontal rays to an object, inf for a miss, and cosines of incidence."""
     x, y, half = thing.x / 1e3, thing.y / 1e3, thing.half / 1e3
     if thing.width < 0:
         along, across = x * cosines + y * sines, x * sines - y * cosines
-        deep = half * half - across**2
-        hit, root = (deep > 0) & (along > 0), np.sqrt(np.maximum(deep, 0))
+        depth = half * half - across**2
+        hit, root = (depth > 0) & (along > 0), np.sqrt(np.maximum(depth, 0))
         return np.where(hit, along - root, np.inf), root / half
     lengths, incidences = np.full(cosines.shape, np.inf), np.zeros(cosines.shape)
-    for turn, deep, wide in ((0, half, thing.width / 1e3), (90, thing.width / 1e3, half)):
+    for turn, depth, wide in ((0, half, thing.width / 1e3), (90, thing.width / 1e3, half)):
         for side in (0, 180):
             angle = math.radians(thing.angle_deg + turn + side)
             c, s = math.cos(angle), math.sin(angle)
-            away, towards = -(x * c + y * s) - deep, -(c * cosines + s * sines)
-            if away > 0:
-                distance = away / np.maximum(towards, 1e-9)
+            gap, incidence = -(x * c + y * s) - depth, -(c * cosines + s * sines)
+            if gap > 0:
+                distance = gap / np.maximum(incidence, 1e-9)
                 across = distance * (c * sines - s * cosines) - (c * y - s * x)
-                hit = (towards > 1e-9) & (np.abs(across) <= wide)
-                lengths, incidences = np.where(hit, distance, lengths), np.where(hit, towards, incidences)
+                hit = (incidence > 1e-9) & (np.abs(across) <= wide)
+                lengths, incidences = np.where(hit, distance, lengths), np.where(hit, incidence, incidences)
     return lengths, incidences
 
 
 def integral(things: Sequence[Thing], exponent: float = 3.0, n: int = 1600) -> float:
-    """Light by rays in all directions, which a mirror, the floor, sends upwards again."""
-    places = (np.arange(n) + 0.5) / n * math.pi - math.pi / 2
-    cosines, sines, slopes = np.cos(places), np.sin(places), np.tan(places)[:, None]
-    whole = int(exponent)
-    lobe = cosines**whole * (1 - (exponent - whole) * (1 - cosines))
-    # The lobe in elevation and four factors of the way to a surface that stands upright.
-    falling = np.cos(places)[:, None] ** 7 * (math.pi / n) * 35 / 32
-    found = [cast(thing, cosines, sines) for thing in things]
-    order = np.argsort([lengths for lengths, _ in found], axis=0)
-    free, total = np.ones((n, n), bool), np.zeros((n, n))
+    """Return the light by rays in all directions, which the floor reflects upwards like a mirror."""
+    azimuths = (np.arange(n) + 0.5) / n * math.pi - math.pi / 2
+    cosines, sines, slopes = np.cos(azimuths), np.sin(azimuths), np.tan(azimuths)[:, None]
+    integer = int(exponent)
+    lobe = cosines**integer * (1 - (exponent - integer) * (1 - cosines))
+    # The lobe in elevation, and four factors cos for an upright surface.
+    elevation_weight = np.cos(azimuths)[:, None] ** 7 * (math.pi / n) * 35 / 32
+    rays = [cast(thing, cosines, sines) for thing in things]
+    order = np.argsort([lengths for lengths, _ in rays], axis=0)
+    is_free, total = np.ones((n, n), bool), np.zeros((n, n))
     for rank in order:
         for index, thing in enumerate(things):
-            lengths, incidences = found[index]
-            here = (rank == index) & np.isfinite(lengths)
-            away = np.where(here, lengths, 1.0)
-            heights = np.abs(SENSOR_HEIGHT + slopes * away)
-            hit = free & here & (heights <= thing.top / 1e3) & (heights >= thing.bottom / 1e3)
-            total += hit * (thing.reflectance * incidences / away**2)
-            free &= ~hit
-    return float((total * falling * lobe).sum() * math.pi / n / lobes.norm(exponent))
+            lengths, incidences = rays[index]
+            is_nearest = (rank == index) & np.isfinite(lengths)
+            distances = np.where(is_nearest, lengths, 1.0)
+            heights = np.abs(SENSOR_HEIGHT + slopes * distances)
+            hit = is_free & is_nearest & (heights <= thing.top / 1e3) & (heights >= thing.bottom / 1e3)
+            total += hit * (thing.reflectance * incidences / distances**2)
+            is_free &= ~hit
+    return float((total * elevation_weight * lobe).sum() * math.pi / n / lobes.norm(exponent))
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.26, 3.0, 4.0])
@@ -108,22 +108,22 @@ def test_an_endless_wall_face_to_face_gives_the_inverse_square(exponent: float) 
 
 
 def test_light_is_in_proportion_to_reflectance_and_falls_with_the_square_of_the_size() -> None:
-    whole = [Thing(40, 5, 20, 15, 30, 1e6), Thing(30, -15, 9, top=1e6)]
-    dark = [thing._replace(reflectance=0.4) for thing in whole]
-    twice = [
+    scene = [Thing(40, 5, 20, 15, 30, 1e6), Thing(30, -15, 9, top=1e6)]
+    dark = [thing._replace(reflectance=0.4) for thing in scene]
+    doubled = [
         thing._replace(x=2 * thing.x, y=2 * thing.y, half=2 * thing.half, width=2 * thing.width)
-        for thing in whole
+        for thing in scene
     ]
-    assert light(dark) == pytest.approx(0.4 * light(whole))
-    assert light(twice) == pytest.approx(light(whole) / 4, rel=2e-3)
+    assert light(dark) == pytest.approx(0.4 * light(scene))
+    assert light(doubled) == pytest.approx(light(scene) / 4, rel=2e-3)
 
 
 @pytest.mark.parametrize("angle_deg", [-75, -40, 20, 60, 85])
 def test_an_oblique_wall_gives_the_integral_over_what_the_lobe_sees(angle_deg: float) -> None:
     # cos(phi) / d^2 is cos(phi)^3 over the square of the distance of the foot.
     azimuths = np.linspace(-math.pi / 2, math.pi / 2, 200_001)
-    lit = np.maximum(np.cos(azimuths - math.radians(angle_deg)), 0) ** 3
-    expected = float((np.cos(azimuths) ** 2 * lit).mean() * math.pi) / lobes.norm(2) / 0.02**2
+    incidences = np.maximum(np.cos(azimuths - math.radians(angle_deg)), 0) ** 3
+    expected = float((np.cos(azimuths) ** 2 * incidences).mean() * math.pi) / lobes.norm(2) / 0.02**2
     assert light([wall(20, angle_deg)], 2.0) == pytest.approx(expected, rel=2e-3)
 
 
@@ -163,64 +163,64 @@ def test_the_heights_of_faces_and_of_what_hides_count_at_one_azimuth_which_is_ne
     assert light(PARTLY_SEEN[name]) == pytest.approx(integral(PARTLY_SEEN[name]), rel=0.05)
 
 
-def random_things(rng: np.random.Generator, most_of_them: int = 6) -> list[Thing]:
-    found: list[Thing] = []
-    while len(found) < most_of_them:
+def random_things(rng: np.random.Generator, count: int = 6) -> list[Thing]:
+    things: list[Thing] = []
+    while len(things) < count:
         x, y = rng.uniform((5, -60), (80, 60)).tolist()
         half, width = rng.uniform(2, 20, 2).tolist()
         if math.hypot(x, y) > math.hypot(half, width) + 3:
             width = width if rng.random() < 0.5 else -1.0
             angle, top, reflectance = rng.uniform((0, 4, 0.05), (180, 50, 1)).tolist()
-            found.append(Thing(x, y, half, width, angle, top, reflectance=reflectance))
-    return found
+            things.append(Thing(x, y, half, width, angle, top, reflectance=reflectance))
+    return things
 
 
 @pytest.mark.parametrize("scenes", share([30, 60], 2))
 def test_in_random_scenes_light_is_within_few_per_cent_of_that_of_rays(scenes: int) -> None:
     rng = np.random.default_rng(1)
-    apart: list[float] = []
+    errors: list[float] = []
     for _ in range(scenes):
         things, exponent = random_things(rng, int(rng.integers(1, 5))), float(rng.uniform(1, 4))
         expected = integral(things, exponent, 700)
         if expected > 30:
-            apart.append(abs(light(things, exponent) / expected - 1))
-    assert len(apart) > scenes / 2
-    assert np.median(apart) < 0.003
-    assert np.percentile(apart, 90) < 0.03
-    assert max(apart) < 0.1
+            errors.append(abs(light(things, exponent) / expected - 1))
+    assert len(errors) > scenes / 2
+    assert np.median(errors) < 0.003
+    assert np.percentile(errors, 90) < 0.03
+    assert max(errors) < 0.1
 
 
 @pytest.mark.parametrize("scenes", share([60, 300], 2))
 def test_the_upper_bound_is_one_in_random_scenes(scenes: int) -> None:
     rng = np.random.default_rng(4)
-    seen = 0
+    n_lit = 0
     for _ in range(scenes):
         exponent = float(rng.uniform(0, 6))
-        found, count, chip = surfaces(random_things(rng, int(rng.integers(1, 7))))
+        columns, count, chip = surfaces(random_things(rng, int(rng.integers(1, 7))))
         lobe = lobe_of(exponent)
-        true = reflected_light(found, count, chip, lobe)
-        left, most = remove_faint(found, count, lobe, 0.0)
-        assert (left, reflected_light(found, left, chip, lobe)) == (count, true)
-        assert most >= true
-        seen += true > 0
-    assert seen > scenes * 0.8
+        true = reflected_light(columns, count, chip, lobe)
+        n_left, bound = remove_faint(columns, count, lobe, 0.0)
+        assert (n_left, reflected_light(columns, n_left, chip, lobe)) == (count, true)
+        assert bound >= true
+        n_lit += true > 0
+    assert n_lit > scenes * 0.8
 
 
 @pytest.mark.parametrize("scenes", share([60, 300], 2))
 def test_what_is_sifted_out_sends_back_less_than_it_is_sifted_by(scenes: int) -> None:
     rng = np.random.default_rng(7)
-    removed = 0
+    n_removed = 0
     for _ in range(scenes):
-        exponent, least = float(rng.uniform(0, 6)), float(10 ** rng.uniform(0, 2.7))
-        found, count, chip = surfaces(random_things(rng))
+        exponent, min_light = float(rng.uniform(0, 6)), float(10 ** rng.uniform(0, 2.7))
+        columns, count, chip = surfaces(random_things(rng))
         lobe = lobe_of(exponent)
-        true = reflected_light(found, count, chip, lobe)
-        left, most = remove_faint(found, count, lobe, least)
-        rest = reflected_light(found, left, chip, lobe) if left else 0.0
-        assert abs(true - rest) <= (count - left) * least
-        assert most >= rest
-        removed += count - left
-    assert removed > scenes / 2
+        true = reflected_light(columns, count, chip, lobe)
+        n_left, bound = remove_faint(columns, count, lobe, min_light)
+        remaining = reflected_light(columns, n_left, chip, lobe) if n_left else 0.0
+        assert abs(true - remaining) <= (count - n_left) * min_light
+        assert bound >= remaining
+        n_removed += count - n_left
+    assert n_removed > scenes / 2
 
 
 def test_light_does_not_depend_on_the_order_of_things() -> None:
@@ -232,30 +232,30 @@ def test_light_does_not_depend_on_the_order_of_things() -> None:
 
 def test_what_stands_behind_a_higher_thing_does_not_count() -> None:
     front = Thing(30, 3, 12, 25, 10, top=30)
-    behind = [Thing(50, 0, 6, top=29), Thing(55, 5, 5, 8, 30, top=20), Thing(75, 2, 5, 10, top=30)]
+    hidden = [Thing(50, 0, 6, top=29), Thing(55, 5, 5, 8, 30, top=20), Thing(75, 2, 5, 10, top=30)]
     for exponent in (0.0, 3.3):
         alone = light([front], exponent)
-        assert light([front, *behind], exponent) == alone
+        assert light([front, *hidden], exponent) == alone
         # Found first, they cut its arc into pieces, each of which has its height at another azimuth.
-        assert light([*behind, front], exponent) == pytest.approx(alone, rel=0.01)
+        assert light([*hidden, front], exponent) == pytest.approx(alone, rel=0.01)
     low, higher = front._replace(top=15, reflectance=0.1), Thing(75, 2, 5, 10, top=50)
     assert light([low, higher]) > 1.05 * light([low])
 
 
 def test_low_things_count_by_the_part_of_the_lobe_that_they_and_their_image_fill() -> None:
     def filled(top: float, distance: float) -> float:
-        """The integral of cos^7 over the elevation between a top and its image."""
-        at = np.linspace(-1, 1, 20_001) * math.pi / 2
-        heights = SENSOR_HEIGHT * 1e3 + distance * np.tan(at)
-        return float((np.cos(at) ** 7 * (np.abs(heights) <= top)).mean() * math.pi * 35 / 32)
+        """Return the integral of cos^7 over the elevation between a top and its mirror image."""
+        elevations = np.linspace(-1, 1, 20_001) * math.pi / 2
+        heights = SENSOR_HEIGHT * 1e3 + distance * np.tan(elevations)
+        return float((np.cos(elevations) ** 7 * (np.abs(heights) <= top)).mean() * math.pi * 35 / 32)
 
     heights = np.arange(0.5, 50, 0.5).tolist()
     rods = np.array([light([Thing(20, 0, 0.2, top=top)]) for top in heights])
     blocks = np.array([light([Thing(30, 3, 10, 15, 20, top=top)]) for top in heights])
     tall = light([Thing(20, 0, 0.2, top=1e6)])
     assert rods / tall == pytest.approx([filled(top, 19.8) for top in heights], abs=3e-3)
-    for found in (rods, blocks):
-        steps = np.diff(found) / found[-1]
+    for lights in (rods, blocks):
+        steps = np.diff(lights) / lights[-1]
         assert (steps > 0).all()
         assert steps.max() < 0.035  # no jump where a thing comes up to the sensor's height
     assert 0.05 < blocks[9] / blocks[-1] < 0.25
@@ -266,17 +266,17 @@ def test_of_too_many_surfaces_the_nearest_are_kept_in_any_order() -> None:
     nearest = sorted(rods, key=lambda rod: math.hypot(rod.x, rod.y) - rod.half)[:N_SURFACES]
     rng = np.random.default_rng(6)
     for _ in range(3):
-        found, count, _ = surfaces([rods[i] for i in rng.permutation(len(rods))])
+        columns, count, _ = surfaces([rods[i] for i in rng.permutation(len(rods))])
         assert count == N_SURFACES
-        kept = sorted(math.sqrt(square) * 1e3 for square in found[SQUARE::N_COLUMNS])
-        assert kept == pytest.approx([math.hypot(rod.x, rod.y) - rod.half for rod in nearest])
+        distances = sorted(math.sqrt(square) * 1e3 for square in columns[SQUARE::N_COLUMNS])
+        assert distances == pytest.approx([math.hypot(rod.x, rod.y) - rod.half for rod in nearest])
 
 
 def test_light_fades_to_nothing_in_the_last_quarter_of_the_range() -> None:
     distances = np.arange(40, 62, 0.1).tolist()
-    found = np.array([light([Thing(distance, 0, 5)], reach=0.06) for distance in distances])
-    whole = np.array([light([Thing(distance, 0, 5)]) for distance in distances])
-    assert found / whole == pytest.approx(np.clip(4 * (1 - (np.array(distances) - 5) / 60), 0, 1))
+    faded = np.array([light([Thing(distance, 0, 5)], reach=0.06) for distance in distances])
+    full = np.array([light([Thing(distance, 0, 5)]) for distance in distances])
+    assert faded / full == pytest.approx(np.clip(4 * (1 - (np.array(distances) - 5) / 60), 0, 1))
 
 
 @pytest.mark.parametrize("thing", [Thing(1, 2, 10), Thing(1, 2, 10, 8, 30)])
@@ -286,14 +286,16 @@ def test_a_sensor_within_a_thing_gets_all_the_light_there_is(thing: Thing) -> No
 
 
 def tipped(kind: int, size: tuple[float, float, float], axis: int, angle_deg: float) -> list[float]:
-    """Where the third axis of a thing points: 0 along x, 1 along y, 2 up; then turned about the vertical."""
+    """Return an object with its third axis along `axis`, turned about the vertical [degrees, mm]."""
     c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     matrix = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]][axis]]
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ matrix
-    centre, (cosine, sine), half, (bottom, top) = upright_shape(kind, size, (0.1, 0.2, 0.03), turn.ravel().tolist())
+    rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ matrix
+    centre, (cosine, sine), half, (bottom, top) = upright_shape(
+        kind, size, (0.1, 0.2, 0.03), rotation.ravel().tolist()
+    )
     assert centre == (0.1, 0.2)
-    away = math.degrees(math.atan2(sine, cosine)) % 180
-    return [away, *(value * 1e3 for value in (*half, bottom, top))]
+    angle = math.degrees(math.atan2(sine, cosine)) % 180
+    return [angle, *(value * 1e3 for value in (*half, bottom, top))]
 
 
 CYLINDER, BOX = 5, 6
@@ -308,6 +310,6 @@ def test_what_has_tipped_over_counts_as_the_upright_thing_that_it_resembles() ->
     assert lying[3:] == pytest.approx([22, 38])
     assert (lying[0] if lying[1] > lying[2] else (lying[0] + 90) % 180) == pytest.approx(30)
     for axis, half, height in ((2, (20, 10), 5), (0, (5, 20), 10), (1, (10, 5), 20)):
-        found = tipped(BOX, brick, axis, 0)
-        assert sorted(found[1:3]) == pytest.approx(sorted(half))
-        assert found[3:] == pytest.approx([30 - height, 30 + height])
+        shape = tipped(BOX, brick, axis, 0)
+        assert sorted(shape[1:3]) == pytest.approx(sorted(half))
+        assert shape[3:] == pytest.approx([30 - height, 30 + height])

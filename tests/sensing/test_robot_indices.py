@@ -1,4 +1,4 @@
-"""Tests of a robot's indices: each must be that of the name, also for the second robot of a scene."""
+"""Indices of a robot: each belongs to the part of that name, also for the second robot of a scene."""
 
 import dataclasses
 import math
@@ -36,23 +36,26 @@ def world() -> World:
 
 @pytest.mark.parametrize("name", ["khepera0", "khepera1"])
 def test_each_index_bears_the_name_of_its_part(world: World, name: str) -> None:
-    model, found = world.model, RobotIndices.of(world.model, name)
-    assert model.body(found.base).name == f"{name}/base"
-    assert [model.body(each).name for each in found.wheels] == [f"{name}/left_wheel", f"{name}/right_wheel"]
-    assert [model.actuator(each).name for each in found.motors] == [
+    model, indices = world.model, RobotIndices.of(world.model, name)
+    assert model.body(indices.base).name == f"{name}/base"
+    assert [model.body(index).name for index in indices.wheels] == [
+        f"{name}/left_wheel",
+        f"{name}/right_wheel",
+    ]
+    assert [model.actuator(index).name for index in indices.motors] == [
         f"{name}/left_motor",
         f"{name}/right_motor",
     ]
     names = [f"{name}/{sensor.key}" for sensor in Sensor]
-    assert [model.camera(each).name for each in found.cameras] == names
-    assert [model.site(each).name for each in found.leds] == [f"{name}/led_0", f"{name}/led_1"]
-    assert [model.body(each).name for each in found.led_lights] == [
+    assert [model.camera(index).name for index in indices.cameras] == names
+    assert [model.site(index).name for index in indices.leds] == [f"{name}/led_0", f"{name}/led_1"]
+    assert [model.body(index).name for index in indices.led_lights] == [
         f"{name}/led_0_light",
         f"{name}/led_1_light",
     ]
     joints = [f"{name}/pose", f"{name}/left_axle", f"{name}/right_axle"]
-    assert [model.joint(each).qposadr[0] for each in joints] == [found.pose, *found.wheel_angles]
-    assert [model.joint(each).dofadr[0] for each in joints] == [found.velocity, *found.wheel_speeds]
+    assert [model.joint(index).qposadr[0] for index in joints] == [indices.pose, *indices.wheel_angles]
+    assert [model.joint(index).dofadr[0] for index in joints] == [indices.velocity, *indices.wheel_speeds]
 
 
 def test_the_pose_is_that_of_the_playpen(world: World) -> None:
@@ -62,9 +65,9 @@ def test_the_pose_is_that_of_the_playpen(world: World) -> None:
 
 
 def test_indices_are_of_one_robot_and_do_not_change(world: World) -> None:
-    found = RobotIndices.of(world.model, "khepera0")
+    indices = RobotIndices.of(world.model, "khepera0")
     with pytest.raises(dataclasses.FrozenInstanceError):
-        found.base = 1  # pyright: ignore[reportAttributeAccessIssue]
+        indices.base = 1  # pyright: ignore[reportAttributeAccessIssue]
     with pytest.raises(KeyError, match="khepera2"):
         RobotIndices.of(world.model, "khepera2")
-    assert np.intersect1d(found.motors, world.robots[1].indices.motors).size == 0
+    assert np.intersect1d(indices.motors, world.robots[1].indices.motors).size == 0

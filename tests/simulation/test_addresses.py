@@ -1,4 +1,4 @@
-"""MuJoCo's private addresses: what lies there is what its Python module shows."""
+"""MuJoCo's private addresses: the memory there equals the arrays of its Python module."""
 
 import ctypes
 

@@ -1,4 +1,4 @@
-"""Compilations are announced once, with their time and progress."""
+"""Compilations are announced once, with their duration and progress."""
 
 import math
 from collections.abc import Callable, Generator
@@ -13,14 +13,14 @@ pytestmark = with_numba
 
 
 class Dispatcher:
-    """A compiled function, as numba names it in its events."""
+    """A compiled function, as in numba's events."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.py_func = function
 
 
 class Compilations:
-    """What numba would tell of compilations, and a clock that goes on by a second for each inner function."""
+    """Fake compilation events of numba, and a clock that advances by a second for each inner function."""
 
     def __init__(self, inner: list[Callable[..., Any]]) -> None:
         self.now, self._inner = 100.0, iter(inner)
@@ -39,25 +39,25 @@ class Compilations:
 
 @pytest.fixture
 def module() -> ModuleType:
-    """A module of forty functions for compiled code."""
-    made = ModuleType("forty")
+    """Return a module of forty functions for compiled code."""
+    forty = ModuleType("forty")
     for number in range(40):
         function: Any = eval("lambda x: 2 * x")
-        function.__module__ = made.__name__
-        setattr(made, f"f{number}", function)
-    return made
+        function.__module__ = forty.__name__
+        setattr(forty, f"f{number}", function)
+    return forty
 
 
 @pytest.fixture
 def compilations(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Compilations:
-    """Compilations of the functions of the module, in their order."""
+    """Return compilations of the functions of the module, in their order."""
     from khep_twin.simulation import announcement
 
     functions = [getattr(module, f"f{number}") for number in range(40)]
-    made = Compilations(functions)
+    fakes = Compilations(functions)
     monkeypatch.setattr(announcement, "FUNCTIONS", functions)
-    monkeypatch.setattr(announcement, "time", made)
-    return made
+    monkeypatch.setattr(announcement, "time", fakes)
+    return fakes
 
 
 BEGIN = "khep_twin: compiling with numba, once per version: about 40 s\n"
@@ -74,11 +74,11 @@ def test_a_compilation_is_a_line_with_the_time_it_will_take_and_one_with_that_it
     announcer, outer = Announcer(), Dispatcher(math.sin)
     announcer.add(outer, [module])
     with event.install_listener("numba:compile", announcer):
-        compilations.compile(outer, 3)  # too few to tell
+        compilations.compile(outer, 3)  # too few for an estimate
         assert capsys.readouterr().err == ""
         compilations.compile(outer, 37)
-    told = capsys.readouterr().err.splitlines()
-    assert told == [
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
         "khep_twin: compiling with numba, once per version: about 37 s",
         "khep_twin: compiling with numba took 37 s",
     ]
@@ -112,20 +112,22 @@ def test_the_progress_is_the_part_of_the_functions_and_the_time_goes_by_what_the
     from khep_twin.simulation import announcement
     from khep_twin.simulation.announcement import Announcer
 
-    told: list[str] = []
+    texts: list[str] = []
 
     @contextmanager
-    def shown(begin: str, progress: Callable[[], str], end: Callable[[], str]) -> Generator[None, None, None]:
-        told.append(progress())
+    def record(
+        begin: str, progress: Callable[[], str], end: Callable[[], str]
+    ) -> Generator[None, None, None]:
+        texts.append(progress())
         yield
-        told.append(progress())
+        texts.append(progress())
 
-    monkeypatch.setattr(announcement, "announced", shown)
+    monkeypatch.setattr(announcement, "announced", record)
     announcer, outer = Announcer(), Dispatcher(math.sin)
     announcer.add(outer, [module])
     with event.install_listener("numba:compile", announcer):
         compilations.compile(outer, 30)
-    assert [each.partition("version: ")[2] for each in told] == [
+    assert [text.partition("version: ")[2] for text in texts] == [
         "15 %, about 34 s to go",
         "75 %, about 10 s to go",
     ]
@@ -151,4 +153,4 @@ def test_all_parts_that_are_compiled_know_what_they_call() -> None:
     for part in CODE:
         assert function_of(part) in functions_of(part)
         ANNOUNCER._expect(functions_of(part))
-        assert len(ANNOUNCER._expected | ANNOUNCER._done) > 20, part
+        assert len(ANNOUNCER._expected | ANNOUNCER._compiled) > 20, part

@@ -1,4 +1,4 @@
-"""Weak motors, slipping tyres and blocked wheels: against closed form, and sound again when a fault ends."""
+"""Weak motors, slipping tyres and blocked wheels: against closed forms, and restored when a fault ends."""
 
 import math
 from copy import copy
@@ -28,20 +28,20 @@ MOTORS = MotorCalibration()
 
 
 def setup_with(*faults: str) -> EpisodeSetup:
-    """The same setup with faults, of the same compiled scene."""
-    found = copy(SETUP)
-    found.faults = tuple(map(parse_fault, faults))
-    return found
+    """Return the same setup with faults, of the same compiled scene."""
+    faulty = copy(SETUP)
+    faulty.faults = tuple(map(parse_fault, faults))
+    return faulty
 
 
 def episode(*faults: str, x_mm: float = 500, seconds: float = 0.0, duty: int = 0) -> Episode:
-    """A robot on a floor of a square metre, without noise, with this duty for this time."""
-    found = Episode(setup_with(*faults), ConstantSpeed(), compiled=False)
-    found.begin(options=EpisodeOptions(noise=False, start=(x_mm, 500, 0)))
+    """Return an episode without noise on a square metre, after this time with this duty."""
+    twin = Episode(setup_with(*faults), ConstantSpeed(), compiled=False)
+    twin.begin(options=EpisodeOptions(noise=False, start=(x_mm, 500, 0)))
     for wheel in (0, RIGHT) if duty else ():
-        set_duty(found.boards[0].data, wheel, duty)
-    found.run(seconds)
-    return found
+        set_duty(twin.boards[0].data, wheel, duty)
+    twin.run(seconds)
+    return twin
 
 
 def angle(twin: Episode, side: int) -> float:
@@ -75,14 +75,14 @@ def test_a_robot_pushes_with_what_is_left_of_its_tyres_friction(part: float) -> 
     for _ in range(40):
         twin.step(1)
         force = np.zeros(6)
-        found = dict.fromkeys(("left_tyre", "right_tyre", "shell"), 0.0)
+        forces = dict.fromkeys(("left_tyre", "right_tyre", "shell"), 0.0)
         for number, contact in enumerate(twin.data.contact):
             mujoco.mj_contactForce(twin.world.model, twin.data, number, force)
             for geom in contact.geom.tolist():
                 name = twin.world.model.geom(geom).name.rpartition("/")[2]
-                found[name] = found.get(name, 0.0) + float(force[0])
-        pushes.append(found["shell"])
-        loads.append(found["left_tyre"] + found["right_tyre"])
+                forces[name] = forces.get(name, 0.0) + float(force[0])
+        pushes.append(forces["shell"])
+        loads.append(forces["left_tyre"] + forces["right_tyre"])
     assert np.mean(pushes) == pytest.approx(part * TYRE_FRICTION * np.mean(loads), rel=0.02, abs=2e-3)
 
 
@@ -108,12 +108,12 @@ def test_a_blocked_wheel_stands_and_the_robot_turns_about_it() -> None:
 
 def test_wheels_are_sound_to_the_last_bit_when_their_faults_end() -> None:
     twin = episode("slip:left:0.1@0.1-0.3", "blocked:right@0.1-0.2", "weak:left:0.5@0.1-0.3", duty=60)
-    for seconds, sound in ((0.06, True), (0.08, False), (0.2, True)):
+    for seconds, is_sound in ((0.06, True), (0.08, False), (0.2, True)):
         twin.run(seconds)
-        same = [
-            np.array_equal(getattr(twin.world.model, each), getattr(SETUP.model, each)) for each in FIELDS
+        is_same = [
+            np.array_equal(getattr(twin.world.model, field), getattr(SETUP.model, field)) for field in FIELDS
         ]
-        assert all(same) is sound
+        assert all(is_same) is is_sound
     angles = angle(twin, 0), angle(twin, 1)
     twin.run(0.5)
     # Both drive again, as fast as each other.
@@ -123,16 +123,16 @@ def test_wheels_are_sound_to_the_last_bit_when_their_faults_end() -> None:
 
 
 def test_faulty_wheels_are_of_one_episode_alone() -> None:
-    """The next episode begins with sound ones, and others of the setup never have them."""
+    """The next episode starts without faults, and other episodes of the setup never have them."""
     setup = setup_with("blocked:left@0.3", "slip:right:0@0.1")
     faulty = Episode(setup, Braitenberg(), compiled=False)
     sound = Episode(SETUP, Braitenberg(), compiled=False)
-    found = []
-    for each, seconds in ((sound, 0.2), (faulty, 0.5), (sound, 0.2), (faulty, 0.08)):
+    joints = []
+    for runner, seconds in ((sound, 0.2), (faulty, 0.5), (sound, 0.2), (faulty, 0.08)):
         for vary in (False, True):
-            each.begin(3, EpisodeOptions(vary=vary))
-            each.run(0.08)
-            found.append(each.joints.tobytes())
-            each.run(round(seconds - 0.08, 2))
-    assert found[::2] == [found[0]] * 4
-    assert found[1::2] == [found[1]] * 4
+            runner.begin(3, EpisodeOptions(vary=vary))
+            runner.run(0.08)
+            joints.append(runner.joints.tobytes())
+            runner.run(round(seconds - 0.08, 2))
+    assert joints[::2] == [joints[0]] * 4
+    assert joints[1::2] == [joints[1]] * 4

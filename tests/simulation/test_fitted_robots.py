@@ -1,4 +1,4 @@
-"""Robots fitted to another calibration: the scene that would be compiled of it, and back."""
+"""Robots fitted to another calibration: equal to the scene compiled from it, and reversible."""
 
 import copy
 from typing import Any
@@ -33,19 +33,19 @@ heading_deg = 0
 """
 
 LEFT_OUT = {"meansize", "actuator_biasprm"}
-"""The scale of viewers' arrows, and the damping of a gripper's servos."""
+"""The visualisation scale, and the damping of a gripper's servos."""
 
 
 def two() -> Playpen:
     return playpen.parse(playpen.dump(Playpen.load("default")) + SECOND, "two")
 
 
-def another(seed: int = 0) -> Calibration:
+def sample_robot(seed: int = 0) -> Calibration:
     return calibration.vary(calibration.read("khepera1")[0], np.random.default_rng(seed))
 
 
 def replace(patch: pytest.MonkeyPatch, name: str, value: object) -> None:
-    """Have a function of `calibration` always return this."""
+    """Replace a function of `calibration` by one that returns this value."""
 
     def answer(*_: object) -> object:
         return value
@@ -54,19 +54,19 @@ def replace(patch: pytest.MonkeyPatch, name: str, value: object) -> None:
 
 
 def numbers(model: mujoco.MjModel) -> dict[str, Any]:
-    """All arrays of a model, and its statistics."""
-    found: dict[str, Any] = {}
+    """Return all arrays of a model, and its statistics."""
+    values: dict[str, Any] = {}
     for part in (model, model.stat):
         for name in dir(part):
             value = getattr(part, name) if not name.startswith("_") else None
             if isinstance(value, (np.ndarray, float, int)) and name not in LEFT_OUT:
-                found[name] = np.array(value)
-    return found
+                values[name] = np.array(value)
+    return values
 
 
-def same(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
-    left, right = numbers(one), numbers(other)
-    # The sag of the tyres is computed otherwise in a fitted scene.
+def same(first: mujoco.MjModel, second: mujoco.MjModel) -> bool:
+    left, right = numbers(first), numbers(second)
+    # The static deflection of the tyres is computed differently in a fitted scene.
     if np.allclose(left["pair_margin"], right["pair_margin"], rtol=1e-9, atol=0):
         left["pair_margin"] = right["pair_margin"]
     different = {
@@ -84,10 +84,10 @@ def test_a_fitted_scene_is_the_one_compiled_of_that_calibration_and_can_be_undon
 ) -> None:
     scene = two() if name == "two" else Playpen.load(name)
     model = SceneModel.of(scene).model
-    before, drawn = copy.copy(model), another()
+    before, drawn = copy.copy(model), sample_robot()
     robots = [RobotIndices.of(model, f"khepera{index}") for index in range(len(scene.robots))]
     fitted, data = FittedRobots(model, robots), mujoco.MjData(model)
-    fitted.fit([another(1)] * len(robots), data)
+    fitted.fit([sample_robot(1)] * len(robots), data)
     fitted.fit([drawn] * len(robots), data)
     assert not same(model, before)
     with monkeypatch.context() as patched:
@@ -102,10 +102,10 @@ def test_a_world_that_has_varied_returns_to_its_own_robot() -> None:
     world.reset(2, vary=True)
     assert not same(world.model, untouched.model)
     world.reset(1)
-    for each in (world, untouched):
-        for robot in each.robots:
+    for driven in (world, untouched):
+        for robot in driven.robots:
             robot.send(b"D,5,7\n")
-        each.advance_to(1_000_000_000)
+        driven.advance_to(1_000_000_000)
     # LEDs that are lit differ from a model as compiled, but not between these two.
     assert same(world.model, untouched.model)
     assert world.data.qpos.tobytes() == untouched.data.qpos.tobytes()
@@ -138,24 +138,24 @@ def test_an_episode_that_varies_leaves_the_shared_model_as_it_is(compiled: bool,
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_another_robot_of_the_same_make_sees_the_same_in_the_plane(seed: int) -> None:
-    seen: list[list[list[int]]] = []
+    readings: list[list[list[int]]] = []
     for planar, vary in ((False, True), (True, True), (False, False)):
         episode = Episode(EpisodeSetup(Playpen.load("two-lamps"), planar=planar), compiled=False)
         episode.begin(seed, EpisodeOptions(start=(45.0, 300.0, 170.0), noise=False, vary=vary))
-        seen.append(list(episode.readings()))
-    assert np.abs(np.subtract(seen[0], seen[1])).max() <= 1
-    assert np.abs(np.subtract(seen[0], seen[2])).max() > 20
+        readings.append(list(episode.readings()))
+    assert np.abs(np.subtract(readings[0], readings[1])).max() <= 1
+    assert np.abs(np.subtract(readings[0], readings[2])).max() > 20
 
 
 @pytest.mark.parametrize("planar", [False, True])
 def test_wheels_drive_as_far_as_their_radii_and_turn_by_their_difference(
     planar: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Straight by the encoders is an arc: heading = (right - left) / base, by the radii's difference."""
+    """Equal counts give an arc: heading = (right - left) / base, by the difference of the radii."""
     measured = calibration.read("khepera1")[0]
     wheels = measured.wheels.model_copy(update={"radius_mm": 7.8, "right_over_left": 1.02, "base_mm": 53.0})
     drawn = measured.model_copy(update={"wheels": wheels})
-    replace(monkeypatch, "varied", drawn)
+    replace(monkeypatch, "vary", drawn)
     episode = Episode(EpisodeSetup(playpen.parse(OPEN, "open"), planar=planar), compiled=False)
     episode.begin(options=EpisodeOptions(noise=False, vary=True))
     episode.drive(10, 10)
@@ -163,7 +163,7 @@ def test_wheels_drive_as_far_as_their_radii_and_turn_by_their_difference(
     x, y, heading = episode.pose
     left, right = episode.joints[[3, 4] if planar else [7, 8]].tolist()
     assert left == pytest.approx(right, rel=2e-4)
-    way = (left + right) / 2 * 7.8e-3
+    length = (left + right) / 2 * 7.8e-3
     turn = (right * 7.8e-3 * 1.02 - left * 7.8e-3) * 2 / 2.02 / 0.053
     assert heading == pytest.approx(turn, rel=3e-3)
-    assert np.hypot(x - 1, y - 1) == pytest.approx(way * np.sinc(turn / 2 / np.pi), rel=1e-3)
+    assert np.hypot(x - 1, y - 1) == pytest.approx(length * np.sinc(turn / 2 / np.pi), rel=1e-3)

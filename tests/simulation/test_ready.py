@@ -1,4 +1,4 @@
-"""Compiled code is used when it is ready, and compiled beside a run when it is not."""
+"""Compiled code is used when it is ready, and otherwise compiled in the background of a run."""
 
 import subprocess
 import sys
@@ -18,63 +18,63 @@ from khep_twin.machine import lock
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.planes import Planes
 from khep_twin.simulation import ready
-from khep_twin.step import DONE
+from khep_twin.step import Reason
 from khep_twin.world import World
 
 pytestmark = with_numba
 
 
 def function(folder: Path) -> SimpleNamespace:
-    """A function whose code numba keeps in a folder."""
+    """Return a function whose code numba caches in a folder."""
     named = SimpleNamespace(__qualname__="_advance_0123")
     return SimpleNamespace(signatures=[], stats=SimpleNamespace(cache_path=str(folder)), py_func=named)
 
 
 def test_code_is_cached_where_numba_has_its_file(tmp_path: Path) -> None:
-    found = function(tmp_path)
-    assert not ready.is_cached(found)
+    uncached = function(tmp_path)
+    assert not ready.is_cached(uncached)
     (tmp_path / "compiled._advance_0123-85.py311.nbi").touch()  # the index alone is not the code
-    assert not ready.is_cached(found)
+    assert not ready.is_cached(uncached)
     (tmp_path / "compiled._advance_0123-85.py311.1.nbc").touch()
-    assert ready.is_cached(found)
+    assert ready.is_cached(uncached)
 
 
 def test_a_compilation_beside_the_run_is_announced_once_and_so_is_its_failure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    found = function(tmp_path)
-    monkeypatch.setattr(ready, "function_of", lambda part: found)
+    dispatcher = function(tmp_path)
+    monkeypatch.setattr(ready, "function_of", lambda part: dispatcher)
     monkeypatch.setattr(ready, "_PROCESSES", {})
-    started: list[list[str]] = []
+    commands: list[list[str]] = []
 
     def start(words: list[str], **options: object) -> "subprocess.Popen[bytes]":
-        started.append(words)
+        commands.append(words)
         return subprocess.Popen([sys.executable, "-c", "raise SystemExit(3)"])
 
     monkeypatch.setattr(ready, "subprocess", SimpleNamespace(Popen=start, DEVNULL=subprocess.DEVNULL))
     assert ready.when_ready("world") is None
     assert capfd.readouterr().err == f"{ready.BACKGROUND_NOTICE}\n"
-    assert started == [[sys.executable, "-m", "khep_twin", "compile", "world"]]
+    assert commands == [[sys.executable, "-m", "khep_twin", "compile", "world"]]
     ready._PROCESSES["world"].wait()
     for _ in range(3):
         assert ready.when_ready("world") is None
-    told = capfd.readouterr().err
-    assert told.count("the compilation failed") == 1
-    assert told.endswith("-m khep_twin compile world\n")
-    assert len(started) == 1
+    messages = capfd.readouterr().err
+    assert messages.count("the compilation failed") == 1
+    assert messages.endswith("-m khep_twin compile world\n")
+    assert len(commands) == 1
     (tmp_path / "compiled._advance_0123-85.py311.1.nbc").touch()
-    assert ready.when_ready("world") is found
+    assert ready.when_ready("world") is dispatcher
 
 
 def test_one_process_at_a_time_compiles_a_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ready, "function_of", lambda part: function(tmp_path))
-    with ready.compile_lock("world"), (tmp_path / "compile-world.lock").open("ab") as another:
+    with ready.compile_lock("world"), (tmp_path / "compile-world.lock").open("ab") as file:
         with pytest.raises(BlockingIOError):
-            lock(another)
+            lock(file)
         with ready.compile_lock("plane"):  # another part
             pass
-    with (tmp_path / "compile-world.lock").open("ab") as another:
-        lock(another)
+    with (tmp_path / "compile-world.lock").open("ab") as file:
+        lock(file)
 
 
 def test_where_no_code_can_be_kept_nothing_is_compiled_in_advance_and_users_are_told(
@@ -85,37 +85,37 @@ def test_where_no_code_can_be_kept_nothing_is_compiled_in_advance_and_users_are_
     from khep_twin.simulation.compiled import compiled
 
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-    made = compiled(lambda x: 2 * x, ())
-    monkeypatch.setattr(ready, "function_of", lambda part: made)
+    dispatcher = compiled(lambda x: 2 * x, ())
+    monkeypatch.setattr(ready, "function_of", lambda part: dispatcher)
     monkeypatch.setattr(ready, "_PROCESSES", {})
-    ready._tell_once.cache_clear()
+    ready._print_once.cache_clear()
     for _ in range(2):
         assert ready.when_ready("world") is None
-    told = capsys.readouterr().err
-    assert told.count("this run stays uncompiled") == 1
-    assert told.endswith("expected one that can be in NUMBA_CACHE_DIR\n")
+    messages = capsys.readouterr().err
+    assert messages.count("this run stays uncompiled") == 1
+    assert messages.endswith("expected one that can be in NUMBA_CACHE_DIR\n")
     assert not ready._PROCESSES
-    monkeypatch.setattr(ready, "functions_of", lambda part: [made])
+    monkeypatch.setattr(ready, "functions_of", lambda part: [dispatcher])
     with pytest.raises(KhepTwinError, match=r"^nothing is compiled, as numba can keep no code: neither"):
         compile_all(["world"])
-    assert made(3) == 6
-    assert ready.when_ready("world") is made
+    assert dispatcher(3) == 6
+    assert ready.when_ready("world") is dispatcher
 
 
 def test_a_world_looks_for_compiled_code_only_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    looks: list[str] = []
-    monkeypatch.setattr("khep_twin.simulation.stepping_code.when_ready", looks.append)
+    requests: list[str] = []
+    monkeypatch.setattr("khep_twin.simulation.stepping_code.when_ready", requests.append)
     world = World(Playpen.load("default"))
     assert world.code.switch_at == 30_000
     world.code.switch_at = 100
     world.advance_to(99 * world.timing.step_ns)
-    assert not looks
+    assert not requests
     world.advance_to(200 * world.timing.step_ns)
-    assert looks == ["world"]
+    assert requests == ["world"]
     assert world.code.switch_at == 3200
     world.code.switch_at = None
     world.advance_to(300 * world.timing.step_ns)
-    assert looks == ["world"]
+    assert requests == ["world"]
 
 
 def test_compiled_code_is_loaded_when_a_world_changes_over_not_at_its_next_step(
@@ -124,9 +124,9 @@ def test_compiled_code_is_loaded_when_a_world_changes_over_not_at_its_next_step(
     calls: list[int] = []
 
     def advance(*arguments: object) -> int:
-        *_, until, _ = arguments
-        calls.append(int(str(until)))
-        return DONE
+        *_, end_step, _ = arguments
+        calls.append(int(str(end_step)))
+        return Reason.DONE
 
     monkeypatch.setattr("khep_twin.simulation.stepping_code.when_ready", lambda part: advance)
     world = World(Playpen.load("default"))
@@ -144,11 +144,11 @@ def test_a_playpen_without_robots_has_nothing_to_compile() -> None:
 
 
 def test_what_cannot_be_compiled_is_refused_in_one_line() -> None:
-    told = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "khep_twin", "compile", "wrold"], capture_output=True, text=True, check=False
     )
-    assert (told.returncode, told.stdout) == (2, "")
-    assert told.stderr == (
+    assert (process.returncode, process.stdout) == (2, "")
+    assert process.stderr == (
         "khep-twin: part 'wrold': unknown; did you mean 'world'? (choices: world, episodes, plane, vision, "
         "shadow)\n"
     )
@@ -160,8 +160,8 @@ def test_where_numba_is_switched_off_runs_are_plain_and_what_must_be_compiled_sa
     monkeypatch.setattr("numba.config.DISABLE_JIT", 1)
     setup = EpisodeSetup("obstacles", planar=True)
     with pytest.warns(SlowerWarning, match=r"^NUMBA_DISABLE_JIT switches numba off: episodes run uncompiled"):
-        found = rollout(setup, Function(lambda *readings: (5.0, 5.0)), [1, 2], 0.2, threads=2)
-    assert found.metrics["distance_m"][0] > 0
+        results = rollout(setup, Function(lambda *readings: (5.0, 5.0)), [1, 2], 0.2, threads=2)
+    assert results.metrics["distance_m"][0] > 0
     for part in ready.CODE:
         assert ready.when_ready(part) is None
     for call in (

@@ -10,7 +10,7 @@ from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_HEADINGS
 from studies import behaviour
 from studies.behaviour import judge, pooled, text
 from studies.behaviour_controllers import avoider, networks, threshold_stop
-from studies.behaviour_trials import Trial, heading_for, stopping, trials, turning
+from studies.behaviour_trials import Trial, heading_for, stopping_difference, trials, turning_difference
 from studies.one_object import CYLINDER, LAMP, PERIOD_S, WALL, Controller, Thing, TwinWorld, run
 from studies.sampled_world import Kinematics, SampledWorld, Samples, along_axes, table_readings
 
@@ -25,7 +25,7 @@ def level(distances: np.ndarray, bearings: np.ndarray) -> np.ndarray:
 
 
 def synthetic(noise: float = 0.0) -> Samples:
-    distances, bearings = (each.ravel() for each in np.meshgrid(DISTANCES, BEARINGS, indexing="ij"))
+    distances, bearings = (grid.ravel() for grid in np.meshgrid(DISTANCES, BEARINGS, indexing="ij"))
     rng = np.random.default_rng(0)
     counts = level(distances, bearings) + noise * rng.standard_normal((len(distances), 8))
     order = rng.permutation(len(counts))
@@ -49,8 +49,8 @@ def test_a_table_is_read_at_and_between_its_samples_in_whatever_order_they_come(
 
 
 def test_beyond_a_table_nothing_is_read_and_before_it_the_first_row() -> None:
-    table, ahead = synthetic(), np.zeros(3)
-    counts = table.read(np.array([0.001, 0.005, 0.2]), ahead)
+    table, pose = synthetic(), np.zeros(3)
+    counts = table.read(np.array([0.001, 0.005, 0.2]), pose)
     assert counts[0].tolist() == counts[1].tolist()
     assert counts[2].max() == pytest.approx(0, abs=1)
     assert table.nearest(np.array([0.2]), np.zeros(1)).max() == pytest.approx(0, abs=1)
@@ -137,11 +137,11 @@ def test_networks_depend_on_their_seed_and_remember() -> None:
 
 
 def test_twin_and_table_are_compared_beside_a_floor_the_same_each_time() -> None:
-    samples, stop = {WALL: synthetic(30)}, {"stopping distance [mm]": stopping}
+    samples, stop = {WALL: synthetic(30)}, {"stopping distance [mm]": stopping_difference}
     heading_ahead = heading_for(WALL, 40, np.array([-20.0, 0.0]))
     chosen = [
         Trial(WALL, threshold_stop(400), heading_ahead, 1.2, stop),
-        Trial(WALL, threshold_stop(300), heading_ahead, 1.2, {**stop, "turn [deg]": turning}),
+        Trial(WALL, threshold_stop(300), heading_ahead, 1.2, {**stop, "turn [deg]": turning_difference}),
     ]
     rows = judge(samples, Kinematics(), chosen, seed=3)
     assert [(row.measure, row.controller, row.count) for row in rows] == [

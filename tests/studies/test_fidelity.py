@@ -1,4 +1,4 @@
-"""The page of fidelity: its rows are the comparisons that there are, and its parts measure what they say."""
+"""The page of fidelity: its rows are all comparisons, and each part measures its quantity."""
 
 import os
 import sys
@@ -11,7 +11,7 @@ import pytest
 from khep_twin.board.kernel import PROXIMITY
 from khep_twin.world import World
 from studies import fidelity, fidelity_light, fidelity_manual, fidelity_motion
-from studies.fidelity_comparison import Comparison, Outcome, at_rest, noise_variance, short
+from studies.fidelity_comparison import Comparison, Outcome, read_at_rest, noise_variance, short
 from studies.one_object import WALL, scene
 
 QUICK = (fidelity_manual.figure_13, fidelity_manual.khepera2_facing, fidelity_light.figure_9)
@@ -31,7 +31,10 @@ def outcomes() -> dict[str, Outcome]:
 
 
 def test_the_page_has_the_comparisons_that_there_are_in_their_order() -> None:
-    names = {section: [comparison.name for comparison in section_comparisons] for section, section_comparisons in fidelity.SECTIONS.items()}
+    names = {
+        section: [comparison.name for comparison in section_comparisons]
+        for section, section_comparisons in fidelity.SECTIONS.items()
+    }
     assert fidelity.names(fidelity.PAGE.read_text()) == names
     assert fidelity.names(fidelity.text(outcomes())) == names
 
@@ -39,8 +42,8 @@ def test_the_page_has_the_comparisons_that_there_are_in_their_order() -> None:
 def test_no_two_comparisons_have_one_name_and_none_breaks_the_table() -> None:
     names = [comparison.name for comparison in comparisons()]
     assert len(set(names)) == len(names)
-    for each in comparisons():
-        assert not {"|", "\n"} & set(each.name + each.source + each.basis + each.unit)
+    for candidate in comparisons():
+        assert not {"|", "\n"} & set(candidate.name + candidate.source + candidate.basis + candidate.unit)
 
 
 def test_a_row_has_source_basis_figure_floor_peers_and_note() -> None:
@@ -95,7 +98,7 @@ def test_differences_tell_the_noise_and_not_the_curve(order: int) -> None:
 
 def test_a_robot_at_rest_reads_what_a_world_does() -> None:
     starts = [(2955.0, 1500.0, 20.0), (2960.0, 1400.0, -110.0)]
-    counts, ambient = at_rest(scene(WALL), np.array(starts))
+    counts, ambient = read_at_rest(scene(WALL), np.array(starts))
     for start, expected in zip(starts, counts, strict=True):
         robot = scene(WALL).robots[0]
         x_mm, y_mm, heading_deg = start
@@ -116,9 +119,9 @@ def test_a_sensor_faces_a_wall_at_the_distance_of_its_face() -> None:
 
 
 def test_the_twin_moves_as_its_pulses_say() -> None:
-    way, turn = fidelity_motion.driven(5, 5)
+    way, turn = fidelity_motion.constant_speed_motion(5, 5)
     assert (way, turn) == (pytest.approx(0.04, rel=0.01), pytest.approx(0, abs=0.02))
-    assert fidelity_motion.driven(-3, 3)[1] == pytest.approx(0.048 / 0.052, rel=0.02)
+    assert fidelity_motion.constant_speed_motion(-3, 3)[1] == pytest.approx(0.048 / 0.052, rel=0.02)
 
 
 @pytest.mark.skipif(not TABLES, reason="KHEP_TWIN_REFERENCE_DATA names no folder with the measured tables")

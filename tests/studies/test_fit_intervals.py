@@ -1,4 +1,4 @@
-"""The intervals that a fit prints contain the robot's own values as often as they say."""
+"""The intervals that a fit prints have their nominal coverage of the robot's values."""
 
 import numpy as np
 import pytest

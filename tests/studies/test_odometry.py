@@ -12,8 +12,8 @@ from studies import home_test, umbmark
 
 def test_the_nominal_robot_comes_home_and_one_with_other_wheels_does_not(tmp_path: Path) -> None:
     arena = home_test.open_arena(tmp_path)
-    assert home_test.missed_by(arena, 0, 1) < 0.015
-    assert home_test.missed_by(arena, 3, 2) > 0.1
+    assert home_test.miss_distance(arena, 0, 1) < 0.015
+    assert home_test.miss_distance(arena, 3, 2) > 0.1
 
 
 @pytest.mark.parametrize(("wheels", "base"), [(1.0, 1.0), (1.002, 1.0), (1.0, 0.99), (0.998, 1.01)])

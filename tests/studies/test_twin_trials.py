@@ -15,8 +15,8 @@ from stand_ins.hosts import TUNED
 from stand_ins.recordings import Truth
 from studies import fault_recordings, pose_trials, twin_trials
 from studies.fault_bounds import gap, posterior
-from studies.fault_oracle import Explanation, parts_new
-from studies.fault_trials import judge, looking_alike
+from studies.fault_oracle import Explanation, new_parts
+from studies.fault_trials import judge, add_similar_names
 from studies.healthy_trials import ALL, healthy_cells, healthy_recordings, inside, run_healthy
 from studies.reliability import Claim, binned, claims, draw
 from studies.twin_runs import Followed, Raised, Recording, Suspected
@@ -136,9 +136,9 @@ def test_an_alarm_of_a_fault_that_looks_alike_is_a_pair_in_time_and_false_later(
 
 def test_faults_of_the_same_wheel_look_alike() -> None:
     left = {"weak motor left", "slipping wheel left", "dead motor or blocked wheel left"}
-    assert looking_alike(["weak motor left"]) == left
-    assert looking_alike(["moved block1"]) == {"moved block1", "missing block1"}
-    assert looking_alike(["robot lifted"]) == {"robot lifted"}
+    assert add_similar_names(["weak motor left"]) == left
+    assert add_similar_names(["moved block1"]) == {"moved block1", "missing block1"}
+    assert add_similar_names(["robot lifted"]) == {"robot lifted"}
 
 
 @pytest.mark.parametrize(
@@ -179,8 +179,11 @@ def test_a_reply_is_as_new_as_the_robot_has_moved() -> None:
     poses[:, 0] = 0.05 * np.clip(times / SECOND - 1, 0, 1)  # It drives from 1 to 2 s.
     none = np.zeros(0, np.int64)
     recorded_truth = Truth(times, poses, poses[0], poses[0], np.zeros(0, np.str_), none, none, none, none)
-    replies = [ProximityReply(round(time_s * SECOND), np.zeros(8, np.int64)) for time_s in (0.5, 1, 1.02, 1.9, 2.5, 2.9)]
-    first, standing, slow, far, _, stopped = parts_new(recorded_truth, replies).values()
+    replies = [
+        ProximityReply(round(time_s * SECOND), np.zeros(8, np.int64))
+        for time_s in (0.5, 1, 1.02, 1.9, 2.5, 2.9)
+    ]
+    first, standing, slow, far, _, stopped = new_parts(recorded_truth, replies).values()
     assert [first, standing, stopped] == pytest.approx([MIN_NOVELTY] * 3)
     assert MIN_NOVELTY < slow < 0.2 < 0.8 < far < 1
 
@@ -188,7 +191,10 @@ def test_a_reply_is_as_new_as_the_robot_has_moved() -> None:
 def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:
     alarm = raised("dead sensor 2", 13)._replace(sureness=0.97)
     names = ("dead sensor 2",)
-    suspected = [Suspected(names, round(at_s * SECOND), probability, ()) for at_s, probability in ((11, 0.5), (13, 0.66))]
+    suspected = [
+        Suspected(names, round(at_s * SECOND), probability, ())
+        for at_s, probability in ((11, 0.5), (13, 0.66))
+    ]
     all_claims = claims([alarm], suspected, lambda fault, time_ns, _: time_ns > 12 * SECOND)
     assert all_claims == [Claim(0.97, True, True), Claim(0.5, False, False), Claim(0.66, False, True)]
     low, _, high = binned([*all_claims, *[Claim(0.98, True, False)] * 3])
@@ -203,7 +209,10 @@ def test_healthy_recordings_meet_all_playpens_with_all_hosts_and_starts() -> Non
     for hosts in (TUNED, TUNED[:2], TUNED[:1]):
         runs = 2 * len(ALL) * len(hosts)
         recordings = healthy_recordings(ALL, hosts, 0, runs, 10, "exact")
-        assert len({(recording.playpen, recording.host, recording.own_start) for recording in recordings}) == runs
+        assert (
+            len({(recording.playpen, recording.host, recording.own_start) for recording in recordings})
+            == runs
+        )
 
 
 def test_truth_is_inside_a_region_as_often_as_in_a_gaussian() -> None:
@@ -220,9 +229,9 @@ def test_truth_is_inside_a_region_as_often_as_in_a_gaussian() -> None:
 def test_a_healthy_robot_is_followed_without_an_alarm(tmp_path: Path) -> None:
     pytest.importorskip("numba", reason="numba is not installed")
     recording = Recording("healthy", "obstacles", 1, 5, "wall follower", times="busy")
-    found = run_healthy(recording, tmp_path, ShadowSettings(particles=100))
-    hours, alarms, _, followed, *_ = healthy_cells([found])
+    healthy = run_healthy(recording, tmp_path, ShadowSettings(particles=100))
+    hours, alarms, _, followed, *_ = healthy_cells([healthy])
     assert (hours, alarms, followed) == ("0.00", "0", "100.0 %")
-    assert np.median(found.errors_mm) < 10
-    assert found.text.startswith("obstacles, wall follower, seed 1, told start: ")
-    assert found.rows == {"obstacles", "wall follower", "told start", "in reach each 30 s", "all"}
+    assert np.median(healthy.errors_mm) < 10
+    assert healthy.text.startswith("obstacles, wall follower, seed 1, told start: ")
+    assert healthy.rows == {"obstacles", "wall follower", "told start", "in reach each 30 s", "all"}

@@ -110,7 +110,9 @@ def test_genomes_come_from_files_beside_the_study_or_are_drawn_by_a_seed(tmp_pat
     np.savetxt(tmp_path / "b.csv", rows, delimiter=",", fmt="%.17g")
     networks = '[[network]]\nname = "a"\ngenomes = "a.npy"\n[[network]]\nname = "b"\ngenomes = "b.csv"\n'
     networks += '[[network]]\nname = "c"\ndrawn = 4\n[[network]]\nname = "d"\ndrawn = 4\ndrawn_seed = 1\n'
-    _, a, b, c, d = (controller.genomes for controller in work_of(loaded(tmp_path, STUDY + networks)).controllers)
+    _, a, b, c, d = (
+        controller.genomes for controller in work_of(loaded(tmp_path, STUDY + networks)).controllers
+    )
     assert a.tobytes() == b.tobytes() == rows.tobytes()
     assert c.shape == d.shape == (4, 18)
     assert not np.isclose(c, d).any()

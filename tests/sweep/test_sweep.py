@@ -136,7 +136,9 @@ def test_a_sweep_ends_with_its_means_and_where_they_are_from(tmp_path: Path) -> 
 def test_tasks_of_any_size_and_any_number_of_threads_give_the_same_episodes(tmp_path: Path) -> None:
     undisturbed = pq.read_table(swept(tmp_path, executor=run_locally(2)))
     small = STUDY.replace("rollouts_per_task = 4", "rollouts_per_task = 1") + EXTRA
-    assert pq.read_table(swept(tmp_path, small, executor=run_locally(1), output=tmp_path / "b")).equals(undisturbed)
+    assert pq.read_table(swept(tmp_path, small, executor=run_locally(1), output=tmp_path / "b")).equals(
+        undisturbed
+    )
 
 
 def test_a_sweep_that_stopped_goes_on_with_only_what_is_missing_to_the_same_bytes(tmp_path: Path) -> None:
@@ -311,10 +313,10 @@ def test_without_ray_asking_for_it_is_one_line_that_says_how_to_install_it(
 ) -> None:
     original_import = builtins.__import__
 
-    def refuse(name: str, *rest: Any, **more: Any) -> Any:
+    def refuse(name: str, *rest: Any, **options: Any) -> Any:
         if name == "ray":
             raise ImportError(name)
-        return original_import(name, *rest, **more)
+        return original_import(name, *rest, **options)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
     before = dict(os.environ)
@@ -351,16 +353,16 @@ def test_ray_here_has_a_token_and_no_dashboard_and_is_refused_where_others_reach
     class Ray(ModuleType):
         def __init__(self, address: str) -> None:
             super().__init__("ray")
-            self.address, self.given = address, dict[str, object]()
+            self.address, self.arguments = address, dict[str, object]()
 
-        def init(self, **given: object) -> SimpleNamespace:
-            self.given = given
+        def init(self, **arguments: object) -> SimpleNamespace:
+            self.arguments = arguments
             return SimpleNamespace(address_info={"node_ip_address": self.address})
 
-    here = Ray("127.0.0.1")
-    ray_workers._join(here, None, 1)
-    assert here.given["address"] == "local"
-    assert here.given["include_dashboard"] is False
+    ray = Ray("127.0.0.1")
+    ray_workers._join(ray, None, 1)
+    assert ray.arguments["address"] == "local"
+    assert ray.arguments["include_dashboard"] is False
     with pytest.raises(KhepTwinError, match=r"listens at 10\.0\.0\.1; expected 127\.0\.0\.1 alone"):
         ray_workers._join(Ray("10.0.0.1"), None, 1)
 

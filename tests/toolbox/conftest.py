@@ -1,4 +1,4 @@
-"""What the toolbox's tests leave behind, and where they draw."""
+"""Clean-up after the toolbox's tests, and drawing without a screen."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,13 +11,13 @@ from khep_twin.toolbox import figures, roborunner, robot_view, serial_commands
 
 
 @pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    """Close the playpen and the ports after each test, and forget what was drawn and run."""
+def clean_up() -> Iterator[None]:
+    """Close the playpen and the ports after each test, and clear its graphs, views and runs."""
     yield
     toolbox.close_playpen()
     serial_commands.ports({})
-    for kept in (figures._graphs, robot_view._views, roborunner._runs):
-        kept.clear()
+    for latest in (figures._graphs, robot_view._views, roborunner._runs):
+        latest.clear()
 
 
 @pytest.fixture

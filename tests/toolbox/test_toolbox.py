@@ -1,4 +1,4 @@
-"""The toolbox's commands: what each sends, in which order, and what it gives back."""
+"""The toolbox's commands: the requests that they send, and their return values."""
 
 import subprocess
 import sys
@@ -26,7 +26,7 @@ REPLIES = {
 
 
 class Listener:
-    """A port that notes what it is sent and answers as the manual says."""
+    """A port that records requests and replies as in the manual."""
 
     name, baudrate, timeout, write_timeout, is_open = "listener", 9600, 0.5, 0.5, True
 
@@ -35,7 +35,7 @@ class Listener:
         self._answers: list[bytes] = []
 
     def write(self, data: bytes) -> int:
-        """Notes each line, but for the question which ROM it is, and answers it."""
+        """Record each request, except that for the ROM's version, and prepare the reply."""
         for request in data.decode("ascii").split():
             if request != "B":
                 self.sent.append(request)
@@ -43,11 +43,11 @@ class Listener:
         return len(data)
 
     def read_until(self, expected: bytes, size: int | None) -> bytes:
-        """The next answer."""
+        """Return the next reply."""
         return self._answers.pop(0) if self._answers else b""
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Mark the port as closed."""
         self.is_open = False
 
 
@@ -89,11 +89,11 @@ def test_a_row_comes_to_matlab_as_1_by_8(line: Listener) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "sent"),
+    ("speed", "sent"),
     [(0.5, 1), (-0.5, -1), (2.5, 3), (-2.5, -3), (3.4999, 3), (-0.49999999999999994, 0), (np.float64(7), 7)],
 )
-def test_a_fractional_speed_is_rounded_half_away_from_zero(line: Listener, given: float, sent: int) -> None:
-    serial_commands.sms(2, given, 0)
+def test_a_fractional_speed_is_rounded_half_away_from_zero(line: Listener, speed: float, sent: int) -> None:
+    serial_commands.sms(2, speed, 0)
     assert line.sent == [f"D,{sent},0"]
 
 

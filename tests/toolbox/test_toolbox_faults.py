@@ -1,4 +1,4 @@
-"""What the Khepera Toolbox for Matlab got wrong about playpens and placement, and this does not."""
+"""Faults of the Khepera Toolbox for Matlab with playpens and placement, which khep_twin does not have."""
 
 import subprocess
 import sys
@@ -29,19 +29,19 @@ def test_nothing_is_placed_on_top_of_a_wall_or_an_object() -> None:
 
 @pytest.mark.parametrize("angle_deg", [0, 17.5, 45, 90, -45, 133])
 def test_objects_turn_to_any_angle(angle_deg: float) -> None:
-    found = playpen.parse(HEAD + block(x_mm=300, y_mm=250, angle_deg=angle_deg), "p")
-    model = to_spec(found).compile()
+    arena_playpen = playpen.parse(HEAD + block(x_mm=300, y_mm=250, angle_deg=angle_deg), "p")
+    model = to_spec(arena_playpen).compile()
     w, _, _, z = model.geom_quat[model.geom("block0").id]
     assert np.degrees(2 * np.arctan2(z, w)) == pytest.approx(angle_deg)
 
 
 def test_objects_and_robots_are_moved_and_turned_where_they_stand() -> None:
     text = HEAD + block(x_mm=100, y_mm=100) + ROBOT
-    found = playpen.parse(text, "p")
-    moved = found.model_copy(
+    original = playpen.parse(text, "p")
+    moved = original.model_copy(
         update={
-            "blocks": (found.blocks[0].model_copy(update={"x_mm": 200.0, "angle_deg": 30.0}),),
-            "robots": (found.robots[0].model_copy(update={"y_mm": 300.0, "heading_deg": 15.0}),),
+            "blocks": (original.blocks[0].model_copy(update={"x_mm": 200.0, "angle_deg": 30.0}),),
+            "robots": (original.robots[0].model_copy(update={"y_mm": 300.0, "heading_deg": 15.0}),),
         }
     )
     assert playpen.parse(playpen.edited(text, moved), "p") == moved
@@ -50,12 +50,12 @@ def test_objects_and_robots_are_moved_and_turned_where_they_stand() -> None:
 def test_a_lamp_does_not_shine_through_a_wall() -> None:
     lamp = table("lamp", x_mm=300, y_mm=450, power_w=7)
     wall = table("wall", points_mm=[[100, 350], [500, 350]], height_mm=60)
-    lit, dark = (
+    free_view, behind_wall = (
         World(playpen.parse(HEAD + text, "p"), noise=False).robots[0].registers[AMBIENT]
         for text in (lamp + ROBOT, lamp + wall + ROBOT)
     )
-    assert lit[2] < 400
-    assert (dark == dark[6]).all()
+    assert free_view[2] < 400
+    assert (behind_wall == behind_wall[6]).all()
 
 
 def test_more_than_one_robot_has_room() -> None:

@@ -1,4 +1,4 @@
-"""The toolbox's graphs and its khepbase, without a screen."""
+"""The toolbox's graphs and khepbase, without a screen."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("no_screen")
 
 
 def rows(left: int, right: int) -> np.ndarray:
-    """A test whose sensors rise by 1 from row to row, each 10 above the one before."""
+    """Return a test whose sensors increase by 1 per row, with offsets of 10 between sensors."""
     ramp = np.arange(21)
     counters = [np.round(ramp / 20 * end) for end in (left, right)]
     return np.column_stack([*counters, *(ramp + 10 * sensor for sensor in range(8))])
@@ -23,8 +23,8 @@ def rows(left: int, right: int) -> np.ndarray:
 @pytest.mark.parametrize(("draw", "grid"), [(toolbox.ddl, False), (toolbox.ddlg, True)])
 def test_a_straight_path_counts_down_to_0_cm(draw: object, grid: bool) -> None:
     figure = draw(rows(1500, 1500), 1500)  # type: ignore[operator]
-    axes = [each for each in figure.axes if each.lines]
-    assert [each.get_title() for each in axes][:3] == ["left 90", "left 45", "left 10"]
+    axes = [subplot for subplot in figure.axes if subplot.lines]
+    assert [subplot.get_title() for subplot in axes][:3] == ["left 90", "left 45", "left 10"]
     assert axes[0].lines[0].get_xdata()[[0, -1]] == pytest.approx([12, 0], abs=1e-9)
     assert axes[3].lines[0].get_ydata()[0] == 30
     assert axes[0].get_xlim()[0] > axes[0].get_xlim()[1]
@@ -43,7 +43,7 @@ def test_a_turn_is_in_degrees(draw: object, grid: bool) -> None:
 
 
 def description(figure: object) -> str:
-    """The words below a figure's graphs."""
+    """Return the text below a figure's graphs."""
     return " ".join(text.get_text() for text in figure.texts)  # type: ignore[attr-defined]
 
 
@@ -54,10 +54,10 @@ def test_the_speed_that_was_driven_is_named_or_none() -> None:
     assert "speed 7" in toolbox.disonel(rows(1500, 1500), 1500, 3, speed=7).axes[0].get_title(loc="left")
     toolbox.open_default(noise=False)
     dv, khep_pos = toolbox.simsense("light", rotate_deg=30, max_speed=9)
-    # Of the test itself kind and speed are known.
-    told = description(toolbox.ddr(dv, khep_pos))
-    assert "light" in told
-    assert "speed 9" in told
+    # Quantity and speed of the test are known.
+    text = description(toolbox.ddr(dv, khep_pos))
+    assert "light" in text
+    assert "speed 9" in text
     assert "speed" not in description(toolbox.ddr(dv.copy(), khep_pos))
 
 
@@ -102,12 +102,12 @@ def test_what_cannot_be_drawn_is_one_line(draw: object, message: str) -> None:
     assert "\n" not in str(error.value)
 
 
-def coloured(file: Path, colour: str) -> int:
-    """How many pixels of a picture have a colour."""
+def count_pixels(file: Path, colour: str) -> int:
+    """Return the number of pixels of a colour in a picture."""
     with Image.open(file) as picture:
         pixels = np.asarray(picture.convert("RGB"))
-    wanted = [int(colour[at : at + 2], 16) for at in (1, 3, 5)]
-    return int((pixels == wanted).all(axis=2).sum())
+    rgb = [int(colour[start : start + 2], 16) for start in (1, 3, 5)]
+    return int((pixels == rgb).all(axis=2).sum())
 
 
 def test_khepbase_shows_each_cycle_what_the_robot_senses_and_does() -> None:
@@ -118,13 +118,13 @@ def test_khepbase_shows_each_cycle_what_the_robot_senses_and_does() -> None:
         prox, light, speed = ([part * value for value in values] for values in full)
         assert toolbox.khepbase(prox, light, speed) == Path(f"{name}.png")
         pictures[name] = [
-            coloured(Path(f"{name}.png"), getattr(robot_view, colour))
+            count_pixels(Path(f"{name}.png"), getattr(robot_view, colour))
             for colour in ("_PROXIMITY", "_LIGHT", "_SPEED")
         ]
-    # What the legend has of each colour is there in any case.
-    half, whole = (np.subtract(pictures[name], pictures["empty"]) for name in ("half", "full"))
-    assert (half > 100).all()
-    assert whole == pytest.approx(2 * half, rel=0.06)
+    # The legend contains each colour.
+    half_counts, full_counts = (np.subtract(pictures[name], pictures["empty"]) for name in ("half", "full"))
+    assert (half_counts > 100).all()
+    assert full_counts == pytest.approx(2 * half_counts, rel=0.06)
 
 
 def test_a_bar_of_speed_points_back_when_the_robot_backs() -> None:

@@ -1,4 +1,4 @@
-"""Lamps that a program places, moves and takes away in the toolbox's simulator."""
+"""Lamps that a program places, moves and removes in the toolbox's simulator."""
 
 import pytest
 
@@ -17,14 +17,14 @@ def test_a_lamp_shines_where_it_is_placed_and_moved_until_it_is_removed(btmap1: 
     toolbox.putkhep(300, 250, 0)
     dark = toolbox.sim_rls(1)
     toolbox.place_lamp(400, 250)
-    ahead = toolbox.sim_rls(1)
-    assert ahead[2:4].max() < 300
+    front_lamp = toolbox.sim_rls(1)
+    assert front_lamp[2:4].max() < 300
     toolbox.kheprom(btmap1, 0.1)
-    assert toolbox.sim_rls(1) == pytest.approx(ahead, abs=2)
+    assert toolbox.sim_rls(1) == pytest.approx(front_lamp, abs=2)
     toolbox.move_lamp(390, 260, 200, 250)
-    behind = toolbox.sim_rls(1)
-    assert behind[6:].max() < 300
-    assert behind[2:4].min() > 400
+    rear_lamp = toolbox.sim_rls(1)
+    assert rear_lamp[6:].max() < 300
+    assert rear_lamp[2:4].min() > 400
     toolbox.remove_lamp(0, 0)
     assert toolbox.sim_rls(1).tolist() == dark.tolist()
 
@@ -32,11 +32,11 @@ def test_a_lamp_shines_where_it_is_placed_and_moved_until_it_is_removed(btmap1: 
 def test_a_lamp_behind_a_wall_stays_in_its_shadow(btmap1: OpenPlaypen) -> None:
     bare = btmap1.twin.world.playpen
     text = playpens.dump(bare) + "[[wall]]\npoints_mm = [[350, 50], [350, 450]]\nheight_mm = 60\n"
-    for text_of, lit in ((text, False), (playpens.dump(bare), True)):
+    for text_of, is_visible in ((text, False), (playpens.dump(bare), True)):
         toolbox.open_custom(playpens.parse(text_of, "p"), noise=False)
         toolbox.putkhep(300, 250, 0)
         toolbox.place_lamp(400, 250)
-        assert (toolbox.sim_rls(1)[2:4].max() < 400) == lit
+        assert (toolbox.sim_rls(1)[2:4].max() < 400) == is_visible
 
 
 def test_lamp_control_begins_at_once(btmap1: OpenPlaypen) -> None:

@@ -1,4 +1,4 @@
-"""docs/toolbox.md: it leaves nothing of the toolbox out, its tests exist, its programs run."""
+"""docs/toolbox.md: it lists all of the toolbox, its tests exist, its programs run."""
 
 import ast
 import math
@@ -26,7 +26,7 @@ FUNCTIONS = (
     "checkobj kheprom movekhep putkhep rotkhep upsv ulsv cvrtang "
     "user1 getstat plotrun"
 ).split()
-"""The manual's quick reference, whole."""
+"""The manual's complete quick reference."""
 
 ROWS = [
     [cell.strip() for cell in line.strip("| ").split(" | ")]
@@ -45,8 +45,8 @@ def test_every_row_says_what_replaces_it_and_what_shows_it() -> None:
 
 
 def test_no_function_of_the_toolbox_is_left_out() -> None:
-    told = set(re.findall(r"\w+", " ".join(" ".join(re.findall("`(.*?)`", row[0])) for row in ROWS)))
-    assert not [name for name in FUNCTIONS if name not in told]
+    names = set(re.findall(r"\w+", " ".join(" ".join(re.findall("`(.*?)`", row[0])) for row in ROWS)))
+    assert not [name for name in FUNCTIONS if name not in names]
 
 
 def test_every_test_that_the_page_names_is_there() -> None:
@@ -57,7 +57,9 @@ def test_every_test_that_the_page_names_is_there() -> None:
 
 def test_every_command_that_the_page_names_is_there() -> None:
     runner = CliRunner()
-    for words in {tuple(found.split()) for found in re.findall(r"`khep-twin ((?:playpen )?[a-z]+)", PAGE)}:
+    for words in {
+        tuple(command.split()) for command in re.findall(r"`khep-twin ((?:playpen )?[a-z]+)", PAGE)
+    }:
         assert runner.invoke(app, [*words, "--help"]).exit_code == 0, words
 
 
@@ -77,11 +79,11 @@ def test_the_programs_on_the_page_run(
     names: dict[str, Any] = {"__name__": "__main__"}
     exec(compile(program, "docs/toolbox.md", "exec"), names)
     if number == 1:
-        # It came to the upper wall, 250 mm ahead, and has turned there.
+        # The robot has reached the upper wall, 250 mm ahead, and turned.
         assert abs(toolbox.cvrtang(math.degrees(names["btmap1"].twin.robot.pose[2]) - 90)) > 10
-    told = capsys.readouterr().out
-    assert told.startswith("[") == (number in (1, 2))
-    assert told.count("last speeds") == 3 * (number == 3)
+    output = capsys.readouterr().out
+    assert output.startswith("[") == (number in (1, 2))
+    assert output.count("last speeds") == 3 * (number == 3)
 
 
 def test_the_playpens_of_the_page_ship() -> None:

@@ -1,4 +1,4 @@
-"""To put, move and turn the simulated robot, and to look whether something is in its way."""
+"""Placing, moving and turning the simulated robot, and detection of obstacles."""
 
 import math
 from pathlib import Path
@@ -20,7 +20,7 @@ CYLINDER = "[[cylinder]]\nx_mm = 360\ny_mm = 250\nradius_mm = 10\nheight_mm = 40
 LAMP = "[[lamp]]\nx_mm = 500\ny_mm = 450\npower_w = 7\n"
 
 
-def opened(*parts: str) -> OpenPlaypen:
+def open_playpen(*parts: str) -> OpenPlaypen:
     return toolbox.open_custom(playpens.parse(ARENA + "".join(parts), "p"), noise=False)
 
 
@@ -29,7 +29,7 @@ def pose(btmap1: OpenPlaypen, port_id: int = 1) -> list[float]:
 
 
 def test_a_robot_is_put_where_there_is_room_and_senses_what_is_there() -> None:
-    btmap1 = opened(ROBOT.format(300, 250, 90), BLOCK)
+    btmap1 = open_playpen(ROBOT.format(300, 250, 90), BLOCK)
     toolbox.sim_sms(1, 5, 5)
     toolbox.kheprom(btmap1, 1)
     toolbox.putkhep(380, 250, 0)
@@ -40,7 +40,7 @@ def test_a_robot_is_put_where_there_is_room_and_senses_what_is_there() -> None:
     assert toolbox.sim_rps(1)[2:4].min() > 500
     assert toolbox.sim_rps(1)[6:].max() < 50
     toolbox.kheprom(btmap1, 1)
-    # A controller that was driving needs a moment to stand.
+    # The speed controller takes some time to stop.
     assert pose(btmap1)[:2] == pytest.approx([380, 250], abs=1)
     assert abs(toolbox.sim_rpc(1)).max() <= 12
 
@@ -52,10 +52,10 @@ def test_a_robot_that_drove_is_put_down_at_rest_with_its_board_as_after_a_reset(
     toolbox.sim_sms(1, 100, 100)
     toolbox.kheprom(btmap1, 0.3)
     toolbox.putkhep(100, 250, 0)
-    at_once = toolbox.userdata(btmap1)
-    assert at_once[:3].tolist() == [100, 250, 0]
+    placed = toolbox.userdata(btmap1)
+    assert placed[:3].tolist() == [100, 250, 0]
     # Speeds, [T, M, E] twice, counters and targets.
-    assert at_once[19:].tolist() == fresh[19:].tolist()
+    assert placed[19:].tolist() == fresh[19:].tolist()
     assert toolbox.sim_rms(1).tolist() == [0, 0]
     toolbox.kheprom(btmap1, 1)
     later = toolbox.userdata(btmap1)
@@ -66,12 +66,12 @@ def test_a_robot_that_drove_is_put_down_at_rest_with_its_board_as_after_a_reset(
 
 def test_the_sensors_of_a_robot_are_right_as_soon_as_it_is_put_down() -> None:
     btmap1 = toolbox.open_default(noise=False)
-    toolbox.kheprom(btmap1, 0.0325)  # within a scan, of which every sensor has its turn
+    toolbox.kheprom(btmap1, 0.0325)  # in the middle of a scan
     toolbox.putkhep(40, 250, 180)
-    at_once = toolbox.sim_rps(1)
-    assert at_once[2:4].min() > 700
+    readings = toolbox.sim_rps(1)
+    assert readings[2:4].min() > 700
     toolbox.kheprom(btmap1, 0.1)
-    assert toolbox.sim_rps(1) == pytest.approx(at_once, abs=2)
+    assert toolbox.sim_rps(1) == pytest.approx(readings, abs=2)
     toolbox.putkhep(300, 250, 180)
     assert toolbox.sim_rps(1).max() < 30
 
@@ -87,7 +87,9 @@ def test_a_log_repeats_what_the_toolbox_did_to_robot_and_lamps(tmp_path: Path) -
         toolbox.upsv(btmap1)
     toolbox.close_playpen()
     assert repeat(read_recorded_run(tmp_path / "run.mcap")) is None
-    lamps = {topic: each.values.shape[1] for topic, each in read_series(tmp_path / "run.mcap").series.items()}
+    lamps = {
+        topic: channel.values.shape[1] for topic, channel in read_series(tmp_path / "run.mcap").series.items()
+    }
     assert [lamps[topic] for topic in ("/lamps", "/lamps_2", "/lamps_3")] == [2, 3, 4]
 
 
@@ -97,7 +99,7 @@ def test_an_angle_is_converted_to_under_180_degrees(angle: float, equal: float) 
 
 
 def test_without_a_heading_it_looks_where_it_looked() -> None:
-    btmap1 = opened(ROBOT.format(300, 250, 33))
+    btmap1 = open_playpen(ROBOT.format(300, 250, 33))
     toolbox.putkhep(100, 100)
     assert pose(btmap1) == pytest.approx([100, 100, 33], abs=0.1)
 
@@ -115,17 +117,17 @@ def test_without_a_heading_it_looks_where_it_looked() -> None:
     ],
 )
 def test_a_robot_is_not_put_onto_a_wall_or_an_object(x_mm: float, y_mm: float, message: str) -> None:
-    btmap1 = opened(BLOCK, ROBOT.format(100, 250, 0), ROBOT.format(300, 260, 0))
-    before = pose(btmap1)
+    btmap1 = open_playpen(BLOCK, ROBOT.format(100, 250, 0), ROBOT.format(300, 260, 0))
+    old_pose = pose(btmap1)
     with pytest.raises(PlaypenError, match=f"putkhep: .*{message}"):
         toolbox.putkhep(x_mm, y_mm)
-    assert pose(btmap1) == before
+    assert pose(btmap1) == old_pose
 
 
 def test_there_is_room_where_a_movable_thing_has_gone_and_none_where_it_is() -> None:
-    btmap1 = opened(ROBOT.format(300, 250, 0), CYLINDER)
+    btmap1 = open_playpen(ROBOT.format(300, 250, 0), CYLINDER)
     toolbox.sim_sms(1, 10, 10)
-    toolbox.kheprom(btmap1, 1.5)  # pushes it along by some 10 cm
+    toolbox.kheprom(btmap1, 1.5)  # pushes it by about 10 cm
     toolbox.sim_sms(1, 0, 0)
     pushed = btmap1.twin.world.data.body("cylinder0").xpos * 1e3
     assert pushed[0] > 400
@@ -136,24 +138,24 @@ def test_there_is_room_where_a_movable_thing_has_gone_and_none_where_it_is() -> 
 
 
 def test_what_stands_close_ahead_or_behind_is_found() -> None:
-    btmap1 = opened(BLOCK, LAMP, ROBOT.format(300, 250, 0), ROBOT.format(100, 250, 0))
+    btmap1 = open_playpen(BLOCK, LAMP, ROBOT.format(300, 250, 0), ROBOT.format(100, 250, 0))
     assert toolbox.checkobj(btmap1) == (0, 0)
-    for x_mm, y_mm, heading_deg, found in (
+    for x_mm, y_mm, heading_deg, expected in (
         (392, 250, 0, (1, 0)),  # the block, half a millimetre ahead
         (392, 250, 180, (0, 1)),
         (390, 250, 0, (0, 0)),  # 2.5 mm are too far
-        (392, 250, 90, (0, 0)),  # beside it: the robot may pass along a wall
-        (28, 28, 45, (0, 1)),  # in a corner the walls are behind, at 45 degrees to either side
+        (392, 250, 90, (0, 0)),  # beside it, where the robot can drive along a wall
+        (28, 28, 45, (0, 1)),  # in a corner, with walls at 45 degrees behind it
         (28, 250, 180, (1, 0)),  # the arena's wall
         (155.5, 250, 180, (1, 0)),  # the other robot
         (500, 421.5, 90, (0, 0)),  # robots pass through lamps
     ):
         toolbox.putkhep(x_mm, y_mm, heading_deg)
-        assert toolbox.checkobj(btmap1) == found, (x_mm, y_mm, heading_deg)
+        assert toolbox.checkobj(btmap1) == expected, (x_mm, y_mm, heading_deg)
 
 
 def test_a_robot_moves_5_mm_and_its_counters_tell() -> None:
-    btmap1 = opened(ROBOT.format(300, 250, 0))
+    btmap1 = open_playpen(ROBOT.format(300, 250, 0))
     for dirn in (1, 1, 1, -1):
         toolbox.movekhep(dirn, btmap1)
     assert pose(btmap1)[:2] == pytest.approx([310, 250], abs=0.3)
@@ -164,7 +166,7 @@ def test_a_robot_moves_5_mm_and_its_counters_tell() -> None:
 
 @pytest.mark.parametrize("alpha", [90, -45, 15, 360])
 def test_a_robot_turns_by_an_angle_to_the_left_above_0(alpha: float) -> None:
-    btmap1 = opened(ROBOT.format(300, 250, 0))
+    btmap1 = open_playpen(ROBOT.format(300, 250, 0))
     toolbox.rotkhep(alpha)
     turned = math.remainder(pose(btmap1)[2] - alpha, 360)
     assert turned == pytest.approx(0, abs=1)
@@ -173,7 +175,7 @@ def test_a_robot_turns_by_an_angle_to_the_left_above_0(alpha: float) -> None:
 
 
 def test_before_a_wall_wheels_slip_and_count_on() -> None:
-    btmap1 = opened(ROBOT.format(572, 250, 0))
+    btmap1 = open_playpen(ROBOT.format(572, 250, 0))
     for _ in range(4):
         toolbox.movekhep(1, btmap1)
     assert pose(btmap1)[0] <= 573

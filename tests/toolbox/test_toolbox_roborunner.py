@@ -1,4 +1,4 @@
-"""RoboRunner by its names: functions in the toolbox's form, their statistics, and its windows."""
+"""RoboRunner: controllers in the toolbox's form, their statistics, and its windows."""
 
 import os
 import signal
@@ -19,24 +19,24 @@ from khep_twin.lab.experiment.series_run import SeriesRun
 from khep_twin.toolbox import kheprom, roborunner, rps, sim_rps, sim_sms, sms
 from khep_twin.toolbox import serial_commands as host
 
-seen = 0
+n_calls = 0
 
 
 def brait(port_id: int, cycles_per_run: int, runs: int, pause_stat: float) -> tuple[int, list[int]]:
-    """Wander, with the port hard-wired in one place, as the manual's first version has it."""
-    global seen
+    """Wander, with a constant port number in one command, as in the manual's first version."""
+    global n_calls
     run_count = 0
     near = 0
     while run_count < runs:
         cycle_count = 0
         while cycle_count < cycles_per_run:
-            ahead = rps(2)[2:4]
-            near += int(max(ahead) > 100)
-            speeds = [6, 6] if max(ahead) < 100 else [-3, 3]
+            front = rps(2)[2:4]
+            near += int(max(front) > 100)
+            speeds = [6, 6] if max(front) < 100 else [-3, 3]
             sms(port_id, *speeds)
             cycle_count = cycle_count + 1
         run_count = run_count + 1
-    seen += 1
+    n_calls += 1
     sms(port_id, 0, 0)
     return near, speeds
 
@@ -51,18 +51,18 @@ def simsamp(port_id: int, cycles_per_run: int, runs: int, pause_stat: float) -> 
 
 
 @pytest.fixture(autouse=True)
-def unseen(no_screen: None) -> None:
-    global seen
-    seen = 0
+def reset_count(no_screen: None) -> None:
+    global n_calls
+    n_calls = 0
 
 
 def test_a_function_is_run_at_a_port_and_its_variables_are_kept_and_handed_on(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    handed: list[Any] = []
+    values: list[Any] = []
 
     def user2(near: int, speeds: Any) -> None:
-        handed.append((near, speeds.tolist()))
+        values.append((near, speeds.tolist()))
 
     runs = toolbox.roborun2(
         brait,
@@ -75,12 +75,12 @@ def test_a_function_is_run_at_a_port_and_its_variables_are_kept_and_handed_on(
     )
     assert [run.number for run in runs] == [1, 2]
     assert [run.cycles for run in runs] == [60, 60]
-    assert handed == [(run.variables["near"], run.variables["speeds"].tolist()) for run in runs]
+    assert values == [(run.variables["near"], run.variables["speeds"].tolist()) for run in runs]
     first = loadmat("kept/run-001.mat")
     assert first["near"].item() == first["var1"].item() == runs[0].variables["near"]
     assert first["cycle_count"].item() == 60
-    # What is global lasts from run to run.
-    assert [run.variables["seen"] for run in runs] == [1, 2]
+    # Global variables persist between runs.
+    assert [run.variables["n_calls"] for run in runs] == [1, 2]
     assert runs[0].metrics["speed_mean"] > 3
     assert capsys.readouterr().out.count("60 cycles in") == 2
 
@@ -100,9 +100,9 @@ def test_the_statistics_of_the_latest_runs_are_printed_drawn_and_saved(
 ) -> None:
     toolbox.open_default(seed=1)
     toolbox.roborun2(simsamp, cycles_per_run=20, runs=3, save="kept", user=toolbox.user1)
-    found = toolbox.getstat()
-    assert found["fitness"].count == 3
-    assert found == toolbox.getstat(runs="kept")
+    statistics = toolbox.getstat()
+    assert statistics["fitness"].count == 3
+    assert statistics == toolbox.getstat(runs="kept")
     assert "fitness" in capsys.readouterr().out
     figure = toolbox.plotrun("fitness", picture="runs.png")
     assert figure.axes[0].get_ylabel() == "fitness"

@@ -1,4 +1,4 @@
-"""The toolbox's sensor tests by its names, on a port and in its simulator."""
+"""The toolbox's sensor tests, at a port and in its simulator."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def test_the_simulated_robot_is_tested_where_it_was_put() -> None:
     assert khep_pos == 875
     assert dv[0, :2].tolist() == [0, 0]
     assert dv[-1, :2] == pytest.approx([875, 875], abs=2)
-    # At its end it is 2.5 mm before the wall; its back has seen nothing.
+    # At the end it is 2.5 mm before the wall; its rear sensors detect nothing.
     assert dv[-1, 4:6].min() > 900
     assert dv[:, 8:].max() < 30
     assert btmap1.twin.robot.pose[1] == pytest.approx(0.47, abs=1e-3)
@@ -49,14 +49,14 @@ def test_a_robot_at_a_port_is_tested_and_its_data_saved(tmp_path: Path) -> None:
 
 
 class Interrupted(Khepera):
-    """A robot whose user presses Ctrl-C, or whose line fails, after so many looks."""
+    """A robot whose user presses Ctrl-C, or whose line fails, after a number of readings."""
 
-    left, failure = 12, KeyboardInterrupt()
+    readings_left, failure = 12, KeyboardInterrupt()
 
     def proximity(self) -> SensorCounts:
-        """Look, or not any more."""
-        self.left -= 1
-        if self.left == 0:
+        """Read, or raise the failure."""
+        self.readings_left -= 1
+        if self.readings_left == 0:
             raise self.failure
         return super().proximity()
 

@@ -14,8 +14,8 @@ from khep_twin.log.reader import read_log
 EXAMPLE = Path(__file__).parents[2] / "examples" / "toolbox" / "simsamp1.py"
 
 
-def converted(text: str) -> str:
-    """A program for the simulator made one for the robot, as the toolbox's manual says."""
+def convert(text: str) -> str:
+    """Convert a program for the simulator to one for the robot by the rule of the toolbox's manual."""
     return "".join(
         line for line in text.replace("sim_", "").splitlines(keepends=True) if "btmap1" not in line
     )
@@ -23,7 +23,7 @@ def converted(text: str) -> str:
 
 @pytest.mark.parametrize("cycles", share([50, 500], 2))
 def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(cycles: int, tmp_path: Path) -> None:
-    program = converted(EXAMPLE.read_text()).replace("500, 2, 0", f"{cycles}, 2, 0")
+    program = convert(EXAMPLE.read_text()).replace("500, 2, 0", f"{cycles}, 2, 0")
     assert "sms(2, 1, 1)" in program
     assert "kheprom" not in program
     (tmp_path / "samp1.py").write_text(program)
@@ -33,11 +33,11 @@ def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(cycles: int
         command = [sys.executable, "samp1.py"]
         assert run_python(command, timeout=120, cwd=tmp_path, env=environment).returncode == 0
     track = read_log(log).robots["khepera0"]
-    spoken = [line.text for line in track.serial]
-    assert spoken[:3] == ["D,1,1", "d", "N"]
-    # The cycles, its own stop, and the one with which the host closes the port.
-    assert spoken.count("N") == 2 * cycles
-    assert spoken[-4:] == ["D,0,0", "d", "D,0,0", "d"]
-    if cycles == 500:  # it has come to a wall
-        assert "D,-1,1" in spoken
+    messages = [line.text for line in track.serial]
+    assert messages[:3] == ["D,1,1", "d", "N"]
+    # The cycles, the stop of the program, and that of the host when it closes the port.
+    assert messages.count("N") == 2 * cycles
+    assert messages[-4:] == ["D,0,0", "d", "D,0,0", "d"]
+    if cycles == 500:  # it has reached a wall
+        assert "D,-1,1" in messages
         assert track.pose[-1, 1] > 0.40

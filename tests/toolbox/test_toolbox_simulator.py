@@ -1,4 +1,4 @@
-"""The toolbox's simulated commands: its names and manners, and none of its old limits."""
+"""The toolbox's simulated commands, without the limits of its simulator."""
 
 import math
 from pathlib import Path
@@ -24,15 +24,15 @@ def btmap1(field: Playpen) -> OpenPlaypen:
     return toolbox.open_custom(field, noise=False)
 
 
-def cycles(btmap1: OpenPlaypen, count: int) -> None:
+def run_cycles(btmap1: OpenPlaypen, count: int) -> None:
     for _ in range(count):
         toolbox.kheprom(btmap1)
 
 
-def until_there(btmap1: OpenPlaypen) -> None:
-    cycles(btmap1, 1)
+def wait_until_arrived(btmap1: OpenPlaypen) -> None:
+    run_cycles(btmap1, 1)
     while not toolbox.sim_rmc(2)[[0, 3]].all():
-        cycles(btmap1, 1)
+        run_cycles(btmap1, 1)
         assert btmap1.time < 100
 
 
@@ -52,29 +52,29 @@ def test_a_simulated_command_takes_no_time_and_kheprom_takes_a_cycle(btmap1: Ope
 
 def test_a_speed_of_1_moves(btmap1: OpenPlaypen) -> None:
     toolbox.sim_sms(2, 1, 1)
-    cycles(btmap1, 40)
-    # 8 mm/s for 2 s, less the 0.2 s in which the controller's sum overcomes the gears' friction.
+    run_cycles(btmap1, 40)
+    # 8 mm/s for 2 s, minus 0.2 s until the controller's integral overcomes the gears' friction.
     assert btmap1.twin.robot.pose[0] == pytest.approx(1.5144, abs=1e-3)
     assert np.abs(toolbox.sim_rpc(2) - 182).max() <= 3
 
 
 def test_speeds_have_sizes(btmap1: OpenPlaypen) -> None:
-    ways = []
+    distances = []
     for speed in (2, 20, -10):
         toolbox.sim_sms(2, speed, speed)
-        cycles(btmap1, 10)
-        before = btmap1.twin.robot.pose[0]
-        cycles(btmap1, 20)
-        ways.append(btmap1.twin.robot.pose[0] - before)
+        run_cycles(btmap1, 10)
+        start_x = btmap1.twin.robot.pose[0]
+        run_cycles(btmap1, 20)
+        distances.append(btmap1.twin.robot.pose[0] - start_x)
         assert np.abs(toolbox.sim_rms(2) - speed).max() <= 1
-    assert ways == pytest.approx([0.016, 0.16, -0.08], rel=0.03)
+    assert distances == pytest.approx([0.016, 0.16, -0.08], rel=0.03)
 
 
 def test_unequal_speeds_drive_an_arc(btmap1: OpenPlaypen) -> None:
     toolbox.sim_sms(2, 5, 10)
-    cycles(btmap1, 10)
+    run_cycles(btmap1, 10)
     x, y, heading = btmap1.twin.robot.pose
-    cycles(btmap1, 40)
+    run_cycles(btmap1, 40)
     # Its radius is half the wheel base x (5 + 10) / (10 - 5).
     radius = WHEEL_BASE / 2 * 3
     turned = 2 * 0.04 / WHEEL_BASE
@@ -86,7 +86,7 @@ def test_unequal_speeds_drive_an_arc(btmap1: OpenPlaypen) -> None:
 def test_distance_and_turn_are_combined_and_the_counters_stay_right(btmap1: OpenPlaypen) -> None:
     for target in ((1000, 1000), (490, 1510), (1490, 2010), (0, 0)):
         toolbox.sim_skp(2, *target)
-        until_there(btmap1)
+        wait_until_arrived(btmap1)
         left, right = toolbox.sim_rpc(2)
         assert np.abs(np.array([left, right]) - target).max() <= 2
         turned = (right - left) * PULSE / WHEEL_BASE
@@ -96,17 +96,17 @@ def test_distance_and_turn_are_combined_and_the_counters_stay_right(btmap1: Open
 
 def test_counters_set_in_mid_course_count_on(btmap1: OpenPlaypen) -> None:
     toolbox.sim_sms(2, 10, 10)
-    cycles(btmap1, 20)
+    run_cycles(btmap1, 20)
     toolbox.sim_spc(2, -1000, 1000)
-    cycles(btmap1, 20)
+    run_cycles(btmap1, 20)
     assert toolbox.sim_rpc(2) == pytest.approx([0, 2000], abs=15)
 
 
 def test_a_newer_command_supersedes(btmap1: OpenPlaypen) -> None:
     toolbox.sim_skp(2, 5000, 5000)
-    cycles(btmap1, 10)
+    run_cycles(btmap1, 10)
     toolbox.sim_sms(2, 0, 0)
-    cycles(btmap1, 20)
+    run_cycles(btmap1, 20)
     assert toolbox.sim_rmc(2)[1] == 0
     assert toolbox.sim_rms(2).tolist() == [0, 0]
     assert toolbox.sim_rpc(2)[0] < 1000
@@ -114,7 +114,7 @@ def test_a_newer_command_supersedes(btmap1: OpenPlaypen) -> None:
 
 def test_the_speed_is_read_in_position_mode_too(btmap1: OpenPlaypen) -> None:
     toolbox.sim_skp(2, 5000, 5000)
-    cycles(btmap1, 40)
+    run_cycles(btmap1, 40)
     assert toolbox.sim_rms(2) == pytest.approx([20, 20], abs=2)
 
 
@@ -124,13 +124,13 @@ def test_the_controllers_error_is_reported(btmap1: OpenPlaypen) -> None:
     left, right = toolbox.sim_rmc(2)[[2, 5]]
     assert left > 10
     assert right < -10
-    cycles(btmap1, 20)
+    run_cycles(btmap1, 20)
     assert np.abs(toolbox.sim_rmc(2)[[2, 5]]).max() <= 2
     toolbox.sim_skp(2, 9000, 9000)
-    cycles(btmap1, 20)
-    on_the_way = toolbox.sim_rmc(2)
-    assert on_the_way[[0, 3]].tolist() == [0, 0]
-    assert (on_the_way[[2, 5]] != 0).all()
+    run_cycles(btmap1, 20)
+    control = toolbox.sim_rmc(2)
+    assert control[[0, 3]].tolist() == [0, 0]
+    assert (control[[2, 5]] != 0).all()
 
 
 def test_modes_are_counted_as_the_rom_says(field: Playpen) -> None:
@@ -150,7 +150,7 @@ def test_several_robots_are_distinguished_by_their_number() -> None:
     )
     toolbox.sim_sms(1, 5, 5)
     toolbox.sim_sms(2, -3, 3)
-    cycles(btmap1, 20)
+    run_cycles(btmap1, 20)
     one, two = (robot.pose for robot in btmap1.twin.robots)
     assert one[0] > 0.18
     assert one[2] == pytest.approx(0, abs=0.02)
@@ -165,12 +165,12 @@ def test_the_same_seed_and_commands_give_the_same_run() -> None:
     runs = []
     for seed in (1, 1, 2):
         btmap1 = toolbox.open_custom("obstacles", seed=seed)
-        seen = []
+        readings = []
         for _ in range(40):
             toolbox.sim_sms(2, 6, 4)
-            seen.append([*toolbox.sim_rps(2), *toolbox.sim_rls(2)])
+            readings.append([*toolbox.sim_rps(2), *toolbox.sim_rls(2)])
             toolbox.kheprom(btmap1)
-        runs.append((seen, btmap1.twin.robot.pose))
+        runs.append((readings, btmap1.twin.robot.pose))
     assert runs[0] == runs[1] != runs[2]
 
 
@@ -189,7 +189,7 @@ def test_userdata_has_the_toolboxs_31_columns(btmap1: OpenPlaypen) -> None:
 
 @pytest.mark.parametrize("kind", ["array", "file"])
 def test_a_scanned_playpen_is_opened_the_right_way_up(tmp_path: Path, kind: str) -> None:
-    # Seen from above, something in the upper left corner; the scan has its last row there.
+    # A block in the upper left corner; the last row of the scan is the upper one.
     drawn = np.ones((500, 600))
     drawn[40:60, 50:110] = 44
     scan = np.flipud(drawn)
@@ -204,7 +204,7 @@ def test_a_run_in_the_simulator_is_recorded(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     btmap1 = toolbox.open_custom("default", log=str(log))
     toolbox.sim_sms(2, 5, 5)
-    cycles(btmap1, 10)
+    run_cycles(btmap1, 10)
     toolbox.close_playpen()
     track = read_log(log).robots["khepera0"]
     assert track.times_ns[-1] == 500_000_000

@@ -1,4 +1,4 @@
-"""Windows that outlive their program, without a screen."""
+"""Windows that stay open after the end of their program, without a screen."""
 
 import sys
 
@@ -9,14 +9,14 @@ from khep_twin.toolbox import windows
 
 
 class Window:
-    """A window that is closed after so many looks."""
+    """A window that is closed after a number of updates."""
 
-    def __init__(self, looks: int) -> None:
-        self.looks = looks
+    def __init__(self, updates_left: int) -> None:
+        self.looks = updates_left
         self.canvas = self
 
     def flush_events(self) -> None:
-        """Close it, or not yet."""
+        """Count an update, and close the window after the last one."""
         self.looks -= 1
         if self.looks == 0:
             windows._windows.remove(self)
@@ -25,7 +25,7 @@ class Window:
 
 
 @pytest.fixture(autouse=True)
-def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+def reset_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(windows, "_windows", [])
     monkeypatch.delattr(sys, "last_type", raising=False)
 

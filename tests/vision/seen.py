@@ -1,4 +1,4 @@
-"""Images of a K213 in a playpen of 600 x 500 mm, and where things are in them."""
+"""Images of a K213 in a playpen of 600 x 500 mm, and the positions of objects in them."""
 
 import math
 
@@ -46,32 +46,32 @@ def registers(world: World, robot: int = 0) -> NDArray[np.int64]:
 
 
 def image(world: World, robot: int = 0, scans: int = 1) -> NDArray[np.int64]:
-    """The image of a later scan."""
+    """Return the image of a later scan."""
     state = registers(world, robot)
-    wanted = state[K213Register.SCANS] + scans
-    while state[K213Register.SCANS] < wanted:
+    last_scan = state[K213Register.SCANS] + scans
+    while state[K213Register.SCANS] < last_scan:
         world.advance_to(world.time_ns + 10_000_000)
     return state[PIXELS].copy()
 
 
 def slopes(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Tangents to the left at places in the image, in pixels from its left end."""
+    """Return tangents to the left at positions in the image, in pixels from its left end."""
     return HALF_FIELD * (1 - places / 32)
 
 
 def place(ahead_mm: float, left_mm: float) -> float:
-    """Place of a point in the image, in pixels from its left end; distances are from the camera."""
+    """Return the position of a point in the image, in pixels from its left end; distances from the camera."""
     return 32 * (1 - left_mm / ahead_mm / HALF_FIELD)
 
 
 def greys(reflectance: float | NDArray[np.float64], light: float = 1.0) -> NDArray[np.float64]:
-    """Greys of an even surface, in a part of the light by which the exposure is set."""
+    """Return the greys of a uniform surface, in a multiple of the light for which the exposure is set."""
     cosine_square = 1 / (1 + slopes(np.arange(64) + 0.5) ** 2)
     return reflectance / WHITE * WHITE_GREY * light * cosine_square**2
 
 
-def within_a_grey(found: NDArray[np.int64], expected: NDArray[np.float64]) -> bool:
-    return bool((np.abs(found - np.minimum(expected, 255)) <= 1).all())
+def within_a_grey(pixels: NDArray[np.int64], expected: NDArray[np.float64]) -> bool:
+    return bool((np.abs(pixels - np.minimum(expected, 255)) <= 1).all())
 
 
 def luminance(rgb: tuple[int, int, int]) -> float:
@@ -81,7 +81,7 @@ def luminance(rgb: tuple[int, int, int]) -> float:
 
 
 def block(x_mm: float, y_mm: float, width_mm: float, *, height_mm: float = 60, surface: str = "black") -> str:
-    """A board of 10 mm across the line of sight."""
+    """Return a board of 10 mm across the line of sight."""
     size = f"length_mm = 10\nwidth_mm = {width_mm}\nheight_mm = {height_mm}\n"
     return f'[[block]]\nx_mm = {x_mm}\ny_mm = {y_mm}\n{size}surface = "{surface}"\n'
 

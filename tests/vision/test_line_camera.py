@@ -1,4 +1,4 @@
-"""A line camera by plain and by compiled code, in playpens with all that moves."""
+"""A line camera by plain and compiled code, in playpens with all kinds of movable objects."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ def camera_of(scene: World, robot: int) -> LineCamera:
 @pytest.mark.parametrize("noise", share([True, False], 2))
 def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
     scene = world(CROWD, arena=ARENA, noise=noise, compiled=False)
-    see = function_of("vision")
+    capture = function_of("vision")
     for robot in (0, 1):
         scene.robots[robot].send(b"D,%d,%d\n" % (3 - robot, robot - 4))
     for step in range(12):
@@ -45,10 +45,10 @@ def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
             body: Any = scene.robots[robot].turret_bodies["k213"]
             camera, eye = camera_of(scene, robot), eye_of(scene.data, body._eye)
             plain, compiled = np.zeros(64, np.int64), np.zeros(64, np.int64)
-            given = body._context.lamps, 300.0, 50 * (step % 3), body._context.key, step
-            light = camera.take(eye, plain, *given, noisy=noise)
-            camera._compiled = see
-            assert camera.take(eye, compiled, *given, noisy=noise, compiled=True) == light
+            arguments = body._context.lamps, 300.0, 50 * (step % 3), body._context.key, step
+            light = camera.take(eye, plain, *arguments, noisy=noise)
+            camera._compiled = capture
+            assert camera.take(eye, compiled, *arguments, noisy=noise, compiled=True) == light
             camera._compiled = None
             assert compiled.tolist() == plain.tolist()
             assert len(set(plain.tolist())) > 5
@@ -72,11 +72,11 @@ def test_stripes_on_what_moves_move_with_it() -> None:
     scene = world(block(372, 250, 60, surface="white") + striped)
     before = image(scene)
     scene.robots[0].send(b"D,10,10\n")
-    # It pushes the block on, which stays as far away.
+    # It pushes the block, whose distance stays the same.
     image(scene, scans=4)
     pushed = image(scene)
     assert scene.robots[0].pose[0] > 0.36
-    stripes = [np.count_nonzero(np.diff(found > 100)) for found in (before, pushed)]
+    stripes = [np.count_nonzero(np.diff(pixels > 100)) for pixels in (before, pushed)]
     assert stripes[0] > 1
     assert stripes[1] > 1
 
@@ -108,10 +108,10 @@ def test_a_snapshot_goes_on_amid_a_scan_as_if_nothing_had_been() -> None:
     scene.robots[0].send(b"T,2,U,3\nD,2,-2\n")
     scene.advance_to(430_000_000)
     assert registers(scene)[K213Register.LEFT] not in (0, registers(scene)[K213Register.SCAN])
-    kept = scene.snapshot()
+    snapshot = scene.snapshot()
     scene.advance_to(1_500_000_000)
     other = world(CROWD, noise=True)
-    other.restore(kept)
+    other.restore(snapshot)
     other.advance_to(1_500_000_000)
     for robot in (0, 1):
         assert registers(other, robot).tolist() == registers(scene, robot).tolist()
@@ -127,5 +127,5 @@ def test_lamps_that_are_switched_are_seen_so() -> None:
 
 def test_the_shipped_playpen_shows_its_stripes() -> None:
     scene = World(Playpen.load("stripes"), noise=False)
-    found = image(scene)
-    assert np.count_nonzero(np.diff(found > 100)) > 4
+    pixels = image(scene)
+    assert np.count_nonzero(np.diff(pixels > 100)) > 4

@@ -1,4 +1,4 @@
-"""What a line camera sees: projection, occlusion, light, exposure, blur and noise, by closed forms."""
+"""Images of a line camera: projection, occlusion, light, exposure, blur and noise, by closed forms."""
 
 import math
 
@@ -45,16 +45,16 @@ def test_a_white_wall_has_the_grey_of_white_in_the_light_of_the_room() -> None:
 @pytest.mark.parametrize("x_mm", [120, 300, 500])
 def test_a_striped_wall_is_projected_as_by_a_pinhole(x_mm: float, heading_deg: float) -> None:
     arena = 'stripes = [[31, "black"], [47, "white"]]'
-    found = image(world(arena=arena, pose=f"x_mm = {x_mm}\ny_mm = 250\nheading_deg = {heading_deg}\n"))
+    pixels = image(world(arena=arena, pose=f"x_mm = {x_mm}\ny_mm = 250\nheading_deg = {heading_deg}\n"))
     heading = math.radians(heading_deg)
     eye = x_mm + EYE_MM * math.cos(heading), 250 + EYE_MM * math.sin(heading)
     # Where rays through the pixels' ends, and one pixel beyond as for blur, meet the right wall at x = 600.
-    ways = heading + np.arctan(slopes(np.arange(-1, 66).astype(np.float64)))
-    y = eye[1] + (600 - eye[0]) * np.tan(ways)
+    directions = heading + np.arctan(slopes(np.arange(-1, 66).astype(np.float64)))
+    y = eye[1] + (600 - eye[0]) * np.tan(directions)
     along = 500 - y  # from the wall's left end, as seen from inside
     black = along % 78 < 31
     number = along // 78
-    clear = [
+    unblurred = [
         pixel
         for pixel in range(64)
         if len(set(black[pixel : pixel + 4])) == 1
@@ -62,28 +62,28 @@ def test_a_striped_wall_is_projected_as_by_a_pinhole(x_mm: float, heading_deg: f
         and 0 < y[pixel + 3]
         and y[pixel] < 500
     ]
-    assert len(clear) > 10
+    assert len(unblurred) > 10
     expected = greys(np.where(black[1:-2], BLACK_SURFACE, WHITE_SURFACE))
-    assert within_a_grey(found[clear], expected[clear])
-    assert {bool(black[pixel + 1]) for pixel in clear} == {True, False}
+    assert within_a_grey(pixels[unblurred], expected[unblurred])
+    assert {bool(black[pixel + 1]) for pixel in unblurred} == {True, False}
 
 
 def test_an_edge_is_where_geometry_says() -> None:
-    found = image(world(block(405, 200, 101)))
+    pixels = image(world(block(405, 200, 101)))
     edge = place(400 - 300 - EYE_MM, 0.5)
     bright, dark = greys(WHITE_SURFACE), greys(BLACK_SURFACE)
-    # The sum over the image tells where the edge is between two pixels.
-    covered = float(((bright - found) / (bright - dark)).sum())
+    # The sum over the image gives the position of the edge between two pixels.
+    covered = float(((bright - pixels) / (bright - dark)).sum())
     assert covered == pytest.approx(64 - edge, abs=0.1)
 
 
 def test_a_cylinder_hides_what_its_tangents_say() -> None:
-    found = image(world(cylinder(432, 265, 12)))
-    ahead, left, radius = 132 - EYE_MM, 15.0, 12.0
-    middle, half = math.atan2(left, ahead), math.asin(radius / math.hypot(ahead, left))
+    pixels = image(world(cylinder(432, 265, 12)))
+    distance, left, radius = 132 - EYE_MM, 15.0, 12.0
+    middle, half = math.atan2(left, distance), math.asin(radius / math.hypot(distance, left))
     first, last = (place(1, math.tan(middle + sign * half)) for sign in (1, -1))
     bright, dark = greys(WHITE_SURFACE), greys(BLACK_SURFACE)
-    share = (bright - found) / (bright - dark)
+    share = (bright - pixels) / (bright - dark)
     assert share.sum() == pytest.approx(last - first, abs=0.15)
     assert (share * (np.arange(64) + 0.5)).sum() / share.sum() == pytest.approx((first + last) / 2, abs=0.1)
 
@@ -98,43 +98,43 @@ def test_the_nearer_of_two_things_hides_the_other() -> None:
 
 @pytest.mark.parametrize(("height_mm", "is_seen"), [(39, False), (41, True)])
 def test_what_is_below_the_line_of_sight_is_not_seen(height_mm: float, is_seen: bool) -> None:
-    found = image(world(block(400, 250, 30, height_mm=height_mm)))
-    assert (found[32] < 20) == is_seen
-    assert within_a_grey(found, greys(WHITE_SURFACE)) != is_seen
+    pixels = image(world(block(400, 250, 30, height_mm=height_mm)))
+    assert (pixels[32] < 20) == is_seen
+    assert within_a_grey(pixels, greys(WHITE_SURFACE)) != is_seen
 
 
 def test_beyond_walls_that_are_too_low_is_the_room() -> None:
-    found = image(world(arena="wall_height_mm = 35\n"))
-    assert within_a_grey(found, greys(0.3))
+    pixels = image(world(arena="wall_height_mm = 35\n"))
+    assert within_a_grey(pixels, greys(0.3))
 
 
 def test_a_robot_with_a_turret_is_seen_and_a_bare_one_is_not() -> None:
     second = "[[robot]]\nx_mm = 420\ny_mm = 250\nheading_deg = 90\n"
     bare = image(world(second), robot=1)
     assert within_a_grey(bare, greys(WHITE_SURFACE))
-    seen = image(world(second + 'turrets = ["k213"]\n'), robot=1)
+    pixels = image(world(second + 'turrets = ["k213"]\n'), robot=1)
     # From its side the housing, 16 mm long about 2 mm behind the centre, and the lens, up to 12 mm ahead.
-    ahead = 120 - EYE_MM - 10
-    first, last = place(ahead, 12.0), place(ahead, -10.0)
-    dark = np.flatnonzero(seen < 60)
+    distance = 120 - EYE_MM - 10
+    first, last = place(distance, 12.0), place(distance, -10.0)
+    dark = np.flatnonzero(pixels < 60)
     assert dark[0] == pytest.approx(first, abs=1.5)
     assert dark[-1] + 1 == pytest.approx(last, abs=1.5)
 
 
 def test_a_lamp_shines_where_geometry_says() -> None:
-    found = image(world(lamp(500, 290, 1)))
-    ahead = 200 - EYE_MM
-    middle, half = math.atan2(40, ahead), math.asin(10 / math.hypot(ahead, 40))
+    pixels = image(world(lamp(500, 290, 1)))
+    distance = 200 - EYE_MM
+    middle, half = math.atan2(40, distance), math.asin(10 / math.hypot(distance, 40))
     first, last = (place(1, math.tan(middle + sign * half)) for sign in (1, -1))
-    full = np.flatnonzero(found == 255)
-    assert full[0] == pytest.approx(first, abs=1)
-    assert full[-1] + 1 == pytest.approx(last, abs=1)
+    white = np.flatnonzero(pixels == 255)
+    assert white[0] == pytest.approx(first, abs=1)
+    assert white[-1] + 1 == pytest.approx(last, abs=1)
 
 
 def test_a_lamp_below_the_line_of_sight_only_lights_what_is_seen() -> None:
-    found = image(world(lamp(500, 290, 1, z_mm=15)))
-    assert found.max() < 255
-    assert (found > greys(WHITE_SURFACE) * 0.9).all()
+    pixels = image(world(lamp(500, 290, 1, z_mm=15)))
+    assert pixels.max() < 255
+    assert (pixels > greys(WHITE_SURFACE) * 0.9).all()
 
 
 def test_a_lamp_behind_a_block_is_hidden_and_one_that_is_off_is_clear() -> None:
@@ -162,13 +162,13 @@ def test_a_block_casts_a_shadow_onto_the_wall() -> None:
         image(world(lamp(400, 400, 3) + block(500, 400, 200, height_mm=height_mm))) for height_mm in (60, 20)
     )
     # The ray from the lamp past the block's nearest corner, at (495, 300), meets the wall at y = 189.5. The
-    # block itself, at the left of the image, is not what this is about.
+    # block itself is at the left of the image.
     y = 250 + (300 - EYE_MM) * slopes(np.arange(64) + 0.5)
-    lit, shadow = y < 189.5 - 3, (y > 189.5 + 3) & (np.arange(64) > 7)
-    assert lit.sum() > 5
-    assert shadow.sum() > 20
-    assert (high[lit] == low[lit]).all()
-    assert (high[shadow] < low[shadow] * 0.95).all()
+    in_light, in_shadow = y < 189.5 - 3, (y > 189.5 + 3) & (np.arange(64) > 7)
+    assert in_light.sum() > 5
+    assert in_shadow.sum() > 20
+    assert (high[in_light] == low[in_light]).all()
+    assert (high[in_shadow] < low[in_shadow] * 0.95).all()
 
 
 def test_the_shadow_of_what_is_lower_than_the_lamp_lies_lower() -> None:
@@ -208,23 +208,25 @@ def test_in_the_dark_all_is_black(lamps: str) -> None:
 def test_an_edge_that_is_too_near_is_blurred(distance_mm: float, low: float, high: float) -> None:
     arena = 'stripes = [[250, "black"], [250, "white"]]\n'
     pose = f"x_mm = {600 - distance_mm - EYE_MM}\ny_mm = 250\nheading_deg = 0\n"
-    found = image(world(arena=arena, pose=pose))
+    pixels = image(world(arena=arena, pose=pose))
     bright, dark = greys(WHITE_SURFACE), greys(BLACK_SURFACE)
-    part = (found - dark) / (bright - dark)
+    part = (pixels - dark) / (bright - dark)
     assert low <= np.count_nonzero((part > 0.1) & (part < 0.9)) <= high
 
 
-@pytest.mark.parametrize(("scans", "related"), share([(100, 0.45), (400, 0.25)], 2))
-def test_noise_is_even_over_pixels_and_scans_and_has_the_stated_deviation(scans: int, related: float) -> None:
+@pytest.mark.parametrize(("scans", "max_correlation"), share([(100, 0.45), (400, 0.25)], 2))
+def test_noise_is_even_over_pixels_and_scans_and_has_the_stated_deviation(
+    scans: int, max_correlation: float
+) -> None:
     wood = block(400, 250, 130, surface="wood")
     scene = world(wood, noise=True)
     scene.robots[0].send(b"T,2,U,2\n")
-    found = np.array([image(scene) for _ in range(scans)][2:], np.float64)
+    images = np.array([image(scene) for _ in range(scans)][2:], np.float64)
     mean = image(world(wood)) / 2
-    assert found.std(axis=0).mean() == pytest.approx(math.hypot(NOISE, 1 / math.sqrt(12)), rel=0.02)
-    assert np.abs(found.mean(axis=0) - mean).max() < 5 * NOISE / math.sqrt(len(found)) + 1
-    noise = found - found.mean(axis=0)
-    assert np.abs(np.corrcoef(noise.T)[~np.eye(64, dtype=bool)]).max() < related
+    assert images.std(axis=0).mean() == pytest.approx(math.hypot(NOISE, 1 / math.sqrt(12)), rel=0.02)
+    assert np.abs(images.mean(axis=0) - mean).max() < 5 * NOISE / math.sqrt(len(images)) + 1
+    noise = images - images.mean(axis=0)
+    assert np.abs(np.corrcoef(noise.T)[~np.eye(64, dtype=bool)]).max() < max_correlation
     assert abs(np.corrcoef(noise[:-1].ravel(), noise[1:].ravel())[0, 1]) < 0.03
 
 

@@ -93,7 +93,7 @@ def test_of_two_pages_that_save_at_once_one_is_told_of_the_other(
             other.join(0.2)  # it waits for this one
         path.write_bytes(data)
 
-    monkeypatch.setattr("khep_twin.web.documents.write_whole", slowly)
+    monkeypatch.setattr("khep_twin.web.documents.write_atomic", slowly)
     save("first")
     other.join()
     assert ends == {"first": "saved", "second": "conflict"}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.playpen import Playpen
-from khep_twin.sensing.line_faces import Poses, fixed_faces, moving_faces
+from khep_twin.sensing.line_faces import FacePoses, fixed_faces, moving_faces
 from khep_twin.sensing.line_scene import Eye
 from khep_twin.simulation.mujoco_forms import movable_names
 from khep_twin.units import K213_EYE_AHEAD, K213_EYE_HEIGHT
@@ -47,7 +47,7 @@ class PlaneView:
             (model.geom(name).id, np.flatnonzero(model.site_bodyid == model.body(name).id).tolist())
             for name in movable_names(playpen)
         ]
-        places = Poses(self._geoms, self._geom_turns, self._sites, self._site_turns)
+        places = FacePoses(self._geoms, self._geom_turns, self._sites, self._site_turns)
         self._camera = LineCamera(fixed_faces(model), moving_faces(model, base), places)
 
     def take(

@@ -9,7 +9,14 @@ from typing import NamedTuple, cast, get_args
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.parts import LightingMode
-from khep_twin.playpen.starts import TRIES, extent, draw_free_pose, find_obstruction, defined_starts, starts_rng
+from khep_twin.playpen.starts import (
+    TRIES,
+    defined_starts,
+    draw_free_pose,
+    extent,
+    find_obstruction,
+    starts_rng,
+)
 from khep_twin.renamed import renamed_arguments
 
 LIGHTINGS = (*get_args(LightingMode), "off")

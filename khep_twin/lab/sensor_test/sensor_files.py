@@ -42,7 +42,7 @@ _ROBOT = "khepera0"
 
 
 def save(path: StrPath, run: SensorRun, replace: bool = True) -> None:
-    """Write a run as CSV, MAT or MCAP, by the file's suffix; `replace` as for `write_whole`.
+    """Write a run as CSV, MAT or MCAP, by the file's suffix; `replace` as for `write_atomic`.
 
     Raises:
         SensorTestError: The suffix is unknown, or the run has no rows, or no times for a log.

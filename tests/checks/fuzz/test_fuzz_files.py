@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from checks.fuzz.files import TARGETS, mutated, seeds_of
+from checks.fuzz.files import TARGETS, mutate, seeds_of
 from checks.fuzz.libfuzzer import run_target
 
 SHARE = {"toml": 500, "mat": 300, "png": 300, "picture": 150, "npz": 300}
@@ -20,6 +20,6 @@ def test_a_share_of_the_fuzzing_finds_nothing(kind: str, tmp_path: Path) -> None
 @pytest.mark.parametrize("kind", TARGETS)
 def test_a_number_is_always_the_same_input_and_most_are_damaged(kind: str) -> None:
     seeds = seeds_of(kind)
-    inputs = [mutated(seeds, kind, number) for number in range(200)]
-    assert inputs == [mutated(seeds, kind, number) for number in range(200)]
+    inputs = [mutate(seeds, kind, number) for number in range(200)]
+    assert inputs == [mutate(seeds, kind, number) for number in range(200)]
     assert sum(data not in seeds for data in inputs) > 150

@@ -9,7 +9,7 @@ from mcap.opcode import Opcode
 from checks.fuzz.libfuzzer import run_libfuzzer
 from checks.fuzz.log_mutations import Record
 from checks.fuzz.log_uses import IN_TEXT, USES, WORDS, changed_text, check, log_of, records
-from checks.fuzz.logs import STEP, said
+from checks.fuzz.logs import STEP, error_text
 
 SHARE = 1_500
 
@@ -29,7 +29,7 @@ def test_random_changes_end_in_a_result_or_a_line() -> None:
 def test_each_use_of_the_log_to_begin_with_has_a_result(use: object, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(log_of(bytes([USES.index(use)])))  # pyright: ignore
-    assert said(use, path) == ""  # pyright: ignore
+    assert error_text(use, path) == ""  # pyright: ignore
 
 
 def test_a_word_of_an_attachment_is_replaced() -> None:

@@ -20,7 +20,7 @@ SHARE = 1_000
 
 @pytest.fixture(name="page_alone")
 def _page_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the designer in memory replaces is put back after the test."""
+    """Restore the functions that the designer in memory replaces after the test."""
     for place, name in (
         (answers, "run_in_threadpool"),
         (session_actions, "TwinActor"),
@@ -29,7 +29,7 @@ def _page_alone(monkeypatch: pytest.MonkeyPatch) -> None:
         (file_actions, "render"),
     ):
         monkeypatch.setattr(place, name, getattr(place, name))
-    designer()[2].take_over()
+    designer()[2].patch_slow_parts()
 
 
 @pytest.mark.long

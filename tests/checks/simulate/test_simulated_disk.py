@@ -63,7 +63,7 @@ def test_a_power_cut_loses_only_what_was_not_synchronized() -> None:
 
 
 def test_names_survive_a_power_cut_in_their_order(tmp_path: Path) -> None:
-    """What is renamed last is lost first; after an fsync of the folder, nothing is."""
+    """The last rename is lost first; after an fsync of the folder, none is."""
     contents = set[tuple[str, ...]]()
     for seed in range(50):
         folder = tmp_path / str(seed)

@@ -116,12 +116,12 @@ def unlucky_seed() -> Outcome:
 def test_the_same_seed_gives_the_same_outcome_and_its_faults_alone_do_too() -> None:
     outcome = unlucky_seed()
     assert simulate("x", unlucky, outcome.seed, 500.0) == outcome
-    assert simulate("x", unlucky, outcome.seed, 500.0, kept=outcome.faults) == outcome
+    assert simulate("x", unlucky, outcome.seed, 500.0, allowed=outcome.faults) == outcome
 
 
 def test_a_fault_that_is_left_out_does_not_happen() -> None:
     outcome = unlucky_seed()
-    other = simulate("x", unlucky, outcome.seed, 500.0, kept=outcome.faults[:1])
+    other = simulate("x", unlucky, outcome.seed, 500.0, allowed=outcome.faults[:1])
     assert other.faults == outcome.faults[:1]
     assert other.violation is None
 

@@ -1,4 +1,4 @@
-"""Simulated sweeps: nothing is found in the product, and what is broken on purpose is."""
+"""Simulated sweeps: no error in the product, and each mutant is caught."""
 
 import pytest
 from shares import share

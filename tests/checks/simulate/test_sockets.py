@@ -1,4 +1,4 @@
-"""Simulated TCP sockets: the same calls give the same results on them and on the machine's own."""
+"""Simulated TCP sockets: the same calls give the same results on them and on those of the machine."""
 
 import errno
 import select
@@ -34,7 +34,7 @@ def simulated(script: Script) -> list[object]:
         )
         simulation.run(seconds)
 
-    assert simulate("x", scenario, seed=0, seconds=100, kept=()).violation is None
+    assert simulate("x", scenario, seed=0, seconds=100, allowed=()).violation is None
     return results
 
 
@@ -197,19 +197,23 @@ def test_a_pulled_cable_shows_by_retransmissions_and_a_silent_end_by_keepalive()
             silent = simulated_socket.create_connection(server.getsockname()[:2])
             connection, _ = server.accept()
             for name, value in (("KEEPIDLE", 10), ("KEEPINTVL", 5), ("KEEPCNT", 3)):
-                connection.setsockopt(simulated_socket.IPPROTO_TCP, getattr(simulated_socket, f"TCP_{name}"), value)
+                connection.setsockopt(
+                    simulated_socket.IPPROTO_TCP, getattr(simulated_socket, f"TCP_{name}"), value
+                )
             for endpoint in (client, silent):
                 network.cut(endpoint._tcp)
             accepted.send(b"lost")
             for _ in range(3):
                 sleep(10)
-                results.append(accepted.getsockopt(simulated_socket.IPPROTO_TCP, simulated_socket.TCP_INFO, 3)[2])
+                results.append(
+                    accepted.getsockopt(simulated_socket.IPPROTO_TCP, simulated_socket.TCP_INFO, 3)[2]
+                )
                 results.append(connection.getsockopt(simulated_socket.SOL_SOCKET, simulated_socket.SO_ERROR))
 
         simulation.spawn("host", host)
         simulation.run(seconds)
 
-    assert simulate("x", scenario, 1, 100, kept=()).violation is None
+    assert simulate("x", scenario, 1, 100, allowed=()).violation is None
     # After 0.2, 0.6, 1.4, 3, 6.2, 12.6 and 25.4 s; keepalive after 10 + 3 * 5 s.
     assert results == [5, 0, 6, 0, 7, errno.ETIMEDOUT]
 
@@ -241,5 +245,5 @@ def test_a_thread_shares_the_descriptors_of_its_process_and_ends_with_it() -> No
         states.append([thread.alive for thread in process.threads])
         states.append(process.files)
 
-    assert simulate("x", scenario, 1, NS_PER_S / 1e8, kept=()).violation is None
+    assert simulate("x", scenario, 1, NS_PER_S / 1e8, allowed=()).violation is None
     assert states == [b"x", True, [False], {}]

@@ -1,4 +1,4 @@
-"""Simulated pseudo-terminals against the machine's own: the same operations give the same results."""
+"""Simulated pseudo-terminals against those of the machine: the same operations give the same results."""
 
 import errno
 import fcntl
@@ -76,7 +76,9 @@ class Bench:
             self._os.close(descriptor)
 
     def _ready(self) -> list[int]:
-        return [self._request(descriptor, termios.FIONREAD) for descriptor in [self._master, *self._hosts[:1]]]
+        return [
+            self._request(descriptor, termios.FIONREAD) for descriptor in [self._master, *self._hosts[:1]]
+        ]
 
     def _request(self, descriptor: int, request: int) -> int:
         return struct.unpack("i", self._fcntl.ioctl(descriptor, request, bytes(4)))[0]
@@ -252,7 +254,7 @@ def _in_a_simulation(seed: int, work: Callable[[dict[str, Any]], None]) -> None:
             simulation.spawn("bench", lambda: work(simulation.system.modules))
             simulation.run(seconds)
 
-    outcome = simulate("terminals", scenario, seed, 60.0, kept=[])
+    outcome = simulate("terminals", scenario, seed, 60.0, allowed=[])
     assert outcome.violation is None, outcome.violation
 
 

@@ -8,7 +8,7 @@ from log_rewriting import rewritten
 from served_twin import served
 from shares import share
 
-from checks.branches import before, check, messages
+from checks.branches import check, content_before, messages
 from khep_twin.errors import KhepTwinError, LogError, PlaypenError
 from khep_twin.host import Khepera
 from khep_twin.interventions.switching import switch
@@ -100,7 +100,7 @@ def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(
     parent: Path, tmp_path: Path, changes: dict[str, object]
 ) -> None:
     path = branch_at(parent, tmp_path, **changes)
-    assert before(path, AT_NS) == before(parent, AT_NS)
+    assert content_before(path, AT_NS) == content_before(parent, AT_NS)
     assert messages(path) != messages(parent)
     assert run_end_ns(path) == run_end_ns(parent)
     assert repeat(read_recorded_run(path)) is None
@@ -140,7 +140,7 @@ def test_a_controller_takes_over_and_a_branch_has_branches(parent: Path, tmp_pat
     assert run_end_ns(first) > 21 * SECOND
     later_ns = round(20.5 * SECOND)
     branch(BranchPlan(first, BranchPoint(later_ns, faults=("stuck:1",))), second)
-    assert before(second, later_ns) == before(first, later_ns)
+    assert content_before(second, later_ns) == content_before(first, later_ns)
     assert repeat(read_recorded_run(second)) is None
     branch(BranchPlan(second, BranchPoint(21 * SECOND)), same)
     assert messages(same) == messages(second)
@@ -206,7 +206,7 @@ def test_a_host_goes_on_from_a_log_and_its_log_is_a_branch(parent: Path, tmp_pat
         robot.set_speed(5, 5)
         robot.sleep(1)
     at_ns = 11_500_000_000
-    assert before(path, at_ns) == before(parent, at_ns)
+    assert content_before(path, at_ns) == content_before(parent, at_ns)
     assert repeat(read_recorded_run(path)) is None
     with Khepera(f"khep://{parent}") as robot:
         assert robot.time == run_end_ns(parent) / SECOND
@@ -248,7 +248,7 @@ def test_a_served_log_goes_on(parent: Path, tmp_path: Path) -> None:
             assert robot.speed() is not None
         process.terminate()
         assert process.wait(60) == 0
-    assert before(path, 12_500_000_000) == before(parent, 12_500_000_000)
+    assert content_before(path, 12_500_000_000) == content_before(parent, 12_500_000_000)
     assert repeat(read_recorded_run(path)) is None
 
 

@@ -15,7 +15,7 @@ from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Readings, Ruler
 from khep_twin.sensing import calibration
 from khep_twin.units import SENSOR_HEIGHT
 from khep_twin.world import World
-from studies.lamp_fits import FAR, SET_UP_BEARING, left_over, readings, sampled_lamp
+from studies.lamp_fits import FAR, SET_UP_BEARING, residuals, readings, sampled_lamp
 
 KHEPERA1 = calibration.read("khepera1")[0]
 SENSORS = range(8)
@@ -55,7 +55,7 @@ def test_each_receiver_has_the_derived_figures_of_the_real_one(sensor: int) -> N
 
 def test_the_sampled_lamp_is_met_far_off_and_near(reference: Path) -> None:
     distances, test = sampled_lamp(reference)
-    errors = left_over(test, KHEPERA1.ambient)
+    errors = residuals(test, KHEPERA1.ambient)
     far = distances >= FAR
     assert np.sqrt(np.mean(errors[far] ** 2)) <= 15
     assert np.sqrt(np.mean(errors[~far] ** 2)) <= 68.5

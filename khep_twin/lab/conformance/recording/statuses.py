@@ -134,7 +134,12 @@ def arrival_in_time(line: RecordedLine) -> Verdict:
         for previous, step in pairwise(line.steps):
             motion, values, letter = step.motion, step.exchange.values, step.exchange.letter
             is_positioning = motion is not None and motion.modes[wheel] == Mode.POSITION
-            if motion is None or not is_positioning or letter in ("", *SETPOINT_COMMANDS) or previous.motion != motion:
+            if (
+                motion is None
+                or not is_positioning
+                or letter in ("", *SETPOINT_COMMANDS)
+                or previous.motion != motion
+            ):
                 on_target = []
             elif letter == "H" and values is not None and len(values) == 2:
                 is_near = motion.targets is not None and (
