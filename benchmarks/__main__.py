@@ -1,7 +1,7 @@
 """`make bench`: one table of all benchmarks, each row beside a floor measured in the same rounds.
 
-Floors are a loop around mj_step alone, called from Python, in the same scene with its rangefinders, and a
-process that only echoes. `python -m benchmarks --help` lists the options; `benchmarks.scale`,
+The floors are a loop around mj_step alone, called from Python, in the same model with its rangefinders, and
+a process that only echoes. `python -m benchmarks --help` lists the options; `benchmarks.scale`,
 `benchmarks.ports` and `benchmarks.growth` have more detailed tables.
 """
 
@@ -26,11 +26,11 @@ from khep_twin.playpen import Playpen
 
 PLAYPEN = "obstacles"
 PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
-"""Playpens that are measured with Kheperax, too."""
+"""Playpens that are also measured with Kheperax."""
 
 
 def main_job(part: float, rounds: int) -> Table:
-    """Measure the bare loop, the whole twin with its line and log, and episodes without a line."""
+    """Measure the bare loop, the complete twin with its line and log, and episodes without a line."""
     seconds, n_episodes = max(round(60 * part), 1), 32 if part >= 1 else 8
     setup = EpisodeSetup(Playpen.load(PLAYPEN))
     with TemporaryDirectory() as folder:
@@ -58,7 +58,9 @@ def main_job(part: float, rounds: int) -> Table:
         return measure(f"{PLAYPEN}, steps of 2.5 ms", rows, rounds)
 
 
-def beside_kheperax(name: str, part: float, rounds: int, python: str | None, found: dict[str, str]) -> Table:
+def kheperax_table(
+    name: str, part: float, rounds: int, python: str | None, versions: dict[str, str]
+) -> Table:
     """Measure episodes in MuJoCo and in a plane, and Kheperax in the same playpen.
 
     Args:
@@ -66,7 +68,7 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
         part: Fraction of the usual length.
         rounds: Number of counted rounds.
         python: Python with Kheperax; None if there is none.
-        found: Filled with the versions of Kheperax.
+        versions: Filled with the versions of Kheperax.
     """
     scene = growth.twenty_blocks() if name == growth.TWENTY_BLOCKS else Playpen.load(name)
     seconds, n_episodes = max(round(20 * part), 1), 32 if part >= 1 else 8
@@ -88,7 +90,7 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
     with ExitStack() as stack:
         if python is not None:
             kheperax = stack.enter_context(peers.Kheperax(python, scene))
-            found |= kheperax.versions
+            versions |= kheperax.versions
             rows += [
                 kheperax.row("Kheperax, 1 robot, 20 ms", 1, 400 * part),
                 kheperax.row("Kheperax, 1024 robots, 20 ms", 1024, 4 * part),
@@ -97,28 +99,28 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
         return measure(f"{name}, beside Kheperax", rows, rounds, remarks=remarks)
 
 
-def ways_in(part: float, rounds: int) -> Table:
+def trip_table(part: float, rounds: int) -> Table:
     """Measure round trips over pseudo-terminals."""
     with trip_rows(round(1000 * part)) as rows:
         return measure("B over a pty", rows, rounds, unit="round trips per s")
 
 
-def tables(quick: bool, python: str | None, found: dict[str, str]) -> Iterator[Table]:
+def tables(quick: bool, python: str | None, versions: dict[str, str]) -> Iterator[Table]:
     """Yield all parts of the table, each as soon as it is measured.
 
     Args:
         quick: Whether to run shorter, and without the largest.
         python: Python with Kheperax; None if there is none.
-        found: Filled with the versions of Kheperax.
+        versions: Filled with the versions of Kheperax.
     """
     part, rounds = (0.25, 2) if quick else (1.0, 7)
     yield main_job(part, rounds)
-    yield ways_in(part, rounds)
+    yield trip_table(part, rounds)
     if sys.platform == "linux" and shutil.which("cc"):
         with TemporaryDirectory() as folder:
             yield khepera4.table(Path(folder), part, rounds)
     for name in PEERS[: 1 if quick else None]:
-        yield beside_kheperax(name, part, rounds, python, found)
+        yield kheperax_table(name, part, rounds, python, versions)
     yield from environments.tables(part, rounds)
     yield from growth.tables(part, 1 if quick else 3, 2 if quick else None)
 
@@ -136,31 +138,31 @@ def main() -> None:
         help="save the results to a file; without FOLDER in benchmarks/results",
     )
     parser.add_argument("--show", type=Path, metavar="FILE", help="print saved results, measure nothing")
-    given = parser.parse_args()
-    if given.show is not None:
+    options = parser.parse_args()
+    if options.show is not None:
         try:
-            shown = record.read(given.show)
+            saved = record.read(options.show)
         except KhepTwinError as error:
             parser.error(str(error))
-        print(f"{text(shown.tables)}\n\n{LEGEND}\n{record.head(shown)}")
+        print(f"{text(saved.tables)}\n\n{LEGEND}\n{record.head(saved)}")
         return
     try:
-        python = peers.kheperax_python(given.kheperax)
-        if given.save is not None and not given.save.is_dir():
-            raise KhepTwinError(f"{given.save}: no directory; expected an existing one")
+        python = peers.kheperax_python(options.kheperax)
+        if options.save is not None and not options.save.is_dir():
+            raise KhepTwinError(f"{options.save}: no directory; expected an existing one")
     except KhepTwinError as error:
         parser.error(str(error))
-    load, begun, found = record.load(), time.monotonic(), dict[str, str]()
+    load, start_s, versions = record.load(), time.monotonic(), dict[str, str]()
     measured: list[Table] = []
-    for table in tables(given.quick, python, found):
+    for table in tables(options.quick, python, versions):
         print(text([table]), end="\n\n", flush=True)
         measured.append(table)
-    done = record.Record(
-        date.today().isoformat(), load, record.machine(), record.versions(found), tuple(measured)
+    run_record = record.Record(
+        date.today().isoformat(), load, record.machine(), record.versions(versions), tuple(measured)
     )
-    print(f"{LEGEND}\n{record.head(done)}\n{time.monotonic() - begun:.0f} s")
-    if given.save is not None:
-        print(f"saved {record.save(done, given.save).name}")
+    print(f"{LEGEND}\n{record.head(run_record)}\n{time.monotonic() - start_s:.0f} s")
+    if options.save is not None:
+        print(f"saved {record.save(run_record, options.save).name}")
 
 
 if __name__ == "__main__":

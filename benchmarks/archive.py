@@ -1,7 +1,7 @@
 """MAP-Elites here and in Kheperax, with the same number of evaluations: `python -m benchmarks.archive`.
 
-Here it is `examples/05_map_elites.py` with its defaults, which needs ribs; there it is Kheperax's own example
-with qdax (`kheperax_archive`), with its own process and Python. Coverage is the part of all cells of the
+Here it is `examples/05_map_elites.py` with its defaults, which needs ribs; there it is Kheperax's example
+with qdax (`kheperax_archive`), in a separate process and Python. Coverage is the part of all cells of the
 archive that have an elite. Both objectives go from 0, full speed all the time, to 1, a robot at rest, and the
 QD score is their sum over all elites. Processor time has all threads; here also the start of Python and the
 loading of compiled code, there only the search, with the compilation beside it.
@@ -57,65 +57,67 @@ class Archive:
         )
 
 
-def here(seed: int, iterations: int, batch: int) -> Archive:
+def run_example(seed: int, iterations: int, batch: int) -> Archive:
     """Run the example.
 
     Raises:
-        KhepTwinError: The example fails; its own last line gives the reason.
+        KhepTwinError: The example fails; its last line gives the reason.
     """
     with TemporaryDirectory() as folder:
         file = Path(folder) / "elites.npz"
         words = f"--seed {seed} --iterations {iterations} --batch {batch} --cells {CELLS} --judge 0".split()
-        before = _children_s()
-        _ended("the example", [sys.executable, str(_EXAMPLE), *words, "--elites", str(file)])
-        return Archive("khep_twin", seed, _children_s() - before, np.load(file)["objectives"].tolist())
+        start_s = _children_s()
+        _run_program("the example", [sys.executable, str(_EXAMPLE), *words, "--elites", str(file)])
+        return Archive("khep_twin", seed, _children_s() - start_s, np.load(file)["objectives"].tolist())
 
 
-def there(python: str, seed: int, iterations: int, batch: int, sigma: float) -> Archive:
+def run_kheperax(python: str, seed: int, iterations: int, batch: int, sigma: float) -> Archive:
     """Run Kheperax's MAP-Elites.
 
     Raises:
-        KhepTwinError: Kheperax fails; its own last line gives the reason.
+        KhepTwinError: Kheperax fails; its last line gives the reason.
     """
-    wish = {"seed": seed, "iterations": iterations, "batch": batch, "cells": CELLS, "sigma": sigma}
-    answer = json.loads(_ended("Kheperax", [python, str(_PEER)], json.dumps(wish)))
+    request = {"seed": seed, "iterations": iterations, "batch": batch, "cells": CELLS, "sigma": sigma}
+    answer = json.loads(_run_program("Kheperax", [python, str(_PEER)], json.dumps(request)))
     return Archive("Kheperax", seed, answer["cpu"], answer["fitness"], answer["compiling"])
 
 
-def compared(python: str | None, seeds: int, iterations: int, batch: int, sigma: float) -> Iterator[Archive]:
+def compare(python: str | None, seeds: int, iterations: int, batch: int, sigma: float) -> Iterator[Archive]:
     """Yield the searches of each seed, in turn."""
     for seed in range(seeds):
-        yield here(seed, iterations, batch)
+        yield run_example(seed, iterations, batch)
         if python is not None:
-            yield there(python, seed, iterations, batch, sigma)
+            yield run_kheperax(python, seed, iterations, batch, sigma)
 
 
 def main() -> None:
-    wish = argparse.ArgumentParser(description="Compare MAP-Elites with that of Kheperax.")
-    wish.add_argument("--kheperax", help=f"Python that can import Kheperax; also by {peers.VARIABLE}")
-    wish.add_argument("--seeds", type=int, default=3)
-    wish.add_argument("--iterations", type=int, default=100)
-    wish.add_argument("--batch", type=int, default=512)
-    wish.add_argument("--sigma", type=float, default=0.2, help="mutation in Kheperax; default as there, 0.2")
-    options = wish.parse_args()
+    parser = argparse.ArgumentParser(description="Compare MAP-Elites with that of Kheperax.")
+    parser.add_argument("--kheperax", help=f"Python that can import Kheperax; also by {peers.VARIABLE}")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--iterations", type=int, default=100)
+    parser.add_argument("--batch", type=int, default=512)
+    parser.add_argument(
+        "--sigma", type=float, default=0.2, help="mutation in Kheperax; default as there, 0.2"
+    )
+    options = parser.parse_args()
     python = peers.kheperax_python(options.kheperax)
     if python is None:
         print(peers.ABSENT)
     evaluations = options.iterations * options.batch
     print(f"{evaluations} evaluations")
     print("simulator  seed  processor   per one  compiling  coverage  QD score")
-    for archive in compared(python, options.seeds, options.iterations, options.batch, options.sigma):
+    for archive in compare(python, options.seeds, options.iterations, options.batch, options.sigma):
         print(archive.row(evaluations), flush=True)
 
 
-def _ended(name: str, command: Sequence[str], given: str = "") -> str:
-    """Return what a program printed."""
+def _run_program(name: str, command: Sequence[str], text: str = "") -> str:
+    """Run a program; return its output."""
     env = {**os.environ, "JAX_PLATFORMS": "cpu"}
-    ended = subprocess.run(command, input=given, capture_output=True, text=True, env=env)
-    if ended.returncode:
-        said = ended.stderr.strip().splitlines() or ["it said nothing"]
-        raise KhepTwinError(f"{name} failed: {said[-1]}")
-    return ended.stdout
+    process = subprocess.run(command, input=text, capture_output=True, text=True, env=env)
+    if process.returncode:
+        error_lines = process.stderr.strip().splitlines() or ["it error_lines nothing"]
+        raise KhepTwinError(f"{name} failed: {error_lines[-1]}")
+    return process.stdout
 
 
 def _children_s() -> float:

@@ -1,6 +1,6 @@
 """Speed of the vectorized environments: `python -m benchmarks.environments`, in MuJoCo and in the plane.
 
-The floor is a batch of as many episodes with a policy in Python that does next to nothing, with control
+The floor is a batch of as many episodes with a policy in Python that does almost nothing, with control
 periods of 50 ms as in the environments: physics, sensors and firmware without observations and rewards.
 """
 
@@ -29,7 +29,7 @@ def environments_row(name: str, seconds: float, count: int, planar: bool, mode: 
         seconds: Duration of each episode [s].
         count: Number of environments.
         planar: Whether they are in the plane.
-        mode: Vectorization mode of Gymnasium; None for the environments' own.
+        mode: Vectorization mode of Gymnasium; None for that of the environments.
     """
     import gymnasium
 
@@ -39,7 +39,7 @@ def environments_row(name: str, seconds: float, count: int, planar: bool, mode: 
     n_steps = round(seconds * 1e9) // PERIOD_NS
 
     def run() -> None:
-        many = gymnasium.make_vec(
+        environments = gymnasium.make_vec(
             NAME,
             num_envs=count,
             vectorization_mode=mode,
@@ -48,11 +48,11 @@ def environments_row(name: str, seconds: float, count: int, planar: bool, mode: 
             seconds=seconds,
             **options,
         )
-        many.reset(seed=1)
+        environments.reset(seed=1)
         actions = np.full((count, 2), 0.5, np.float32)
         for _ in range(n_steps):
-            many.step(actions)
-        many.close()
+            environments.step(actions)
+        environments.close()
 
     return Row(name, count * seconds, timed(run), lambda rate: f"{rate * 1e9 / PERIOD_NS:.0f} steps per s")
 
@@ -64,7 +64,7 @@ def tables(part: float, rounds: int) -> list[Table]:
         part: Fraction of the usual length.
         rounds: Number of counted rounds.
     """
-    found: list[Table] = []
+    results: list[Table] = []
     for planar, seconds in ((False, 4 * part), (True, 60 * part)):
         setup = EpisodeSetup(Playpen.load(PLAYPEN), period_ns=PERIOD_NS, planar=planar)
         rows = [batch_row("batch, Python policy (floor)", setup, EPISODES, seconds, 1, POLICY)]
@@ -77,8 +77,8 @@ def tables(part: float, rounds: int) -> list[Table]:
             ]
         where = "the plane" if planar else "MuJoCo"
         title = f"environments in {where}, 1 thread"
-        found.append(measure(title, rows, rounds, remarks=[] if present else [ABSENT]))
-    return found
+        results.append(measure(title, rows, rounds, remarks=[] if present else [ABSENT]))
+    return results
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """Growth of time per simulated second with blocks, robots and episodes in a batch.
 
-`python -m benchmarks.growth` prints these tables alone. Any number of blocks stands in the same large
-arena, in an order from the robot outwards, so that with more of them it meets the same ones first.
+`python -m benchmarks.growth` prints these tables alone. Blocks stand in the same large arena, in an order
+from the robot outwards, so with more of them the robot meets the same ones first.
 """
 
 import sys
@@ -33,21 +33,21 @@ def field(n_blocks: int, n_robots: int = 1, cells: int = 32) -> Playpen:
     middle = (cells - 1) / 2
     grid = sorted(
         ((row, column) for row in range(cells) for column in range(cells)),
-        key=lambda cell: (max(abs(each - middle) for each in cell), cell),
+        key=lambda cell: (max(abs(coordinate - middle) for coordinate in cell), cell),
     )
     if n_blocks + n_robots > len(grid):
         raise ValueError(f"{n_blocks} blocks and {n_robots} robots; expected {len(grid)} in all")
     rng = np.random.default_rng(1)
     angles = rng.uniform(0, 180, len(grid)).round(1).tolist()
     shifts = rng.uniform(-20, 20, (len(grid), 2)).round(1).tolist()
-    at = [((column + 0.5) * CELL_MM, (row + 0.5) * CELL_MM) for row, column in grid]
+    positions = [((column + 0.5) * CELL_MM, (row + 0.5) * CELL_MM) for row, column in grid]
     blocks = tuple(
-        Block(x_mm=x + tangential, y_mm=y + ahead, length_mm=60, width_mm=25, height_mm=50, angle_deg=angle)
-        for (x, y), (tangential, ahead), angle in zip(
-            at[n_robots : n_robots + n_blocks], shifts[n_robots:], angles[n_robots:], strict=False
+        Block(x_mm=x + dx, y_mm=y + dy, length_mm=60, width_mm=25, height_mm=50, angle_deg=angle)
+        for (x, y), (dx, dy), angle in zip(
+            positions[n_robots : n_robots + n_blocks], shifts[n_robots:], angles[n_robots:], strict=False
         )
     )
-    robots = tuple(RobotEntry(x_mm=x, y_mm=y, heading_deg=30) for x, y in at[:n_robots])
+    robots = tuple(RobotEntry(x_mm=x, y_mm=y, heading_deg=30) for x, y in positions[:n_robots])
     arena = Arena(width_mm=cells * CELL_MM, height_mm=cells * CELL_MM)
     return Playpen.model_validate(
         {"version": 1, "name": "field", "arena": arena, "block": blocks, "robot": robots}
@@ -84,18 +84,18 @@ def batches_table(episode_s: float, rounds: int, numbers: Sequence[int] = BATCHE
     return measure(title, rows, rounds, unit=COST, cost=True)
 
 
-def tables(part: float, rounds: int, most: int | None = None) -> Iterator[Table]:
-    """Yield all tables.
+def tables(part: float, rounds: int, n_sizes: int | None = None) -> Iterator[Table]:
+    """Yield all tables of growth.
 
     Args:
         part: Fraction of the usual length.
         rounds: Rounds of each table.
-        most: Number of sizes measured in each table; None for all.
+        n_sizes: Number of sizes measured in each table; None for all.
     """
     seconds = max(round(10 * part), 1)
-    yield from blocks_tables(seconds, rounds, BLOCKS[:most])
-    yield robots_table(seconds, rounds, ROBOTS[:most])
-    yield batches_table(max(round(part, 1), 0.2), rounds, BATCHES[:most])
+    yield from blocks_tables(seconds, rounds, BLOCKS[:n_sizes])
+    yield robots_table(seconds, rounds, ROBOTS[:n_sizes])
+    yield batches_table(max(round(part, 1), 0.2), rounds, BATCHES[:n_sizes])
 
 
 def main() -> None:

@@ -23,7 +23,7 @@ _N_SENSORS = 23
 """Numbers that a Khepera IV's sensors have: 12 infrared, 5 ultrasonic, 6 inertial; a Khepera has 8."""
 
 
-def opened() -> tuple[World, Khepera4Robot]:
+def open_world() -> tuple[World, Khepera4Robot]:
     """Return a world with a Khepera IV."""
     world = World(PLAYPEN, seed=1)
     robot = world.robots[0]
@@ -33,14 +33,14 @@ def opened() -> tuple[World, Khepera4Robot]:
 
 def bare(seconds: float) -> None:
     """Run a loop of mj_step alone."""
-    world, _ = opened()
+    world, _ = open_world()
     for _ in range(round(seconds * 400)):
         mujoco.mj_step(world.model, world.data)
 
 
-def reading(seconds: float, reads: bool = True) -> None:
+def read_sensors(seconds: float, reads: bool = True) -> None:
     """Advance a world, and read all sensors at 20 Hz."""
-    world, robot = opened()
+    world, robot = open_world()
     for _ in range(round(seconds * 20)):
         world.advance_to(world.time_ns + _READ_NS)
         if reads:
@@ -52,9 +52,9 @@ def reading(seconds: float, reads: bool = True) -> None:
                 robot.dspic.read(register, 2 * count)
 
 
-def executing(program: Path, seconds: float) -> None:
+def run_program(program: Path, seconds: float) -> None:
     """Run the program that reads them."""
-    world, robot = opened()
+    world, robot = open_world()
     (code,) = run_programs([RobotProgram([str(program), str(round(seconds))], Machine(robot.dspic, world))])
     assert code == 0
 
@@ -75,9 +75,9 @@ def table(folder: Path, part: float, rounds: int) -> Table:
 
     rows = [
         row("bare mj_step (floor)", lambda: bare(seconds)),
-        row("World, no program", lambda: reading(seconds, reads=False)),
-        row("World, all sensors at 20 Hz", lambda: reading(seconds)),
-        row("exec, all sensors at 20 Hz", lambda: executing(program, seconds)),
+        row("World, no program", lambda: read_sensors(seconds, reads=False)),
+        row("World, all sensors at 20 Hz", lambda: read_sensors(seconds)),
+        row("exec, all sensors at 20 Hz", lambda: run_program(program, seconds)),
         world_row("World of a Khepera, obstacles", Playpen.load("obstacles"), seconds),
         world_row("the same, plain", Playpen.load("obstacles"), seconds, compiled=False),
     ]

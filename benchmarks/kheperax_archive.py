@@ -1,11 +1,11 @@
-"""MAP-Elites of qdax on the standard task of Kheperax 0.2.0, with its own process and environment.
+"""MAP-Elites of qdax on the standard task of Kheperax 0.2.0, in a separate process and environment.
 
 One line of input, JSON: `seed`, `batch`, `iterations`, `cells` along a side and `sigma`, the standard
 deviation of the mutation. One line of output, JSON:
 `fitness` and `descriptors` of the elites, `wall` and `cpu` [s] of all evaluations but not of compiling,
 which is `compiling` [s of processor time], and `versions`.
 
-The task and the search are those of Kheperax's own `examples/main/me_training.py`: 250 steps, one hidden
+The task and the search are those of Kheperax's `examples/main/me_training.py`: 250 steps, one hidden
 layer of 8 neurons, three lasers that read -1 with nothing in reach, two bumpers, mutation by a normal
 distribution, there of 0.2. The fitness is scaled: 0 is full speed all the time, 1 a robot at rest.
 """
@@ -23,12 +23,12 @@ STEPS, HIDDEN = 250, (8,)
 
 
 def main() -> None:
-    wish = json.loads(sys.stdin.readline())
-    print(json.dumps(archive(**wish)))
+    request = json.loads(sys.stdin.readline())
+    print(json.dumps(archive(**request)))
 
 
 def archive(seed: int, batch: int, iterations: int, cells: int, sigma: float) -> dict[str, Any]:
-    """Fill an archive; return its elites and what it took."""
+    """Fill an archive; return its elites, times and versions."""
     import jax
     import jax.numpy as jnp
 
@@ -44,17 +44,17 @@ def archive(seed: int, batch: int, iterations: int, cells: int, sigma: float) ->
     config = KheperaxConfig.get_default()
     config.episode_length, config.mlp_policy_hidden_layer_sizes = STEPS, HIDDEN
     config.robot = config.robot.replace(lasers_return_minus_one_if_out_of_range=True)
-    least = -STEPS * 2 * config.action_scale**2
+    lowest_reward = -STEPS * 2 * config.action_scale**2
     key, first, second, third = jax.random.split(jax.random.PRNGKey(seed), 4)
     env, network, scoring = KheperaxTask.create_default_task(config, random_key=first)
 
-    def scored(genomes: Any, key: Any) -> tuple[Any, Any, dict[str, Any]]:
+    def score(genomes: Any, key: Any) -> tuple[Any, Any, dict[str, Any]]:
         # qdax expects three results, and would keep the transitions.
         fitness, descriptors, *_ = scoring(genomes, key)
-        return 1 - fitness / least, descriptors, {}
+        return 1 - fitness / lowest_reward, descriptors, {}
 
     search = MAPElites(
-        scoring_function=scored,
+        scoring_function=score,
         emitter=MixingEmitter(
             mutation_fn=lambda genomes, key: (genomes, key),
             variation_fn=partial(isoline_variation, iso_sigma=sigma, line_sigma=0.0),
@@ -70,22 +70,22 @@ def archive(seed: int, batch: int, iterations: int, cells: int, sigma: float) ->
     )
     began = cpu_s()
     begin = jax.jit(search.init).lower(genomes, centroids, third).compile()
-    found, state, _ = begin(genomes, centroids, third)
-    update = jax.jit(search.update).lower(found, state, key).compile()
+    repertoire, state, _ = begin(genomes, centroids, third)
+    update = jax.jit(search.update).lower(repertoire, state, key).compile()
     compiling = cpu_s() - began
 
     cpu, wall = cpu_s(), time.perf_counter()
-    found, state, _ = begin(genomes, centroids, third)
-    for each in jax.random.split(key, iterations - 1):
-        found, state, _ = update(found, state, each)
-    jax.block_until_ready(found.fitnesses)
-    taken = {"wall": time.perf_counter() - wall, "cpu": cpu_s() - cpu, "compiling": compiling}
-    filled = found.fitnesses.reshape(-1) > -jnp.inf
+    repertoire, state, _ = begin(genomes, centroids, third)
+    for step_key in jax.random.split(key, iterations - 1):
+        repertoire, state, _ = update(repertoire, state, step_key)
+    jax.block_until_ready(repertoire.fitnesses)
+    times = {"wall": time.perf_counter() - wall, "cpu": cpu_s() - cpu, "compiling": compiling}
+    filled = repertoire.fitnesses.reshape(-1) > -jnp.inf
     return {
-        "fitness": found.fitnesses.reshape(-1)[filled].tolist(),
-        "descriptors": found.descriptors[filled].tolist(),
+        "fitness": repertoire.fitnesses.reshape(-1)[filled].tolist(),
+        "descriptors": repertoire.descriptors[filled].tolist(),
         "versions": {name: version(name) for name in ("kheperax", "qdax", "jax")},
-        **taken,
+        **times,
     }
 
 

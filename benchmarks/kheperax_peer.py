@@ -1,10 +1,10 @@
-"""Kheperax 0.2.0 as a peer, with its own process and environment, without khep_twin.
+"""Kheperax 0.2.0 as a peer, in a separate process and environment, without khep_twin.
 
 The first line of the input is the scene in JSON, from `peers.scene`; the answer is versions. Each further
-line, "ROBOTS STEPS", is one measurement: ROBOTS robots at once take STEPS steps of 20 ms, as
+line, "ROBOTS STEPS", is one measurement: ROBOTS robots together take STEPS steps of 20 ms, as
 `jax.lax.scan` over steps under `jax.vmap` over robots, compiled before the clock starts. The answer in JSON:
 `wall` and `cpu` [s], the latter of all threads, the mean `way_mm` of a robot's centre, and the number of
-robots `stuck` at the end, as Kheperax holds a robot that has touched a wall for ever.
+robots `stuck` at the end, as a robot that has touched a wall never moves again in Kheperax.
 
 The same as in khep_twin: the arena's size, walls and blocks, the body's radius, eight sensors at the
 calibration's headings, the control period, speeds in pulses per 10 ms, and the ROM's rule, speed = counts x
@@ -28,14 +28,14 @@ from typing import Any
 
 def main() -> None:
     scene = json.loads(sys.stdin.readline())
-    run = stage(scene)
+    run = make_measure(scene)
     print(json.dumps({name: version(name) for name in ("kheperax", "jax")}), flush=True)
     for line in sys.stdin:
         robots, steps = (int(word) for word in line.split())
         print(json.dumps(run(robots, steps)), flush=True)
 
 
-def stage(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
+def make_measure(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
     """Return a function of the numbers of robots and steps that measures them."""
     import jax
     import jax.numpy as jnp
@@ -72,28 +72,28 @@ def stage(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
         return (counts @ weights / scene["divisor"] + scene["speed"]) / scene["top_speed"]
 
     def one_step(state: Any, _: Any) -> tuple[Any, Any]:
-        after = task.step(state, rule(state.obs[:-2]))
-        moved = after.robot.posture.dist_to(state.robot.posture)
-        return after, moved
+        next_state = task.step(state, rule(state.obs[:-2]))
+        moved = next_state.robot.posture.dist_to(state.robot.posture)
+        return next_state, moved
 
     def episode(state: Any, steps: int) -> tuple[Any, Any, Any]:
-        after, moved = jax.lax.scan(one_step, state, None, steps)
-        return after, moved.sum(), after.robot.collides(maze)
+        next_state, moved = jax.lax.scan(one_step, state, None, steps)
+        return next_state, moved.sum(), next_state.robot.collides(maze)
 
     @cache
-    def made(robots: int, steps: int) -> tuple[Any, Any]:
+    def compile_run(robots: int, steps: int) -> tuple[Any, Any]:
         keys = jax.random.split(jax.random.PRNGKey(1), robots)
 
-        def begun(key: Any) -> Any:
+        def first_state(key: Any) -> Any:
             # After one step all numbers have their final types.
             return one_step(task.reset(key), None)[0]
 
         if robots == 1:
             run = jax.jit(lambda state: episode(state, steps))
-            states = jax.jit(begun)(keys[0])
+            states = jax.jit(first_state)(keys[0])
         else:
             run = jax.jit(jax.vmap(lambda state: episode(state, steps)))
-            states = jax.jit(jax.vmap(begun))(keys)
+            states = jax.jit(jax.vmap(first_state))(keys)
             turn = jnp.linspace(0, 2 * jnp.pi, robots, endpoint=False)
             posture = states.robot.posture
             states = states.replace(robot=states.robot.replace(posture=posture.replace(angle=turn)))
@@ -101,11 +101,11 @@ def stage(scene: dict[str, Any]) -> Callable[[int, int], dict[str, float]]:
         return run, states
 
     def measure(robots: int, steps: int) -> dict[str, float]:
-        run, states = made(robots, steps)
+        run, states = compile_run(robots, steps)
         cpu, wall = cpu_s(), time.perf_counter()
         _, way, stuck = jax.block_until_ready(run(states))
-        taken = {"wall": time.perf_counter() - wall, "cpu": cpu_s() - cpu}
-        return {**taken, "way_mm": float(way.mean() * unit_mm), "stuck": int(stuck.sum())}
+        times = {"wall": time.perf_counter() - wall, "cpu": cpu_s() - cpu}
+        return {**times, "way_mm": float(way.mean() * unit_mm), "stuck": int(stuck.sum())}
 
     return measure
 

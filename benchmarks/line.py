@@ -7,8 +7,8 @@ from pathlib import Path
 from stand_ins.echoes import BYTE_S
 
 
-def opened(path: str) -> int:
-    """Return the descriptor of a terminal."""
+def open_terminal(path: str) -> int:
+    """Open a terminal; return its descriptor."""
     return os.open(path, os.O_RDWR | os.O_NOCTTY)
 
 
@@ -21,8 +21,8 @@ def trip_s(port: int, request: bytes) -> tuple[float, int]:
     return time.perf_counter() - start, len(reply)
 
 
-def late_s(port: int, request: bytes) -> float:
-    """Return what a round trip takes beside the time of its bytes on the line [s]."""
+def delay_s(port: int, request: bytes) -> float:
+    """Return the duration of a round trip less the time of its bytes on the line [s]."""
     took_s, length = trip_s(port, request)
     return took_s - (len(request) + length) * BYTE_S
 

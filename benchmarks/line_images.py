@@ -1,4 +1,4 @@
-"""Cost of an image of the K213, plain and compiled: `python -m benchmarks.line_images`.
+"""Cost of an image of the K213, in pure Python and compiled: `python -m benchmarks.line_images`.
 
 Each scene is that of a playpen with a K213 on its first robot, at its start. The best of several rounds
 counts, as other load only adds time.
@@ -19,12 +19,12 @@ PLAYPENS = ("default", "stripes", "obstacles", "two-lamps", "workshop", "decepti
 ROUNDS = 7
 
 
-def with_a_k213(given: Playpen) -> Playpen:
+def with_a_k213(playpen: Playpen) -> Playpen:
     """Return a playpen whose first robot carries a K213 alone, under walls that allow it."""
-    first, *others = given.robots
-    robots = (first.model_copy(update={"turrets": ("k213",)}), *others)
-    arena = given.arena.model_copy(update={"wall_height_mm": max(given.arena.wall_height_mm, 50.0)})
-    return given.model_copy(update={"robots": robots, "arena": arena})
+    first, *other_robots = playpen.robots
+    robots = (first.model_copy(update={"turrets": ("k213",)}), *other_robots)
+    arena = playpen.arena.model_copy(update={"wall_height_mm": max(playpen.arena.wall_height_mm, 50.0)})
+    return playpen.model_copy(update={"robots": robots, "arena": arena})
 
 
 def cost_us(take: Callable[[], object], count: int) -> float:
@@ -49,8 +49,8 @@ def row(name: str) -> str:
     lamps: list[Lamp] = [(*at, power) for at, power in zip(world.lamps.positions, powers, strict=True)]
 
     def take(compiled: bool) -> Callable[[], int]:
-        here, pixels = eye_of(world.data, eye), turret.registers[PIXELS]
-        return lambda: camera.take(here, pixels, lamps, 300.0, 0, (1, 2), 0, compiled=compiled)
+        eye_pose, pixels = eye_of(world.data, eye), turret.registers[PIXELS]
+        return lambda: camera.take(eye_pose, pixels, lamps, 300.0, 0, (1, 2), 0, compiled=compiled)
 
     take(True)()
     compiled_us, plain_us = cost_us(take(True), 200), cost_us(take(False), 5)
@@ -61,5 +61,5 @@ def row(name: str) -> str:
 if __name__ == "__main__":
     print("| playpen | fixed faces | moving geoms | lamps | compiled [us] | plain [ms] |")
     print("|---|---|---|---|---|---|")
-    for each in PLAYPENS:
-        print(row(each), flush=True)
+    for name in PLAYPENS:
+        print(row(name), flush=True)

@@ -1,6 +1,6 @@
 """`python -m benchmarks.page`: cost of the designer's live view for the twin.
 
-A twin runs a Braitenberg vehicle as fast as it goes, by turns unwatched, watched by a client that reads each
+A twin runs a Braitenberg vehicle as fast as possible, in turns unwatched, watched by a client that reads each
 picture, and by the page in Chromium where that and Playwright are installed. Each row is simulated seconds
 per second of wall time and the server's processor time per simulated second, as medians over the rounds, and
 the cost: the loss against the unwatched turns right before and after it, in both. Last are the frames per
@@ -50,7 +50,7 @@ class Turn:
 
 
 class Twin:
-    """A designer in its own process, whose twin runs as fast as it goes."""
+    """A designer in a separate process, whose twin runs as fast as possible."""
 
     def __init__(self, folder: str) -> None:
         command = [sys.executable, "-m", "khep_twin", "design", "--no-browser"]
@@ -63,10 +63,10 @@ class Twin:
         self.look()
         self.post("run", controllers=["braitenberg"], cycles=10**9)
 
-    def post(self, action: str, **wanted: Any) -> Any:
+    def post(self, action: str, **arguments: Any) -> Any:
         """Send the designer a request, as its page does."""
         headers = {"Content-Type": "application/json", "Origin": self.origin}
-        with urlopen(Request(f"{self.url}do/{action}", json.dumps(wanted).encode(), headers)) as answer:
+        with urlopen(Request(f"{self.url}do/{action}", json.dumps(arguments).encode(), headers)) as answer:
             return json.load(answer)
 
     @contextmanager
@@ -80,22 +80,22 @@ class Twin:
         """Return simulated time, wall time and processor time at the next picture [s]."""
         with self.live() as socket:
             while True:
-                said = json.loads(socket.recv())
-                if said["kind"] == "picture":
-                    return said["time"], time.perf_counter(), processor_s(self.process.pid)
+                message = json.loads(socket.recv())
+                if message["kind"] == "picture":
+                    return message["time"], time.perf_counter(), processor_s(self.process.pid)
 
     def turn(self, watch: Callable[[], AbstractContextManager[Any]]) -> Turn:
         """Run the twin for a turn, watched."""
         with watch() as socket:
-            before = self.look()
+            start = self.look()
             end = time.perf_counter() + SECONDS
             while (left := end - time.perf_counter()) > 0:
                 if socket is None:
                     time.sleep(left)
                 else:
                     socket.recv()
-            after = self.look()
-        simulated, wall, processor = (now - then for now, then in zip(after, before, strict=True))
+            stop = self.look()
+        simulated, wall, processor = (later - earlier for later, earlier in zip(stop, start, strict=True))
         return Turn(simulated / wall, processor / simulated)
 
 
@@ -105,7 +105,7 @@ def main() -> None:
         twin = Twin(folder)
         watchers: dict[str, Callable[[], AbstractContextManager[Any]]] = {"watched by a client": twin.live}
         if page is not None:
-            watchers["watched in Chromium"] = lambda: _shown(page, twin.url)
+            watchers["watched in Chromium"] = lambda: _open_run_tab(page, twin.url)
         turns: dict[str, list[Turn]] = {"unwatched": [], **{name: [] for name in watchers}}
         costs: dict[str, list[float]] = {name: [] for name in watchers}
         try:
@@ -115,8 +115,8 @@ def main() -> None:
                 for name, watch in watchers.items():
                     turns[name].append(twin.turn(watch))
                     alone.append(twin.turn(nullcontext))
-                    beside = (alone[-2].speed + alone[-1].speed) / 2
-                    costs[name].append(1 - turns[name][-1].speed / beside)
+                    unwatched_speed = (alone[-2].speed + alone[-1].speed) / 2
+                    costs[name].append(1 - turns[name][-1].speed / unwatched_speed)
             if page is not None:
                 twin.post("end")
                 Path(folder, "crowd.toml").write_text(crowd(), encoding="utf-8")
@@ -127,9 +127,9 @@ def main() -> None:
     turns["unwatched"] = alone
     print(f"{PLAYPEN}, {ROUNDS} rounds of {SECONDS:g} s, {os.cpu_count()} cores")
     print(f"{'':24}{'s per s':>9}{'CPU ms per s':>15}{'cost':>8}")
-    for name, taken in turns.items():
-        speed = statistics.median(turn.speed for turn in taken)
-        processor = statistics.median(turn.processor for turn in taken) * 1e3
+    for name, series in turns.items():
+        speed = statistics.median(turn.speed for turn in series)
+        processor = statistics.median(turn.processor for turn in series) * 1e3
         cost = f"{statistics.median(costs[name]):8.1%}" if name in costs else ""
         print(f"{name:24}{speed:9.1f}{processor:15.2f}{cost}")
     if drags:
@@ -158,7 +158,7 @@ def chromium(*options: str, width: int = 1280, height: int = 720) -> Iterator[An
 
 
 @contextmanager
-def _shown(page: Any, url: str) -> Iterator[None]:
+def _open_run_tab(page: Any, url: str) -> Iterator[None]:
     page.goto(url)
     page.wait_for_selector("html[data-ready]")
     page.click('[data-tab="run"]')
@@ -171,7 +171,7 @@ def crowd() -> str:
     head = 'version = 1\nname = "crowd"\n\n[arena]\nwidth_mm = 2000\nheight_mm = 1000\n'
     robot = "\n[[robot]]\nx_mm = 1000\ny_mm = 500\nheading_deg = 90\n"
     places = [
-        (100 + 90 * column, row) for row in [60 + 80 * each for each in range(12)] for column in range(20)
+        (100 + 90 * column, row) for row in [60 + 80 * index for index in range(12)] for column in range(20)
     ]
     places = [place for place in places if abs(place[1] - 500) > 70][: OBJECTS - 1]
     return (
@@ -184,7 +184,7 @@ def crowd() -> str:
 
 
 def drag(page: Any, url: str) -> list[float]:
-    """Drag the robot to and fro; return the times between the frames that the browser draws meanwhile [s]."""
+    """Drag the robot to and fro; return the times between the browser's frames during the drag [s]."""
     page.goto(url)
     page.wait_for_selector("html[data-ready]")
     page.click("#open")

@@ -1,9 +1,9 @@
-"""`python -m benchmarks.page_3d`: the designer's 3-D view where a processor draws it, and its memory.
+"""`python -m benchmarks.page_3d`: the designer's 3-D view rendered by the CPU, and its memory.
 
 A twin drives in `looping-maze` with twenty blocks more; Chromium, whose WebGL is SwiftShader's, shows it at
-800 x 600 while the view is orbited. Beside the frames per second are those of a canvas of that size that is
-cleared only, which is all that this machine can reach, and the processor time of a frame. Then the twin runs
-ten times as fast for `--minutes`, and the page's memory after garbage collections is printed.
+800 x 600 while the view is orbited. It prints the frames per second, those of a canvas of that size that is
+only cleared (the limit of this machine), and the processor time of a frame. Then the twin runs ten times as
+fast for `--minutes`, and the page's memory after garbage collections is printed.
 """
 
 import argparse
@@ -76,15 +76,15 @@ def main() -> None:
 def draft() -> dict[str, Any]:
     """Return the maze with blocks where there is room for them."""
     rng, maze = random.Random(1), Playpen.load("looping-maze")
-    found: dict[str, Any] = json.loads(json.dumps(drafts.draft_of(maze)))
-    blocks = found["block"] = list(found.get("block", []))
+    content: dict[str, Any] = json.loads(json.dumps(drafts.draft_of(maze)))
+    blocks = content["block"] = list(content.get("block", []))
     while len(blocks) < BLOCKS:
         x_mm, y_mm = rng.uniform(20, maze.arena.width_mm - 20), rng.uniform(20, maze.arena.height_mm - 20)
         blocks.append({"x_mm": x_mm, "y_mm": y_mm, "angle_deg": rng.uniform(0, 90), "length_mm": 14.0})
         blocks[-1] |= {"width_mm": 10.0, "height_mm": 40.0, "surface": "lego"}
-        if drafts.problems_of(found):
+        if drafts.problems_of(content):
             blocks.pop()
-    return found
+    return content
 
 
 def show(page: Any, twin: Twin, folder: Path) -> None:
@@ -113,14 +113,15 @@ def remember(page: Any, twin: Twin, minutes: float) -> None:
             session.send("HeapProfiler.collectGarbage")
         used = session.send("Runtime.getHeapUsage")["usedSize"] / 1e6
         nodes = session.send("Memory.getDOMCounters")["nodes"]
-        passed = time.monotonic() - began
+        elapsed_s = time.monotonic() - began
         simulated = page.inner_text("#clock").split(" ")[0]
         print(
-            f"{passed / 60:5.1f} min, {simulated} s simulated: heap {used:.2f} MB, {nodes} nodes", flush=True
+            f"{elapsed_s / 60:5.1f} min, {simulated} s simulated: heap {used:.2f} MB, {nodes} nodes",
+            flush=True,
         )
-        if passed >= 60 * minutes:
+        if elapsed_s >= 60 * minutes:
             return
-        page.wait_for_timeout(1000 * min(60.0, max(60 * minutes - passed, 1)))
+        page.wait_for_timeout(1000 * min(60.0, max(60 * minutes - elapsed_s, 1)))
 
 
 def _processor() -> float:

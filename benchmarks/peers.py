@@ -1,4 +1,4 @@
-"""Other simulators beside khep_twin, each with its own process and Python.
+"""Other simulators for comparison, each in a separate process and Python.
 
 `kheperax_peer` lists the differences of Kheperax.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.scale import generation
-from benchmarks.table import Row, Taken
+from benchmarks.table import Row, RunTimes
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.errors import KhepTwinError
@@ -34,16 +34,19 @@ VARIABLE = "KHEP_TWIN_KHEPERAX"
 
 ABSENT = "Kheperax left out: pip install kheperax==0.2.0 in an environment KX, then --kheperax KX/bin/python"
 
+_CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+"""Signs of a rectangle's corners along and across it."""
+
 _PEER = Path(__file__).with_name("kheperax_peer.py")
 
 
-def kheperax_python(given: str | None) -> str | None:
-    """Return the Python with Kheperax: as given, by the environment, or this one; None if there is none.
+def kheperax_python(argument: str | None) -> str | None:
+    """Return the Python with Kheperax: by the argument, by the environment, or this one; None without any.
 
     Raises:
         KhepTwinError: The named Python has no Kheperax.
     """
-    named = given or os.environ.get(VARIABLE)
+    named = argument or os.environ.get(VARIABLE)
     if named is None:
         return sys.executable if importlib.util.find_spec("kheperax") else None
     look = "import importlib.util, sys; sys.exit(importlib.util.find_spec('kheperax') is None)"
@@ -58,13 +61,13 @@ class Kheperax(AbstractContextManager["Kheperax"]):
     Args:
         python: Python that can import Kheperax.
         playpen: Playpen with one robot; its walls have no thickness, and a cylinder has `N_SIDES` sides.
-        platform: Platform of JAX: "cpu", or "cuda" for a card.
+        platform: Platform of JAX: "cpu", or "cuda" for a GPU.
 
     Attributes:
         versions: Versions of Kheperax and jax.
 
     Raises:
-        KhepTwinError: Kheperax does not start; its own last line gives the reason.
+        KhepTwinError: Kheperax does not start; its last line gives the reason.
     """
 
     def __init__(self, python: str, playpen: Playpen, platform: str = "cpu") -> None:
@@ -74,7 +77,7 @@ class Kheperax(AbstractContextManager["Kheperax"]):
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            # A card would round 32-bit factors to fewer bits by default.
+            # A GPU would round 32-bit factors to fewer bits by default.
             env={**os.environ, "JAX_PLATFORMS": platform, "JAX_DEFAULT_MATMUL_PRECISION": "highest"},
         )
         self.versions: dict[str, str] = self._ask(json.dumps(scene(playpen)))
@@ -87,9 +90,9 @@ class Kheperax(AbstractContextManager["Kheperax"]):
         """Return a row of this number of robots for this time [s]."""
         steps = round(seconds * 1e9) // units.SCAN_NS
 
-        def run() -> Taken:
+        def run() -> RunTimes:
             answer = self._ask(f"{robots} {steps}")
-            return Taken(answer["wall"], answer["cpu"])
+            return RunTimes(answer["wall"], answer["cpu"])
 
         return Row(name, robots * seconds, run, generation if robots > 1 else lambda rate: "")
 
@@ -102,8 +105,8 @@ class Kheperax(AbstractContextManager["Kheperax"]):
             return json.loads(stdout.readline())
         except (BrokenPipeError, json.JSONDecodeError):
             self._process.kill()
-            said = self._process.communicate()[1].strip().splitlines() or ["it said nothing"]
-            raise KhepTwinError(f"Kheperax failed: {said[-1]}") from None
+            error_lines = self._process.communicate()[1].strip().splitlines() or ["it printed nothing"]
+            raise KhepTwinError(f"Kheperax failed: {error_lines[-1]}") from None
 
 
 def scene(playpen: Playpen) -> dict[str, Any]:
@@ -120,7 +123,7 @@ def scene(playpen: Playpen) -> dict[str, Any]:
         "start": [robot.x_mm, robot.y_mm, math.radians(robot.heading_deg)],
         "radius_mm": units.BODY_RADIUS * 1000,
         "reach_mm": REACH_MM,
-        "headings": [math.radians(each) for each in headings],
+        "headings": [math.radians(heading) for heading in headings],
         "pulse_mm": units.PULSE_LENGTH * 1000,
         "weights": kernel.DEMO_WEIGHTS,
         "divisor": kernel.DEMO_DIVISOR,
@@ -130,18 +133,17 @@ def scene(playpen: Playpen) -> dict[str, Any]:
 
 
 def corners(shape: Footprint) -> list[tuple[float, float]]:
-    """Return the corners of a thing's outline, with `N_SIDES` sides for a disc [mm]."""
+    """Return the corners of an object's outline, with `N_SIDES` sides for a disc [mm]."""
     if isinstance(shape, Circle):
         angles = [2 * math.pi * side / N_SIDES for side in range(N_SIDES)]
         offsets = [(shape.radius_mm * math.cos(angle), shape.radius_mm * math.sin(angle)) for angle in angles]
     else:
         (c, s), _ = shape.axes()
-        halves = [(along * shape.length_mm / 2, across * shape.width_mm / 2) for along, across in _AROUND]
+        halves = [
+            (along * shape.length_mm / 2, across * shape.width_mm / 2) for along, across in _CORNER_SIGNS
+        ]
         offsets = [(along * c - across * s, along * s + across * c) for along, across in halves]
-    return [(shape.x_mm + tangential, shape.y_mm + ahead) for tangential, ahead in offsets]
-
-
-_AROUND = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    return [(shape.x_mm + dx, shape.y_mm + dy) for dx, dy in offsets]
 
 
 def _edges(points: Sequence[tuple[float, float]], closed: bool) -> list[tuple[float, ...]]:

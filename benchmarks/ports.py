@@ -1,8 +1,8 @@
-"""The main job over the serial line, and a served twin beside a bare pseudo-terminal that echoes.
+"""Benchmarks of the main job over the serial line, and of a served twin against a bare echo.
 
 `python -m benchmarks.ports` also prints the delay of replies at 9600 baud, and the speed of the wire's clock.
 A round trip is that of `B` and its 13 bytes, with a plain client that calls os.write and os.read. Its floor
-is a process that answers each line with 13 ready bytes and does nothing else.
+is a process that answers each line with 13 constant bytes.
 """
 
 import os
@@ -14,8 +14,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmarks.line import late_s, opened, trip_s
-from benchmarks.table import LEGEND, Row, Taken, measure, text, timed
+from benchmarks.line import delay_s, open_terminal, trip_s
+from benchmarks.table import LEGEND, Row, RunTimes, measure, text, timed
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.experiment import run
@@ -46,7 +46,7 @@ def line_row(
 
 @contextmanager
 def trip_rows(trips: int) -> Generator[list[Row]]:
-    """Measure round trips over pseudo-terminals, while their processes run, by a round's median trip."""
+    """Measure round trips over pseudo-terminals, while their processes run, by the median trip of a round."""
     with echoes(paced=False) as (_, [echo]), served("serve", "default", "--unpaced") as (_, twin):
         ends = {"bare pty echo (floor)": echo, "served twin, unpaced": twin}
         yield [_trip_row(name, end, trips) for name, end in ends.items()]
@@ -56,7 +56,7 @@ def _trip_row(name: str, path: str, trips: int) -> Row:
     return Row(
         name,
         1,
-        lambda: Taken(statistics.median(_trips(path, trips))),
+        lambda: RunTimes(statistics.median(_trips(path, trips))),
         lambda rate: f"p50 {1e6 / rate:.0f} us",
     )
 
@@ -71,8 +71,8 @@ def main() -> None:
         subprocess.run([sys.executable, str(EXAMPLE), name, "1000"], check=True)
         took = time.perf_counter() - start
         twin.terminate()
-        said = twin.communicate()[1]
-    simulated = float(said.split(" s served")[0].split()[-1])
+        stderr = twin.communicate()[1]
+    simulated = float(stderr.split(" s served")[0].split()[-1])
     factor = simulated / took
     print(f"wire clock, 1000 cycles of the example: {simulated:.1f} s in {took:.2f} s, {factor:.0f} times")
 
@@ -80,11 +80,11 @@ def main() -> None:
 def print_lateness(queries: int = 400) -> None:
     """Print the delays of replies to N at 9600 baud, of a served twin and of a bare loop in turn."""
     with echoes() as (_, [echo]), served("serve", "default") as (_, twin):
-        ports = {"bare paced echo (floor)": opened(echo), "served twin": opened(twin)}
+        ports = {"bare paced echo (floor)": open_terminal(echo), "served twin": open_terminal(twin)}
         late: dict[str, list[float]] = {name: [] for name in ports}
         for number in range(queries):
             for name, port in ports.items():
-                late[name].append(late_s(port, b"N\n") * 1e3)
+                late[name].append(delay_s(port, b"N\n") * 1e3)
                 time.sleep(0.001 * (number % 7))
         for port in ports.values():
             os.close(port)
@@ -98,13 +98,13 @@ def print_lateness(queries: int = 400) -> None:
 
 
 def _trips(path: str, trips: int) -> list[float]:
-    port = opened(path)
+    port = open_terminal(path)
     try:
-        taken = [trip_s(port, b"B\n")[0] for _ in range(trips)]
+        durations = [trip_s(port, b"B\n")[0] for _ in range(trips)]
     finally:
         os.close(port)
     time.sleep(0.1)
-    return taken
+    return durations
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Results of benchmarks as files: a date, the machine, versions and all tables, in TOML.
+"""Files of benchmark results in TOML: date, machine, versions and all tables.
 
-Of the machine a file has only the processor, its cores and the memory.
+The machine is described by its processor, cores, memory and operating system alone.
 """
 
 import os
@@ -51,29 +51,29 @@ class Record:
 
 def machine() -> dict[str, str | int]:
     """Return this machine."""
-    found = re.search(r"^model name\s*:\s*(.+)$", _read("/proc/cpuinfo"), re.MULTILINE)
+    match = re.search(r"^model name\s*:\s*(.+)$", _read("/proc/cpuinfo"), re.MULTILINE)
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return {
-        "processor": found[1] if found else platform.machine(),
+        "processor": match[1] if match else platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
         "memory_gib": round(memory / 2**30),
         "system": f"{platform.system()} {'.'.join(re.findall('[0-9]+', platform.release())[:2])}",
     }
 
 
-def versions(others: Mapping[str, str]) -> dict[str, str]:
+def versions(peer_versions: Mapping[str, str]) -> dict[str, str]:
     """Return the versions of Python, this project, its numerical packages, and others that took part."""
-    own = {"python": platform.python_version(), "khep_twin": __version__}
-    return {**own, **{name: version(name) for name in PACKAGES}, **others}
+    project_versions = {"python": platform.python_version(), "khep_twin": __version__}
+    return {**project_versions, **{name: version(name) for name in PACKAGES}, **peer_versions}
 
 
 def load() -> tuple[float, ...]:
     """Return the load averages over 1, 5 and 15 minutes."""
-    return tuple(round(each, 2) for each in os.getloadavg())
+    return tuple(round(average, 2) for average in os.getloadavg())
 
 
 def save(record: Record, folder: Path) -> Path:
-    """Write a record under its own name.
+    """Write a record under its name.
 
     Raises:
         KhepTwinError: The record cannot be written.
@@ -87,7 +87,7 @@ def save(record: Record, folder: Path) -> Path:
     }
     document = tomlkit.document()
     document.add(
-        tomlkit.comment("Written by `python -m benchmarks --save`; benchmarks/table.py has what it says.")
+        tomlkit.comment("Written by `python -m benchmarks --save`; benchmarks/table.py has its fields.")
     )
     document.update(data)
     path = folder / record.name
@@ -103,7 +103,7 @@ def read(path: Path) -> Record:
     """
     try:
         data = tomllib.loads(path.read_text())
-        tables = tuple(_table(**each) for each in data["table"])
+        tables = tuple(_table(**table) for table in data["table"])
         return Record(data["date"], tuple(data["load"]), data["machine"], data["versions"], tables)
     except OSError as error:
         raise KhepTwinError(f"{path}: cannot be read: {error.strerror}") from error
@@ -113,15 +113,18 @@ def read(path: Path) -> Record:
 
 def head(record: Record) -> str:
     """Return date, machine, versions and load, in two lines."""
-    kept, made = record.machine, ", ".join(f"{name} {number}" for name, number in record.versions.items())
+    computer, version_text = (
+        record.machine,
+        ", ".join(f"{name} {number}" for name, number in record.versions.items()),
+    )
     return (
-        f"{record.date}: {kept['processor']}, {kept['cores']} cores, {kept['memory_gib']} GiB, "
-        f"{kept['system']}; load {record.load[0]:g}\n{made}"
+        f"{record.date}: {computer['processor']}, {computer['cores']} cores, {computer['memory_gib']} GiB, "
+        f"{computer['system']}; load {record.load[0]:g}\n{version_text}"
     )
 
 
 def _table(title: str, unit: str, rounds: int, remarks: list[str], row: list[dict[str, Any]]) -> Table:
-    return Table(title, unit, rounds, tuple(Result(**each) for each in row), tuple(remarks))
+    return Table(title, unit, rounds, tuple(Result(**result) for result in row), tuple(remarks))
 
 
 def _plain(table: Table) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from khep_twin.world import World
 
 PLAYPENS = ("default", "obstacles", "looping-maze")
 ROUNDS = 5
-WHOLE = 1024 * 60
+GENERATION_S = 1024 * 60
 """Simulated seconds of a generation: 1024 episodes of a minute."""
 
 
@@ -31,12 +31,12 @@ def voltages(setup: EpisodeSetup, seconds: float) -> list[tuple[float, float]]:
     """Return the vehicle's motor voltages, tick by tick."""
     episode = Episode(setup, Braitenberg())
     episode.begin(1)
-    found: list[tuple[float, float]] = []
+    voltage_pairs: list[tuple[float, float]] = []
     for _ in range(round(seconds * 1e9) // units.TICK_NS):
         left, right = episode.data.ctrl.tolist()
-        found.append((left, right))
+        voltage_pairs.append((left, right))
         episode.step(setup.scene_model.timing.steps_per_tick)
-    return found
+    return voltage_pairs
 
 
 def bare_row(name: str, setup: EpisodeSetup, seconds: float, *, sensors: bool = True) -> Row:
@@ -50,8 +50,8 @@ def bare_row(name: str, setup: EpisodeSetup, seconds: float, *, sensors: bool = 
 
     def bare() -> None:
         data = mujoco.MjData(model)
-        for both in driven:
-            data.ctrl[:] = both
+        for voltage_pair in driven:
+            data.ctrl[:] = voltage_pair
             for _ in range(steps):
                 mujoco.mj_step(model, data)
 
@@ -74,10 +74,10 @@ def world_row(name: str, scene: Playpen, seconds: float, *, compiled: bool = Tru
 
     def run() -> None:
         world = World(scene, seed=1, compiled=compiled)
-        register_view = [robot.registers.data for robot in world.robots]
+        board_registers = [robot.registers.data for robot in world.robots]
         for scan in range(round(seconds * 1e9) // units.SCAN_NS):
-            for own in register_view:
-                kernel.wander(own)
+            for registers in board_registers:
+                kernel.wander(registers)
             world.advance_to((scan + 1) * units.SCAN_NS)
 
     return Row(name, seconds, timed(run))
@@ -92,7 +92,7 @@ def batch_row(
     driver: Driver | None = None,
     line: int | None = None,
 ) -> Row:
-    """Return a row of a batch of episodes, each with its own genes if the controller is a network."""
+    """Return a row of a batch of episodes, each with different genes if the controller is a network."""
     genes = random_genes(n_episodes) if isinstance(driver, Network) else None
     return Row(
         name,
@@ -122,7 +122,7 @@ def random_genes(count: int) -> Floats:
 
 def generation(rate: float) -> str:
     """Return the duration of a generation at a speed in simulated seconds per second."""
-    return f"1024 x 60 s: {WHOLE / rate:.0f} s"
+    return f"1024 x 60 s: {GENERATION_S / rate:.0f} s"
 
 
 POLICY = Policy(lambda proximity, ambient, which: 10 - proximity[:, [3, 2]] / 100)

@@ -1,9 +1,9 @@
-"""Many robots in real time, each polled on its own line, beside bare pseudo-terminals that answer.
+"""Benchmark of many robots in real time, each polled on a separate line, against bare echoes.
 
 `python -m benchmarks.swarm` serves the playpen `swarm` with and without a log, and asks each of its twenty
 robots for N and D in turn, as often as 9600 baud allows. The floor is a process that answers on as many
-pseudo-terminals with ready bytes at the line's pace and does nothing else. The unit is the share of the time
-in which bytes cross a line: its ratio to the floor's is the share of real time that is reached.
+pseudo-terminals with constant bytes at 9600 baud. The unit is the share of the time in which a line transmits
+bytes: its ratio to the floor's is the real-time factor.
 """
 
 import os
@@ -17,8 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.line import opened, processor_s
-from benchmarks.table import LEGEND, Row, Taken, measure, text
+from benchmarks.line import open_terminal, processor_s
+from benchmarks.table import LEGEND, Row, RunTimes, measure, text
 from khep_twin.playpen import Playpen
 from stand_ins.echoes import BYTE_S, echoes
 from stand_ins.served import served
@@ -40,15 +40,15 @@ def swarm_rows(name: str, seconds: float) -> Generator[list[Row]]:
     count = len(Playpen.load(name).robots)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
-        rows = [Polled(*stack.enter_context(echoes(count)), seconds).row("bare paced echoes (floor)")]
+        rows = [PolledLines(*stack.enter_context(echoes(count)), seconds).row("bare paced echoes (floor)")]
         for title, options in (("served", ()), ("served, logged", ("--log", str(folder / "swarm.mcap")))):
             process, paths = stack.enter_context(_served(name, count, *options))
-            rows.append(Polled(process, paths, seconds).row(f"{name} {title}"))
+            rows.append(PolledLines(process, paths, seconds).row(f"{name} {title}"))
         yield rows
 
 
-class Polled:
-    """Lines of a process, all polled at once by this one.
+class PolledLines:
+    """Lines of a process, all polled together by this one.
 
     Args:
         process: Process that answers.
@@ -67,13 +67,13 @@ class Polled:
         """Return the row of a table: seconds of the lines' time per second, and the delays."""
         return Row(name, 1, self.run, lambda rate: self._delays())
 
-    def run(self) -> Taken:
+    def run(self) -> RunTimes:
         """Poll all lines for the duration; return the times for one second on each line."""
         self.late = []
-        ports = [opened(path) for path in self._paths]
+        ports = [open_terminal(path) for path in self._paths]
         poll, busy = select.epoll(), 0.0
-        heard = {port: b"" for port in ports}
-        asked = dict.fromkeys(ports, 0)
+        replies = {port: b"" for port in ports}
+        request_index = dict.fromkeys(ports, 0)
         sent: dict[int, float] = {}
         try:
             cpu, start = processor_s(self._process.pid), time.perf_counter()
@@ -84,22 +84,22 @@ class Polled:
             # Two delays at least, for their percentiles.
             while (now := time.perf_counter()) - start < self._seconds or len(self.late) < 2:
                 for port, _ in poll.poll(0.1):
-                    heard[port] += os.read(port, 4096)
-                    if heard[port].endswith(b"\n"):
+                    replies[port] += os.read(port, 4096)
+                    if replies[port].endswith(b"\n"):
                         now = time.perf_counter()
-                        line = (len(REQUESTS[asked[port]]) + len(heard[port])) * BYTE_S
+                        line = (len(REQUESTS[request_index[port]]) + len(replies[port])) * BYTE_S
                         self.late.append(now - sent[port] - line)
                         busy += line / len(ports)
-                        heard[port], asked[port] = b"", (asked[port] + 1) % len(REQUESTS)
+                        replies[port], request_index[port] = b"", (request_index[port] + 1) % len(REQUESTS)
                         sent[port] = now
-                        os.write(port, REQUESTS[asked[port]])
+                        os.write(port, REQUESTS[request_index[port]])
             cpu, wall = processor_s(self._process.pid) - cpu, now - start
         finally:
             poll.close()
             for port in ports:
                 os.close(port)
         time.sleep(0.1)
-        return Taken(wall / busy, cpu / busy)
+        return RunTimes(wall / busy, cpu / busy)
 
     def _delays(self) -> str:
         p99 = statistics.quantiles(self.late, n=100)[98]

@@ -4,7 +4,7 @@
     print(text([measure("default", rows, rounds=5)]))
 
 All rows of a table run once uncounted and then in turn, round by round, so that other load of the machine
-affects all of them equally. A ratio is the median over the rounds of a row's speed beside that of the
+affects all of them equally. A ratio is the median over the rounds of a row's speed relative to that of the
 first row, the floor, in the same round; it depends least on machine and load. In a table of costs, where
 time per unit is shown instead of units per time, it is the ratio of the times.
 """
@@ -21,9 +21,12 @@ WIDTH = 36
 SIMULATED = "simulated s per s"
 COST = "ms per simulated s"
 
+_HEAD = "".join(f"{word:>8}" for word in ("median", "best", "CPU", "ratio", "of CPU"))
+_CLOCKS = ("wall", "cpu")
+
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class RunTimes:
     """Times of a run.
 
     Attributes:
@@ -48,13 +51,13 @@ class Row:
 
     name: str
     work: float
-    run: Callable[[], Taken]
+    run: Callable[[], RunTimes]
     note: Callable[[float], str] = lambda rate: ""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A row's numbers, to four digits; NaN for what was not measured.
+    """A row's numbers, to four digits; NaN if not measured.
 
     Attributes:
         name: Name in the table.
@@ -94,13 +97,13 @@ class Table:
     remarks: tuple[str, ...] = ()
 
 
-def timed(deed: Callable[[], object]) -> Callable[[], Taken]:
+def timed(function: Callable[[], object]) -> Callable[[], RunTimes]:
     """Return a row's run of a function in this process."""
 
-    def run() -> Taken:
+    def run() -> RunTimes:
         wall, cpu = time.perf_counter(), time.process_time()
-        deed()
-        return Taken(time.perf_counter() - wall, time.process_time() - cpu)
+        function()
+        return RunTimes(time.perf_counter() - wall, time.process_time() - cpu)
 
     return run
 
@@ -126,20 +129,22 @@ def measure(
     """
     for row in rows:
         row.run()
-    taken = [[row.run() for row in rows] for _ in range(rounds)]
+    run_times = [[row.run() for row in rows] for _ in range(rounds)]
     results: list[Result] = []
     for number, row in enumerate(rows):
-        walls, cpus = ([getattr(one[number], clock) / row.work for one in taken] for clock in _CLOCKS)
-        floors = ([getattr(one[0], clock) / rows[0].work for one in taken] for clock in _CLOCKS)
+        walls, cpus = ([getattr(one[number], clock) / row.work for one in run_times] for clock in _CLOCKS)
+        floors = ([getattr(one[0], clock) / rows[0].work for one in run_times] for clock in _CLOCKS)
         ratios = [
-            statistics.median(_beside(own, floor) for own, floor in zip(each, first, strict=True))
-            for each, first in zip((walls, cpus), floors, strict=True)
+            statistics.median(
+                _relative_speed(duration, floor) for duration, floor in zip(row_times, first, strict=True)
+            )
+            for row_times, first in zip((walls, cpus), floors, strict=True)
         ]
         median, best, cpu = statistics.median(walls), min(walls), statistics.median(cpus)
-        shown = [1000 * each if cost else _per(each) for each in (median, best, cpu)]
-        beside = [_per(each) if cost else each for each in ratios]
+        numbers = [1000 * duration if cost else _per(duration) for duration in (median, best, cpu)]
+        relative_numbers = [_per(ratio) if cost else ratio for ratio in ratios]
         note = row.note(_per(median))
-        results.append(Result(row.name, *_rounded(*shown), *_rounded(*beside), note=note))
+        results.append(Result(row.name, *_rounded(*numbers), *_rounded(*relative_numbers), note=note))
     return Table(title, unit, rounds, tuple(results), tuple(remarks))
 
 
@@ -149,8 +154,8 @@ def text(tables: Sequence[Table]) -> str:
     for table in tables:
         lines += ["", f"{table.title} [{table.unit}]", f"{'':{WIDTH}}{_HEAD}"]
         for row in table.results:
-            numbers = "".join(f"{_short(each):>8}" for each in (row.median, row.best, row.cpu))
-            ratios = "".join(f"{_short(each):>8}" for each in (row.ratio, row.cpu_ratio))
+            numbers = "".join(f"{_short(number):>8}" for number in (row.median, row.best, row.cpu))
+            ratios = "".join(f"{_short(number):>8}" for number in (row.ratio, row.cpu_ratio))
             lines.append(f"  {row.name:{WIDTH - 2}}{numbers}{ratios}   {row.note}".rstrip())
         lines += [f"  {remark}" for remark in table.remarks]
     return "\n".join(lines[1:])
@@ -162,13 +167,10 @@ LEGEND = (
 )
 """Explanation of the columns."""
 
-_HEAD = "".join(f"{word:>8}" for word in ("median", "best", "CPU", "ratio", "of CPU"))
-_CLOCKS = ("wall", "cpu")
 
-
-def _beside(own: float, floor: float) -> float:
-    """Return the speed beside a floor, of the times of a unit."""
-    return floor / own if own > 0 else math.nan
+def _relative_speed(duration: float, floor: float) -> float:
+    """Return the speed relative to a floor, from the times of a unit."""
+    return floor / duration if duration > 0 else math.nan
 
 
 def _per(value: float) -> float:

@@ -17,7 +17,7 @@ import tempfile
 import unittest
 from pathlib import Path
 
-from stand_ins.echoes import looped_back
+from stand_ins.echoes import loopback
 from stand_ins.served import served
 from tools.command_table import command_line
 
@@ -74,7 +74,7 @@ def main() -> int:
     """Run all scripts; return 0 if only known tests fail."""
     command_line(__doc__).parse_args()
     count, failed = 0, set[str]()
-    with tempfile.TemporaryDirectory() as folder, looped_back() as device:
+    with tempfile.TemporaryDirectory() as folder, loopback() as device:
         scripts = unpack(Path(folder))
         with served("serve", "--relay", device) as (_, port):
             for name in SCRIPTS:

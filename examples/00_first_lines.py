@@ -1,4 +1,4 @@
-"""Ten ways to begin, each a function of a few lines that runs on its own.
+"""Ten short examples, each a function of a few lines that runs alone.
 
 python examples/00_first_lines.py                all of them, in a folder that is removed afterwards
 python examples/00_first_lines.py learn read     some of them
@@ -25,7 +25,7 @@ def drive():
 
 
 def talk():
-    """Talk to it by bytes, as host programs in any language do."""
+    """Send and receive bytes, as host programs in any language do."""
     with serial.serial_for_url("khep://obstacles", baudrate=9600, timeout=1) as port:
         port.write(b"N\n")
         print("answer to N:", port.readline().decode().strip())
@@ -41,7 +41,7 @@ def carry():
 
 
 def simulate():
-    """Advance a world yourself; it has MuJoCo's model and data."""
+    """Advance a world; it has MuJoCo's model and data."""
     world = khep_twin.World("obstacles", seed=1)
     world.robots[0].send(b"D,10,10\n")
     world.advance(2.0)
@@ -58,13 +58,13 @@ def change():
 
 
 def evaluate():
-    """Run many episodes at once, without a serial line."""
+    """Run many episodes in one call, without a serial line."""
     results = khep_twin.rollout("obstacles", khep_twin.Braitenberg(), seeds=range(8), seconds=60)
     print("fitness:", results.metrics["obstacle_avoidance"].round(3))
 
 
 def evolve():
-    """Choose the best of some networks."""
+    """Select the best of some networks."""
     network = khep_twin.Network(hidden=(5,))
     genes = np.random.default_rng(0).normal(size=(20, network.n_genes))
     results = khep_twin.rollout("looping-maze", network, seeds=range(20), seconds=10, genes=genes)
@@ -89,26 +89,28 @@ def read():
 
 
 def test():
-    """Serve a twin to the program that you test, in real time."""
-    ended = threading.Event()
+    """Serve a twin to a program under test, in real time."""
+    stop_event = threading.Event()
     with khep_twin.open_twin("obstacles") as twin, khep_twin.ports.PtyPort() as port:
-        thread = threading.Thread(target=khep_twin.serve, args=(twin, [port]), kwargs={"stop": ended.is_set})
+        thread = threading.Thread(
+            target=khep_twin.serve, args=(twin, [port]), kwargs={"stop": stop_event.is_set}
+        )
         thread.start()
         try:
             with khep_twin.Khepera(port.path) as robot:  # or any other program that opens this path
                 print("served robot's firmware:", robot.versions())
         finally:
-            ended.set()
+            stop_event.set()
             thread.join()
 
 
-BEGINNINGS = [drive, talk, carry, simulate, change, evaluate, evolve, learn, read, test]
+EXAMPLES = [drive, talk, carry, simulate, change, evaluate, evolve, learn, read, test]
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
-        for beginning in BEGINNINGS:
-            if len(sys.argv) == 1 or beginning.__name__ in sys.argv[1:]:
-                print(f"{beginning.__name__}: ", end="", flush=True)
-                beginning()
+        for example in EXAMPLES:
+            if len(sys.argv) == 1 or example.__name__ in sys.argv[1:]:
+                print(f"{example.__name__}: ", end="", flush=True)
+                example()
         os.chdir("/")

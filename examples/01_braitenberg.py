@@ -1,4 +1,4 @@
-"""A Braitenberg vehicle in plain pyserial, for a robot, a served twin or khep://.
+"""A Braitenberg vehicle with pyserial alone, for a robot, a served twin or khep://.
 
 python examples/01_braitenberg.py /dev/ttyUSB0        a robot
 python examples/01_braitenberg.py khep://obstacles    a twin in this process

@@ -6,7 +6,7 @@
 The reward of a control period is Floreano and Mondada's, for forward motion: fast, straight and away from
 obstacles, 0 to 1. Each episode has another start and randomly varied sensors. stable-baselines3's PPO learns
 in 64 environments in the plane, which are stepped together, and is evaluated in new episodes in MuJoCo, next
-to the robot's own Braitenberg vehicle. The path of one episode is drawn into out/ppo_way.png, and out/ppo.zip
+to the ROM's Braitenberg vehicle. The path of one episode is drawn into out/ppo_way.png, and out/ppo.zip
 keeps the policy of the first seed, with which `khep_twin.TaskController` drives a robot.
 """
 
@@ -37,7 +37,7 @@ except ImportError as error:
 TASK = "ObstacleAvoidance"
 ENVIRONMENTS = 64
 """Environments that are stepped together in training."""
-UNSEEN = 1_000_000
+EVALUATION_SEED = 1_000_000
 """First seed of the evaluation; training draws its seeds from its own."""
 EPISODES, EPISODES_WHILE_LEARNING = 20, 5
 TOP_SPEED_PULSES = 20
@@ -67,13 +67,13 @@ class Environments(VecEnv):
 
     def step_wait(self):
         """Advance all by a control period."""
-        seen, rewards, terminated, truncated, info = self.inner.step(self.actions)
-        over = terminated | truncated
-        infos = [{} for _ in over]
-        for index in np.flatnonzero(over):
+        observations, rewards, terminated, truncated, info = self.inner.step(self.actions)
+        dones = terminated | truncated
+        infos = [{} for _ in dones]
+        for index in np.flatnonzero(dones):
             last = info["final_obs"][index]
             infos[index] = {"terminal_observation": last, "TimeLimit.truncated": not terminated[index]}
-        return seen, rewards, over, infos
+        return observations, rewards, dones, infos
 
     def close(self):
         """Close all."""
@@ -90,15 +90,15 @@ class Environments(VecEnv):
     env_method = set_attr
 
     def env_is_wrapped(self, wrapper, indices=None):
-        """Return for each that it has no wrapper."""
+        """Return False for each environment: it has no wrapper."""
         return [False] * self.num_envs
 
 
 def vehicle(speed_pulses):
-    """Return the robot's own Braitenberg vehicle with this speed on a free way."""
+    """Return the ROM's Braitenberg vehicle with this speed without obstacles."""
 
-    def drive(seen):
-        counts = (seen[:, :8] + 1) / 2 * 1023
+    def drive(observations):
+        counts = (observations[:, :8] + 1) / 2 * 1023
         return (counts @ np.array(DEMO_WEIGHTS) / DEMO_DIVISOR + speed_pulses) / TOP_SPEED_PULSES
 
     return drive
@@ -106,26 +106,26 @@ def vehicle(speed_pulses):
 
 def policy(learner):
     """Return the actions of a learner, without exploration."""
-    return lambda seen: learner.predict(seen, deterministic=True)[0]
+    return lambda observations: learner.predict(observations, deterministic=True)[0]
 
 
 def evaluate(drive, episodes, task=TASK, planar=False):
     """Return the mean rewards of a period in new episodes of a minute (episodes,), and the first path."""
     environments = make(task, episodes, planar)
-    seen, info = environments.reset(seed=UNSEEN)
-    over, earned, path = False, [], []
-    while not over:
+    observations, info = environments.reset(seed=EVALUATION_SEED)
+    is_over, step_rewards, path = False, [], []
+    while not is_over:
         path.append((info["time"][0], 1000 * info["x"][0], 1000 * info["y"][0]))
-        action = np.clip(drive(seen), -1, 1).astype(np.float32)
-        seen, rewards, _, truncated, info = environments.step(action)
-        earned.append(rewards)
-        over = truncated.all()
+        action = np.clip(drive(observations), -1, 1).astype(np.float32)
+        observations, rewards, _, truncated, info = environments.step(action)
+        step_rewards.append(rewards)
+        is_over = truncated.all()
     environments.close()
-    return np.mean(earned, axis=0), np.array(path)
+    return np.mean(step_rewards, axis=0), np.array(path)
 
 
 class Curve(BaseCallback):
-    """Learning curve: time of one core [s] and mean reward in new episodes, at every `every` seconds.
+    """Learning curve: time of one core [s] and mean reward in new episodes, every `every` seconds.
 
     The time is that of the process without the evaluations, so that other programs do not count.
     """
@@ -133,26 +133,28 @@ class Curve(BaseCallback):
     def __init__(self, seconds, every):
         super().__init__()
         self.points, self.seconds, self.every = [], seconds, every
-        self.begun, self.evaluating = time.process_time(), 0.0
+        self.start_s, self.evaluating = time.process_time(), 0.0
 
-    def spent(self):
-        """Return the time of the process since learning began [s]."""
-        return time.process_time() - self.begun - self.evaluating
+    def elapsed_s(self):
+        """Return the time of the process since the start of learning [s]."""
+        return time.process_time() - self.start_s - self.evaluating
 
     def _on_step(self):
-        return self.spent() < self.seconds
+        return self.elapsed_s() < self.seconds
 
     def _on_rollout_start(self):
-        if self.every * len(self.points) <= self.spent() < self.seconds:
-            self.keep()
+        if self.every * len(self.points) <= self.elapsed_s() < self.seconds:
+            self.add_point()
 
-    def keep(self):
-        """Evaluate the policy."""
-        spent, begun = self.spent(), time.process_time()
+    def add_point(self):
+        """Evaluate the policy, and add a point to the curve."""
+        elapsed_s, evaluation_start_s = self.elapsed_s(), time.process_time()
         reward = evaluate(policy(self.model), EPISODES_WHILE_LEARNING)[0].mean()
-        self.points.append((spent, reward))
-        self.evaluating += time.process_time() - begun
-        print(f"{spent:5.0f} s of one core, {self.num_timesteps:7} steps: reward {reward:.3f}", flush=True)
+        self.points.append((elapsed_s, reward))
+        self.evaluating += time.process_time() - evaluation_start_s
+        print(
+            f"{elapsed_s:5.0f} s of one core, {self.num_timesteps:7} steps: reward {reward:.3f}", flush=True
+        )
 
 
 def learn(seed, seconds, task=TASK, planar=True, every=5):
@@ -161,7 +163,7 @@ def learn(seed, seconds, task=TASK, planar=True, every=5):
     learner = PPO(
         "MlpPolicy",
         Environments(task, planar),
-        learning_rate=lambda _: 1e-3 * max(1 - curve.spent() / seconds, 0.0),
+        learning_rate=lambda _: 1e-3 * max(1 - curve.elapsed_s() / seconds, 0.0),
         n_steps=64,
         batch_size=256,
         seed=seed,
@@ -169,12 +171,12 @@ def learn(seed, seconds, task=TASK, planar=True, every=5):
     )
     learner.learn(10**9, callback=curve)
     if every is not None:
-        curve.keep()
+        curve.add_point()
     return learner, np.array(curve.points)
 
 
 def draw(curves, rewards, file):
-    """Draw the learning curves, and beside them the rewards of the last evaluation."""
+    """Draw the learning curves and the rewards of the last evaluation."""
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2), sharey=True)
     for seed, curve in curves.items():
@@ -192,17 +194,17 @@ def draw(curves, rewards, file):
 
 def draw_path(path, file):
     """Draw the path of the first of the new episodes."""
-    seed = int(make(TASK, 1, True).reset(seed=UNSEEN)[1]["seed"][0])
+    seed = int(make(TASK, 1, True).reset(seed=EVALUATION_SEED)[1]["seed"][0])
     playpen = TaskSetup(TASK).start_playpen(seed)
     save(drawing(playpen, [DrawnPath("khepera0", path[:, 0], path[:, 1:])]), file)
 
 
 def measure(name, drive):
-    """Evaluate a driver at length; return the rewards and a path."""
+    """Evaluate a driver in many episodes; return the rewards and a path."""
     rewards, path = evaluate(drive, EPISODES)
-    told = name.replace("\n", " ")
+    label = name.replace("\n", " ")
     print(
-        f"{told:20} reward {rewards.mean():.3f} (sd {rewards.std():.3f}) in {EPISODES} new episodes",
+        f"{label:20} reward {rewards.mean():.3f} (sd {rewards.std():.3f}) in {EPISODES} new episodes",
         flush=True,
     )
     return rewards, path
@@ -210,25 +212,25 @@ def measure(name, drive):
 
 def main():
     """Train and draw."""
-    options = argparse.ArgumentParser(description="A robot learns to avoid obstacles.")
-    options.add_argument("picture", type=Path)
-    options.add_argument("--seconds", type=float, default=30, help="time of one core for each seed")
-    options.add_argument("--seeds", type=int, nargs="+", default=[1])
-    given = options.parse_args()
-    given.picture.parent.mkdir(parents=True, exist_ok=True)
+    parser = argparse.ArgumentParser(description="A robot learns to avoid obstacles.")
+    parser.add_argument("picture", type=Path)
+    parser.add_argument("--seconds", type=float, default=30, help="time of one core for each seed")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1])
+    options = parser.parse_args()
+    options.picture.parent.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     curves, rewards = {}, {}
     for name, speed in (("ROM's\nvehicle", DEMO_SPEED_PULSES), ("the same,\nfull speed", TOP_SPEED_PULSES)):
         rewards[name], _ = measure(name, vehicle(speed))
-    for seed in given.seeds:
-        learner, curves[seed] = learn(seed, given.seconds)
+    for seed in options.seeds:
+        learner, curves[seed] = learn(seed, options.seconds)
         name = f"PPO\nseed {seed}"
         rewards[name], path = measure(name, policy(learner))
-        if seed == given.seeds[0]:
+        if seed == options.seeds[0]:
             # The schedule of the learning rate belongs to this run.
-            learner.save(given.picture.with_suffix(".zip"), exclude=["learning_rate", "lr_schedule"])
-            draw_path(path, given.picture.with_name(given.picture.stem + "_way.png"))
-    draw(curves, rewards, given.picture)
+            learner.save(options.picture.with_suffix(".zip"), exclude=["learning_rate", "lr_schedule"])
+            draw_path(path, options.picture.with_name(options.picture.stem + "_way.png"))
+    draw(curves, rewards, options.picture)
 
 
 if __name__ == "__main__":

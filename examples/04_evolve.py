@@ -2,14 +2,14 @@
 
     .venv/bin/pip install cmaes
     .venv/bin/python examples/04_evolve.py --picture evolution.png --network best.npz
-    khep-twin run best.npz --port /dev/ttyUSB0         drives a robot with what was found
+    khep-twin run best.npz --port /dev/ttyUSB0         drives a robot with the best network
 
 As in their work, the network connects eight sensors directly to two motors, with feedback of the motors' last
-values, and its fitness is the mean of V (1 - sqrt(dV)) (1 - i). Two things differ. V has no sign, so that
-driving to and fro on the spot would earn nearly all of it, and does evolve here; so the mean is multiplied by
-the distance driven forwards, as a part of that at full speed, at least 0. And the search is CMA-ES of the
-package cmaes instead of a genetic algorithm; it begins with weights of 0. The fitness of a genome is the mean
-of eight episodes, from each of the maze's spots in both directions, and each generation has other noise.
+values, and its fitness is the mean of V (1 - sqrt(dV)) (1 - i). There are two differences. V has no sign, so
+driving to and fro on the spot would earn nearly all of it, and does evolve here. The mean is therefore
+multiplied by the distance driven forwards, as a part of that at full speed, at least 0. The search is CMA-ES
+of the package cmaes, not a genetic algorithm, and starts with weights of 0. The fitness of a genome is the
+mean of eight episodes, from each of the maze's spots in both directions. Each generation has different noise.
 """
 
 import argparse
@@ -32,18 +32,18 @@ try:
 except ImportError:
     sys.exit(f"cmaes is not installed; to install it: {pip_install('cmaes')}")
 
-wish = argparse.ArgumentParser(description="Evolve obstacle avoidance in the looping maze.")
-wish.add_argument("--generations", type=int, default=40)
-wish.add_argument("--population", type=int, default=20)
-wish.add_argument("--seconds", type=float, default=10.0, help="duration of an episode")
-wish.add_argument("--check-seconds", type=float, default=60.0, help="duration of an evaluation episode")
-wish.add_argument("--seed", type=int, default=0)
-wish.add_argument("--picture", type=Path, help="draw curve and path to NAME.png and NAME_way.png")
-wish.add_argument("--network", type=Path, help="write the best network to this NPZ file")
-options = wish.parse_args()
+parser = argparse.ArgumentParser(description="Evolve obstacle avoidance in the looping maze.")
+parser.add_argument("--generations", type=int, default=40)
+parser.add_argument("--population", type=int, default=20)
+parser.add_argument("--seconds", type=float, default=10.0, help="duration of an episode")
+parser.add_argument("--check-seconds", type=float, default=60.0, help="duration of an evaluation episode")
+parser.add_argument("--seed", type=int, default=0)
+parser.add_argument("--picture", type=Path, help="draw curve and path to NAME.png and NAME_way.png")
+parser.add_argument("--network", type=Path, help="write the best network to this NPZ file")
+options = parser.parse_args()
 for path in (options.picture, options.network):
     if path is not None and (reason := unusable(path)):
-        wish.error(f"{path}: cannot be written: {reason}")
+        parser.error(f"{path}: cannot be written: {reason}")
 
 NETWORK = Network(recurrent=True)
 FULL_SPEED = NETWORK.top_speed * 0.008
@@ -83,7 +83,7 @@ for generation in range(options.generations):
         flush=True,
     )
 
-# The search's mean combines all generations; it is evaluated in new episodes, at the robot's own step.
+# The search's mean combines all generations; it is evaluated in new episodes, at the default time step.
 best = search.mean
 if options.network:
     NETWORK.save(options.network, best, setup=setup, seed=options.seed)
@@ -101,14 +101,14 @@ for seed, start in enumerate(starts):
     times, trajectory, metrics = np.arange(len(poses)) * 0.02, np.array(poses), episode.metrics()
     turned = np.abs(np.diff(np.unwrap(trajectory[:, 2]))).sum()
     # Laps around the middle of the maze, which is wall.
-    around = np.unwrap(np.arctan2(trajectory[:, 1] - 0.25, trajectory[:, 0] - 0.4))
+    lap_angles = np.unwrap(np.arctan2(trajectory[:, 1] - 0.25, trajectory[:, 0] - 0.4))
     hits = run_statistics.collisions(times, trajectory, maze, BODY_RADIUS)
     print(
         f"{start[0]:3g},{start[1]:3g},{start[2]:4g}"
         f"{metrics['obstacle_avoidance']:12.3f}"
         f"{1000 * metrics['forward_m'] / times[-1]:6.0f} mm/s"
         f"{np.degrees(turned) / times[-1]:5.0f} deg/s"
-        f"{(around[-1] - around[0]) / (2 * np.pi):7.1f}"
+        f"{(lap_angles[-1] - lap_angles[0]) / (2 * np.pi):7.1f}"
         f"{len(hits.times_s):12}{hits.total_s:8.2f} s"
     )
     tracks.append(DrawnPath("khepera0", times, 1000 * trajectory[:, :2]))

@@ -8,10 +8,10 @@ The task is Kheperax's standard one in the maze of Mouret and Doncieux (2012), f
 of the robot at the end of the episode. The objective is 1 less the control effort, which is the mean of the
 squares of both wheels' speeds as parts of full speed: 1 for a robot at rest, 0 for full speed all the time.
 Kheperax's reward is the same with another scale. In an episode full speed covers 6.3 sides of the maze,
-there 6.25. The network has one hidden layer of eight neurons, as there, and the robot's own eight sensors.
+there 6.25. The network has one hidden layer of eight neurons, as there, and the Khepera's eight sensors.
 
-Episodes run in a plane, all with the same seed. Some of the elites are then judged again: in MuJoCo, and in
-the plane with another seed, whose noise alone moves the end of an episode as well.
+Episodes run in a plane, all with the same seed. Some of the elites are then evaluated again: in MuJoCo, and
+in the plane with another seed, whose noise alone also moves the end of an episode.
 """
 
 import argparse
@@ -34,22 +34,24 @@ try:
 except ImportError:
     sys.exit(f"ribs is not installed; to install it: {pip_install('ribs')}")
 
-wish = argparse.ArgumentParser(description="Fill a MAP-Elites archive of end positions in a maze.")
-wish.add_argument("--iterations", type=int, default=100)
-wish.add_argument("--batch", type=int, default=512, help="evaluations per iteration")
-wish.add_argument("--cells", type=int, default=50, help="cells of the archive along a side of the maze")
-wish.add_argument("--sigma", type=float, default=0.05, help="standard deviation of the mutation of a weight")
-wish.add_argument("--seconds", type=float, default=72.0, help="duration of an episode")
-wish.add_argument("--seed", type=int, default=0)
-wish.add_argument("--line", type=int, help="speed of the line between controller and robot [baud]")
-wish.add_argument("--device", default="cpu", help="cpu, or cuda for an NVIDIA card, with --batch 4096")
-wish.add_argument("--judge", type=int, default=20, help="number of elites that are judged again")
-wish.add_argument("--picture", type=Path, help="draw the archive over the maze to this file")
-wish.add_argument("--elites", type=Path, help="write genomes, objectives and descriptors to this NPZ file")
-options = wish.parse_args()
+parser = argparse.ArgumentParser(description="Fill a MAP-Elites archive of end positions in a maze.")
+parser.add_argument("--iterations", type=int, default=100)
+parser.add_argument("--batch", type=int, default=512, help="evaluations per iteration")
+parser.add_argument("--cells", type=int, default=50, help="cells of the archive along a side of the maze")
+parser.add_argument(
+    "--sigma", type=float, default=0.05, help="standard deviation of the mutation of a weight"
+)
+parser.add_argument("--seconds", type=float, default=72.0, help="duration of an episode")
+parser.add_argument("--seed", type=int, default=0)
+parser.add_argument("--line", type=int, help="speed of the line between controller and robot [baud]")
+parser.add_argument("--device", default="cpu", help="cpu, or cuda for an NVIDIA card, with --batch 4096")
+parser.add_argument("--judge", type=int, default=20, help="number of elites that are evaluated again")
+parser.add_argument("--picture", type=Path, help="draw the archive over the maze to this file")
+parser.add_argument("--elites", type=Path, help="write genomes, objectives and descriptors to this NPZ file")
+options = parser.parse_args()
 for path in (options.picture, options.elites):
     if path is not None and (reason := unusable(path)):
-        wish.error(f"{path}: cannot be written: {reason}")
+        parser.error(f"{path}: cannot be written: {reason}")
 
 NETWORK = Network(hidden=(8,))
 
@@ -130,7 +132,7 @@ if options.picture:
     (left, bottom, width, height), part = axes.get_position().bounds, 1 / 1.13
     figure.set_figwidth(figure.get_figwidth() / part)
     axes.set_position((left * part, bottom, width * part, height))
-    beside = figure.add_axes(((left + width) * part + 0.02, bottom, 0.02, height))
-    figure.colorbar(cells, cax=beside, label="objective: 1 - control effort")
+    scale_axes = figure.add_axes(((left + width) * part + 0.02, bottom, 0.02, height))
+    figure.colorbar(cells, cax=scale_axes, label="objective: 1 - control effort")
     save(figure, options.picture)
 print(f"{len(elites['index'])} elites; processor time {time.process_time():.0f} s")

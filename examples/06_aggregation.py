@@ -1,12 +1,12 @@
-"""Twenty robots that gather, by nothing but their infrared sensors; one or two minutes on two cores.
+"""Twenty robots that gather, by their infrared sensors alone; one or two minutes on two cores.
 
     .venv/bin/python examples/06_aggregation.py --picture aggregation.png
 
 After the rules of cockroaches that Garnier et al. (2008, Artificial Life 14) gave to small robots: a robot
-walks about, rests where it meets another one, and rests the longer the more of them it has around it. The
-numbers are ours. A wall is bright and wide, and seen by three sensors or more from 25 mm on; another robot is
-dark and round, and seen by one or two when it is near. Each robot has its own host program on its serial
-line, all of them in lock-step; the seed decides everything.
+moves at random, rests where it meets another one, and rests longer with more robots around it. The numbers
+are ours. A wall is bright and wide: three sensors or more detect it from 25 mm on. Another robot is dark and
+round: one or two sensors detect it when it is near. Each robot has a separate host program on its serial
+line, all of them in lock-step. The seed determines the result.
 
 A cluster is a set of robots that are linked by gaps of at most 15 mm from shell to shell.
 """
@@ -29,20 +29,20 @@ from khep_twin.lab.experiment import run_together
 from khep_twin.randomness import stream
 from khep_twin.units import BODY_RADIUS
 
-wish = argparse.ArgumentParser(description="Let twenty robots gather.")
-wish.add_argument("--seconds", type=float, default=600.0, help="simulated duration")
-wish.add_argument("--robots", type=int, default=20, help="number of robots, of the playpen's 20")
-wish.add_argument("--seed", type=int, default=0)
-wish.add_argument("--picture", type=Path, help="draw start, end, and the clusters over time to this file")
-options = wish.parse_args()
+parser = argparse.ArgumentParser(description="Let twenty robots gather.")
+parser.add_argument("--seconds", type=float, default=600.0, help="simulated duration")
+parser.add_argument("--robots", type=int, default=20, help="number of robots, of the playpen's 20")
+parser.add_argument("--seed", type=int, default=0)
+parser.add_argument("--picture", type=Path, help="draw start, end, and the clusters over time to this file")
+options = parser.parse_args()
 if options.picture is not None and (reason := unusable(options.picture)):
-    wish.error(f"{options.picture}: cannot be written: {reason}")
+    parser.error(f"{options.picture}: cannot be written: {reason}")
 
 PERIOD = 0.1  # of the rules [s]
 SPEED = 8  # of the wheels [pulses/10 ms]
-SEEN, NEAR = 100, 500  # counts of a sensor that sees something, and of one that sees it near
-LEAVING = 2.0  # chance per second to leave, for a resting robot that sees nothing
-STAYING = 0.15  # factor of that chance for each sensor that sees something
+DETECTION, NEAR = 100, 500  # counts of a sensor that detects an object, and of one near an object
+LEAVING = 2.0  # chance per second to leave, for a resting robot that detects nothing
+STAYING = 0.15  # factor of that chance for each sensor that detects an object
 GAP = 0.015  # largest gap between robots of a cluster [m]
 
 
@@ -52,16 +52,16 @@ def gather(index: int, robot: Khepera) -> None:
     is_resting, turn_until, turn = False, 0.0, 0
     while robot.time < options.seconds:
         proximity = robot.proximity()
-        seen = [count > SEEN for count in proximity]
+        detections = [count > DETECTION for count in proximity]
         if is_resting:
-            if rng.random() < LEAVING * STAYING ** sum(seen) * PERIOD:
+            if rng.random() < LEAVING * STAYING ** sum(detections) * PERIOD:
                 is_resting, turn_until = False, robot.time + rng.uniform(0.4, 1.2)
                 turn = int(rng.choice([-SPEED, SPEED]))
         elif robot.time < turn_until:
             pass
-        elif max(proximity[1:5]) > NEAR and sum(seen[:6]) <= 2:  # a robot ahead
+        elif max(proximity[1:5]) > NEAR and sum(detections[:6]) <= 2:  # a robot ahead
             is_resting = True
-        elif sum(seen[:6]) > 2:  # a wall
+        elif sum(detections[:6]) > 2:  # a wall
             turn = SPEED if sum(proximity[:3]) < sum(proximity[3:6]) else -SPEED
             turn_until = robot.time + rng.uniform(0.2, 0.8)
         elif rng.random() < 0.5 * PERIOD:  # once in a while
@@ -79,17 +79,17 @@ def gather(index: int, robot: Khepera) -> None:
 def clusters(places: np.ndarray) -> list[list[int]]:
     """Return the clusters of robots at some places (n, 2) [m], the largest first."""
     gaps = np.hypot(*(places[:, None] - places[None]).T) - 2 * BODY_RADIUS
-    left, found = set(range(len(places))), list[list[int]]()
-    while left:
-        cluster, fresh = list[int](), [min(left)]
+    unvisited, components = set(range(len(places))), list[list[int]]()
+    while unvisited:
+        cluster, fresh = list[int](), [min(unvisited)]
         while fresh:
             robot = fresh.pop()
-            if robot in left:
-                left.remove(robot)
+            if robot in unvisited:
+                unvisited.remove(robot)
                 cluster.append(robot)
-                fresh += [other for other in sorted(left) if gaps[robot, other] <= GAP]
-        found.append(sorted(cluster))
-    return sorted(found, key=len, reverse=True)
+                fresh += [other for other in sorted(unvisited) if gaps[robot, other] <= GAP]
+        components.append(sorted(cluster))
+    return sorted(components, key=len, reverse=True)
 
 
 scene = Playpen.load("swarm")
@@ -103,12 +103,12 @@ with tempfile.TemporaryDirectory() as folder:
 times = tracks[0].times_ns / 1e9
 poses = np.stack([track.pose[:, :2] for track in tracks], axis=1)[::50]  # each second (n, n_robots, 2) [m]
 times = times[::50]
-sizes = [[len(each) for each in clusters(places)] for places in poses]
+sizes = [[len(cluster) for cluster in clusters(places)] for places in poses]
 print("time, s   largest cluster   in clusters   clusters")
-for second, at in zip(times, sizes, strict=True):
-    several = [size for size in at if size > 1]
+for second, cluster_sizes in zip(times, sizes, strict=True):
+    several = [size for size in cluster_sizes if size > 1]
     if round(second) % 30 == 0:
-        print(f"{second:7.0f}{at[0]:18}{sum(several):14}{len(several):11}")
+        print(f"{second:7.0f}{cluster_sizes[0]:18}{sum(several):14}{len(several):11}")
 print(f"{times[-1]:.0f} s of {len(tracks)} robots in {time.monotonic() - began:.0f} s")
 
 
@@ -128,8 +128,12 @@ if options.picture:
     first, last, graph = figure.subplots(1, 3)
     show(first, poses[0], "start")
     show(last, poses[-1], f"after {times[-1]:.0f} s")
-    graph.plot(times, [sum(size for size in at if size > 1) for at in sizes], color="lightsteelblue")
-    graph.plot(times, [at[0] for at in sizes], color="tab:blue")
+    graph.plot(
+        times,
+        [sum(size for size in cluster_sizes if size > 1) for cluster_sizes in sizes],
+        color="lightsteelblue",
+    )
+    graph.plot(times, [cluster_sizes[0] for cluster_sizes in sizes], color="tab:blue")
     graph.legend(["robots in clusters", "largest cluster"], frameon=False)
     graph.set(xlabel="time [s]", ylabel="robots", ylim=(0, len(tracks)), yticks=range(0, len(tracks) + 1, 5))
     save(figure, options.picture)

@@ -1,4 +1,4 @@
-"""Two robots and a cylinder: one finds it and sends by radio where it is, the other fetches and lifts it.
+"""Two robots and a cylinder: one finds it and sends its position by radio, the other fetches and lifts it.
 
 python examples/07_baton.py              both twins in this process, in lock-step
 python examples/07_baton.py baton.mcap   the same with a log, for `khep-twin view baton.mcap`
@@ -16,7 +16,7 @@ PLAYPEN = Path(__file__).with_suffix(".toml")
 SCOUT, PORTER = 1, 2  # numbers of their radios: robots of the playpen, from 1
 LANES_MM = ((80, 180), (520, 180), (520, 320), (80, 320))  # the scout's way, from its start on
 PORTER_MM = (60, 440)  # the porter's start; both face along x
-SEEN = 150  # counts of a sensor with the cylinder about 2 cm away
+DETECTION = 150  # counts of a sensor with the cylinder about 2 cm away
 NEAR = 400  # counts of the front sensors about a centimetre from it
 BALANCED = 150  # difference of the counts on both sides with something straight ahead
 DISTANCE_MM = 27.5 + 10 + 12.5  # between the centres then: half a robot, the gap, half the cylinder
@@ -24,14 +24,14 @@ PULSE_MM, WHEEL_BASE_MM = 0.08, 52
 
 
 class Walker:
-    """A robot that knows where it is, from its start and the turns of its wheels."""
+    """A robot with odometry: its pose from the start and the turns of its wheels."""
 
     def __init__(self, robot: Khepera, x_mm: float, y_mm: float) -> None:
         self.robot, self.x_mm, self.y_mm, self.heading = robot, x_mm, y_mm, 0.0
         self._before = robot.position()
 
     def update(self) -> None:
-        """Add the way since the last update, an arc."""
+        """Add the path since the last update, an arc."""
         now = self.robot.position()
         left, right = ((new - old) * PULSE_MM for new, old in zip(now, self._before, strict=True))
         self._before = now
@@ -41,7 +41,7 @@ class Walker:
         self.heading += bend
 
     def face(self, x_mm: float, y_mm: float) -> float:
-        """Turn to a place; return its distance [mm]."""
+        """Turn towards a position; return its distance [mm]."""
         self.update()
         x, y = x_mm - self.x_mm, y_mm - self.y_mm
         self.robot.turn(math.remainder(math.atan2(y, x) - self.heading, math.tau))
@@ -49,10 +49,10 @@ class Walker:
         return math.hypot(x, y)
 
     def search(self, distance_mm: float) -> bool:
-        """Drive straight ahead until a sensor sees something; return whether one has."""
+        """Drive straight ahead until a sensor detects an object; return whether one did."""
         x_mm, y_mm = self.x_mm, self.y_mm
         self.robot.set_speed(6, 6)
-        while not (sees := max(self.robot.proximity()[:6]) > SEEN):
+        while not (sees := max(self.robot.proximity()[:6]) > DETECTION):
             self.update()
             if math.hypot(self.x_mm - x_mm, self.y_mm - y_mm) >= distance_mm:
                 break
@@ -61,7 +61,7 @@ class Walker:
         return sees
 
     def approach(self) -> None:
-        """Turn to what is seen and drive up to it."""
+        """Turn to the detected object and drive up to it."""
         while True:
             near = self.robot.proximity()
             aside = near.left_90 + near.left_45 + near.left_10
@@ -78,7 +78,7 @@ class Walker:
 
 
 def scout(robot: Khepera) -> str:
-    """Search along the lanes; send where the cylinder is, and listen."""
+    """Search along the lanes; send the cylinder's position, and wait for an answer."""
     radio, walker = Radio(robot), Walker(robot, *LANES_MM[0])
     for x_mm, y_mm in LANES_MM[1:]:
         if walker.search(walker.face(x_mm, y_mm)):
@@ -97,7 +97,7 @@ def scout(robot: Khepera) -> str:
 
 
 def porter(robot: Khepera) -> str:
-    """Wait for a message, drive to the place in it and lift what is there."""
+    """Wait for a message, drive to its position and lift the cylinder."""
     radio, gripper, walker = Radio(robot), Gripper(robot), Walker(robot, *PORTER_MM)
     x_mm, y_mm = struct.unpack("<hh", radio.wait_for_message(timeout=120).data)
     start = robot.time

@@ -11,25 +11,25 @@ from itertools import groupby
 from khep_twin import Khepera, Vision
 
 DARK = 100  # greys: a white wall has some 180, a black stripe 10
-GAP = 14  # pixels between two dark stripes of the same thing, at most
+GAP = 14  # pixels between two dark stripes of the same mast, at most
 NEAR = 38  # pixels between its outer stripes at the end, some 15 cm before it
-AHEAD = 31.5  # pixel straight ahead
+CENTRE = 31.5  # pixel straight ahead
 
 
 def striped(image: Sequence[int]) -> tuple[float, int] | None:
-    """Return the middle and the width of the widest striped thing in an image [pixels]; None without one."""
+    """Return the middle and the width of the widest striped mast in an image [pixels]; None without one."""
     stripes = [[*run] for dark, run in groupby(range(64), lambda pixel: image[pixel] < DARK) if dark]
-    things: list[list[list[int]]] = []
+    groups: list[list[list[int]]] = []
     for stripe in stripes:
-        if things and stripe[0] - things[-1][-1][-1] <= GAP:
-            things[-1].append(stripe)
+        if groups and stripe[0] - groups[-1][-1][-1] <= GAP:
+            groups[-1].append(stripe)
         else:
-            things.append([stripe])
-    # A plain dark thing is a single stripe.
-    ends = [(thing[0][0], thing[-1][-1]) for thing in things if len(thing) > 1]
+            groups.append([stripe])
+    # A plain dark mast is a single stripe.
+    ends = [(group[0][0], group[-1][-1]) for group in groups if len(group) > 1]
     if not ends:
         return None
-    left, right = max(ends, key=lambda each: each[1] - each[0])
+    left, right = max(ends, key=lambda pair: pair[1] - pair[0])
     return (left + right) / 2, right - left
 
 
@@ -39,15 +39,15 @@ with Khepera(url) as robot:
     start, images, side = robot.time, 0, -1
     while True:
         images += 1
-        thing = striped(vision.image())
-        if thing is None:
+        mast = striped(vision.image())
+        if mast is None:
             robot.set_speed(side, -side)  # slowly, to where it was last: an image takes half a second
             continue
-        middle, width = thing
+        middle, width = mast
         if width >= NEAR:
             break
-        side = 1 if middle > AHEAD else -1
-        forward, turn = (4, 0) if abs(middle - AHEAD) < 12 else (2, side)
+        side = 1 if middle > CENTRE else -1
+        forward, turn = (4, 0) if abs(middle - CENTRE) < 12 else (2, side)
         robot.set_speed(forward + turn, forward - turn)
     robot.set_speed(0, 0)
     print(f"before the striped mast after {robot.time - start:.0f} s and {images} images")

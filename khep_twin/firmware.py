@@ -128,9 +128,9 @@ class Firmware:
         self._processor = (np.zeros(kernel.N_PROCESSOR, np.int64) if processor is None else processor).data
         self._rom = rom
         self._mode = rom.modes[mode]
-        self._lines = LineReader()
+        self._line_reader = LineReader()
         self.turrets = turrets or {}
-        self._by_number = {kind.number: turret for kind, turret in self.turrets.items()}
+        self._turrets_by_number = {kind.number: turret for kind, turret in self.turrets.items()}
         self._processor[kernel.POWERED] = 1
         self.reset()
 
@@ -142,7 +142,7 @@ class Firmware:
     def state(self) -> FirmwareState:
         """Return the state besides the registers."""
         turrets = {kind.name: tuple(turret.registers.tolist()) for kind, turret in self.turrets.items()}
-        return FirmwareState(self.baud, self.reply_baud, self.running, self._lines.partial_line, turrets)
+        return FirmwareState(self.baud, self.reply_baud, self.running, self._line_reader.partial_line, turrets)
 
     def set_state(self, state: FirmwareState) -> None:
         """Restore a state.
@@ -164,18 +164,18 @@ class Firmware:
         for name, registers in state.turrets.items():
             turret_registers[name][:] = registers
         self.baud, self.reply_baud, self.running = state.baud, state.reply_baud, state.running
-        self._lines.partial_line = state.partial_line
+        self._line_reader.partial_line = state.partial_line
 
     def receive(self, data: bytes) -> bytes:
         """Read bytes from the line; return the replies to the commands that they complete."""
         if not self.powered:
             return b""
         self.reply_baud = self.baud
-        return b"".join(self._answer(parse(line)) for line in self._lines.feed(data))
+        return b"".join(self._answer(parse(line)) for line in self._line_reader.feed(data))
 
     def forget_line(self) -> None:
         """Discard the incomplete line."""
-        self._lines.clear()
+        self._line_reader.clear()
 
     def tick(self, left_pulses: int, right_pulses: int) -> None:
         """Run one control period of 10 ms, with the encoders' counts since power-up [pulses]."""
@@ -188,7 +188,7 @@ class Firmware:
             for turret in self.turrets.values():
                 turret.tick()
 
-    def remedy(self, baud: int) -> str:
+    def baud_rate_hint(self, baud: int) -> str:
         """Return a hint for setting the robot's line to a host's baud rate."""
         if self._mode.baud == baud:
             return f"'restart' brings the robot back to {baud} baud"
@@ -201,11 +201,11 @@ class Firmware:
 
     def forget(self) -> None:
         """Clear the state besides registers, as a reset does: line, turrets, baud rate and function."""
-        self._lines.clear()
+        self._line_reader.clear()
         for turret in self.turrets.values():
             turret.reset()
         self.baud = self.reply_baud = self._mode.baud
-        self._run("")
+        self._set_running("")
 
     def reset(self) -> bytes:
         """Reset the board, as at power-up; return the banner.
@@ -217,7 +217,7 @@ class Firmware:
         kernel.reset(self.register_view)
         self.forget()
         banner = b"".join(line.encode("ascii") + END for line in self._rom.banner)
-        return banner + self._start(self._mode.function)
+        return banner + self._start_function(self._mode.function)
 
     def _answer(self, request: Request) -> bytes:
         match request:
@@ -226,30 +226,30 @@ class Firmware:
             case Command():
                 return _COMMANDS[request.letter](self, *request.arguments)
             case TurretMessage():
-                turret = self._by_number.get(request.turret)
+                turret = self._turrets_by_number.get(request.turret)
                 return TURRET_REFUSAL if turret is None else turret.receive(request.message)
             case Tool():
-                return self._use(request)
+                return self._run_tool(request)
 
-    def _use(self, tool: Tool) -> bytes:
+    def _run_tool(self, tool: Tool) -> bytes:
         outcome = bios.run_tool(
             tool, bios.ToolContext(self._rom, self.running, tuple(self.turrets), DESCRIPTIONS)
         )
         if outcome.restart:
             return self.reset()
         self.baud = outcome.baud or self.baud
-        return outcome.reply + self._start(outcome.function)
+        return outcome.reply + self._start_function(outcome.function)
 
-    def _start(self, function: str) -> bytes:
+    def _start_function(self, function: str) -> bytes:
         """Start a function of the ROM; return its output."""
         if function == SELF_TEST:
             return bios.self_test(
                 are_sensors_alive=any(self.register_view[register] for register in kernel.AMBIENT)
             )
-        self._run(function or self.running)
+        self._set_running(function or self.running)
         return b""
 
-    def _run(self, function: str) -> None:
+    def _set_running(self, function: str) -> None:
         self.running = function
         self._processor[kernel.DEMO] = function == DEMO
 
@@ -257,9 +257,9 @@ class Firmware:
         """Return a register of the left and of the right wheel."""
         return self.register_view[LEFT + register], self.register_view[RIGHT + register]
 
-    def _set_gains(self, first: Board, gains: tuple[int, ...]) -> None:
+    def _set_gains(self, first_register: Board, gains: tuple[int, ...]) -> None:
         for offset, gain in enumerate(gains):
-            self.register_view[first + offset] = min(max(gain, 0), GAIN_LIMIT)
+            self.register_view[first_register + offset] = min(max(gain, 0), GAIN_LIMIT)
 
     @_command("A", "configure the speed controller")
     def _configure_speed_pid(self, kp: int, ki: int, kd: int) -> bytes:
@@ -306,8 +306,8 @@ class Firmware:
         if not 0 <= channel < N_CONVERTER_CHANNELS:
             return PROTOCOL_ERROR
         # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to 3, 4 and 5.
-        last = (self.register_view[Board.SCAN] - 1) % N_SENSORS
-        sources = {0: Board.SUPPLY, 1: Board.PROXIMITY + last, 2: Board.AMBIENT + last, 6: Board.CURRENT}
+        last_sensor = (self.register_view[Board.SCAN] - 1) % N_SENSORS
+        sources = {0: Board.SUPPLY, 1: Board.PROXIMITY + last_sensor, 2: Board.AMBIENT + last_sensor, 6: Board.CURRENT}
         return reply("I", self.register_view[sources[channel]] if channel in sources else 0)
 
     @_command("J", "configure the speed profile")

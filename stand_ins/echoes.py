@@ -1,4 +1,4 @@
-"""Terminals that only answer, in the place of a robot's line: ready bytes, or what came."""
+"""Terminals in place of a robot's line, which answer with constant bytes or echo their input."""
 
 import os
 import subprocess
@@ -12,14 +12,14 @@ from contextlib import contextmanager
 BYTE_S = 11 / 9600
 """Duration of a byte on the line [s]."""
 
-_AT_ONCE = """
+_UNPACED = """
 import os, sys
 master = int(sys.argv[1])
 while True:
     if b"\\n" in os.read(master, 100):
         os.write(master, b"b,5.02,5.01\\r\\n")
 """
-"""One terminal, with the least work that answers `B`."""
+"""One terminal that answers `B` with the least work."""
 
 _PACED = f"""
 import os, select, sys, time
@@ -40,16 +40,16 @@ while True:
         reply = b"n,0,0,0,0,0,0,0,0\\r\\n" if request[:1] == b"N" else b"d\\r\\n"
         due[master] = time.perf_counter() + (len(request) + 1) * {BYTE_S}, reply
 """
-"""Any number of terminals, answered at the pace of 9600 baud."""
+"""Any number of terminals, answered at 9600 baud."""
 
 
 @contextmanager
 def echoes(count: int = 1, *, paced: bool = True) -> Generator[tuple["subprocess.Popen[bytes]", list[str]]]:
-    """Run a process that answers on terminals with ready bytes and does nothing else.
+    """Run a process that only answers on terminals with constant bytes.
 
     Args:
         count: Number of terminals.
-        paced: Whether it answers N and D at the pace of 9600 baud; else `B` at once, on one terminal.
+        paced: True to answer N and D at 9600 baud, False to answer `B` immediately on one terminal.
 
     Yields:
         The process, and the paths of the terminals.
@@ -58,7 +58,7 @@ def echoes(count: int = 1, *, paced: bool = True) -> Generator[tuple["subprocess
     for _, host_side in pairs:
         tty.setraw(host_side)
     masters = [master for master, _ in pairs]
-    command = [sys.executable, "-c", _PACED if paced else _AT_ONCE, *map(str, masters)]
+    command = [sys.executable, "-c", _PACED if paced else _UNPACED, *map(str, masters)]
     process = subprocess.Popen(command, pass_fds=masters)
     try:
         yield process, [os.ttyname(host_side) for _, host_side in pairs]
@@ -70,8 +70,8 @@ def echoes(count: int = 1, *, paced: bool = True) -> Generator[tuple["subprocess
 
 
 @contextmanager
-def looped_back() -> Generator[str]:
-    """Yield the path of a terminal that echoes its input, after about a byte's time each way."""
+def loopback() -> Generator[str]:
+    """Yield the path of a terminal that echoes its input, after about a byte's time in each direction."""
     far_end, near_end = os.openpty()
     tty.setraw(near_end)
 

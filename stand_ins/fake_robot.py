@@ -1,4 +1,4 @@
-"""A robot that is no more than a table of answers behind a TCP port, and can go silent or away."""
+"""A fake robot: a table of answers behind a TCP port, which can also go silent or disconnect."""
 
 import select
 import socket
@@ -19,12 +19,12 @@ ANSWERS = {
 
 
 class FakeRobot:
-    """Answers each line; hosts may come one after the other.
+    """Server that answers each line; hosts may connect one after the other.
 
     Attributes:
-        requests: all lines that came, in order.
-        answers: by letter; other capitals are acknowledged by their own.
-        silent: whether it says nothing.
+        requests: All received lines, in order.
+        answers: Answers by letter; other capitals are acknowledged by their lower-case letter.
+        silent: Whether it sends nothing.
         before: bytes that it says before its next answer, once.
     """
 
@@ -32,8 +32,8 @@ class FakeRobot:
         self.requests: list[str] = []
         self.answers = dict(ANSWERS)
         self.silent = False
-        self.before = b""
-        # No host of another test, gone astray, finds this address.
+        self.prefix = b""
+        # No stray host of another test uses this address.
         self._server = socket.create_server(("127.7.7.7", 0))
         self._hangs_up = threading.Event()
         self._ended = False
@@ -51,7 +51,7 @@ class FakeRobot:
         self._thread.join()
 
     def disconnect(self, *, for_good: bool = False) -> None:
-        """Ends the connection, and with `for_good` takes no other."""
+        """End the connection, and with `for_good` accept no other."""
         self._ended = for_good
         self._hangs_up.set()
         while self._hangs_up.is_set() and self._thread.is_alive():
@@ -87,6 +87,6 @@ class FakeRobot:
         for line in lines:
             self.requests.append(line)
             answer = self.answers.get(line[0], line[0].lower()).encode() + b"\r\n"
-            before, self.before = self.before, b""
+            prefix, self.prefix = self.prefix, b""
             if not self.silent:
-                client.sendall(before + answer)
+                client.sendall(prefix + answer)

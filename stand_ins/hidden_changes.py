@@ -1,6 +1,6 @@
-"""Changes of a stand-in robot's world that its twin is not told of; each waits until there is room for it.
+"""Changes of a stand-in robot's world that are hidden from its twin; each waits until there is room for it.
 
-Things are named as in the scene: "block4", "cylinder0", counted in the file's order from 0.
+Objects are named as in the MJCF model: "block4", "cylinder0", counted in the file's order from 0.
 """
 
 import math
@@ -21,24 +21,24 @@ from khep_twin.world import World
 T = TypeVar("T", Block, Cylinder)
 
 _AWAY_MM = -5000.0
-"""Position of things that are not there: farther from the arena than anything reaches."""
+"""Position of removed objects: out of reach of everything in the arena."""
 
 _CLEARANCE_MM = 10.0
-"""Least distance of a robot from where something is put (assumed)."""
+"""Least distance of a robot from a placed object (assumed)."""
 
 _LIFT_MM = 100.0
-"""Least distance that a robot is lifted to, unless its new pose is given."""
+"""Least distance of a lift, unless its new pose is given."""
 
 _GRID_MM = 20.0
-"""Distance of the positions that are looked at for reachable ones."""
+"""Grid spacing of the positions that are tested for reachability."""
 
 
 class Lifted(NamedTuple):
-    """The robot is lifted and put elsewhere.
+    """The robot is lifted and placed elsewhere.
 
     Attributes:
         at_s: Time [s].
-        to: New pose; by default one drawn by the seed, 100 mm off at least.
+        to: New pose; by default drawn by the seed, at least 100 mm away.
     """
 
     at_s: float
@@ -53,7 +53,7 @@ class LampOff(NamedTuple):
 
 
 class LampMoved(NamedTuple):
-    """A lamp is moved by so many millimetres at `at_s` [s]."""
+    """A lamp is moved by `by_mm` at `at_s` [s]."""
 
     at_s: float
     lamp: int
@@ -61,7 +61,7 @@ class LampMoved(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """A block or cylinder is moved by so many millimetres, and turned, at `at_s` [s]."""
+    """A block or cylinder is moved by `by_mm`, and turned, at `at_s` [s]."""
 
     at_s: float
     thing: str
@@ -69,25 +69,25 @@ class Moved(NamedTuple):
     turned_deg: float = 0.0
 
 
-class Gone(NamedTuple):
-    """A block or cylinder is taken away at `at_s` [s]."""
+class Removed(NamedTuple):
+    """A block or cylinder is removed at `at_s` [s]."""
 
     at_s: float
     thing: str
 
 
 class Added(NamedTuple):
-    """A block or cylinder that the playpen does not have is put there at `at_s` [s]."""
+    """A block or cylinder that the playpen does not have is added at `at_s` [s]."""
 
     at_s: float
     item: Block | Cylinder
 
 
-Change = Lifted | LampOff | LampMoved | Moved | Gone | Added
+Change = Lifted | LampOff | LampMoved | Moved | Removed | Added
 
 
 def with_added(playpen: Playpen, changes: Sequence[Change]) -> Playpen:
-    """Return the playpen with all that is added to it; names keep merged blocks apart."""
+    """Return the playpen with all added objects; names keep merged blocks apart."""
     blocks, cylinders = _named(playpen.blocks, "b"), _named(playpen.cylinders, "c")
     for change in changes:
         match change:
@@ -101,19 +101,19 @@ def with_added(playpen: Playpen, changes: Sequence[Change]) -> Playpen:
 
 
 def hide_added(world: World, playpen: Playpen) -> None:
-    """Take all that the playpen does not have out of a world of `with_added`."""
+    """Remove all objects that the playpen does not have from a world of `with_added`."""
     for kind, items in world.playpen.objects.items():
         for index in range(len(playpen.objects[kind]), len(items)):
-            _place(world, kind, index, {"x_mm": _AWAY_MM, "y_mm": _AWAY_MM})
+            _set_pose(world, kind, index, {"x_mm": _AWAY_MM, "y_mm": _AWAY_MM})
 
 
 def apply(world: World, change: Change, added: int, rng: np.random.Generator) -> Change | None:
-    """Make a change; return it with its time and all that was drawn, None if there is no room for it now.
+    """Apply a change; return it with its time and drawn values, None without room for it now.
 
     Args:
         world: World of the stand-in robot.
         change: Change.
-        added: Index, among the things of its kind, of a thing that is added.
+        added: Index of an added object among those of its kind.
         rng: Stream of drawn poses.
     """
     now = change._replace(at_s=world.time_ns / NS_PER_S)
@@ -134,13 +134,13 @@ def apply(world: World, change: Change, added: int, rng: np.random.Generator) ->
             at = {"x_mm": item.x_mm + dx_mm, "y_mm": item.y_mm + dy_mm}
             if kind == "block":
                 at["angle_deg"] = item.angle_deg + turned_deg
-            return now if _put(world, kind, index, at) else None
-        case Gone(thing=thing):
-            _place(world, *_split(thing), {"x_mm": _AWAY_MM, "y_mm": _AWAY_MM})
+            return now if _place_if_free(world, kind, index, at) else None
+        case Removed(thing=thing):
+            _set_pose(world, *_split(thing), {"x_mm": _AWAY_MM, "y_mm": _AWAY_MM})
         case Added(item=item):
             kind = "block" if isinstance(item, Block) else "cylinder"
             at = {"x_mm": item.x_mm, "y_mm": item.y_mm}
-            return now if _put(world, kind, added, at) else None
+            return now if _place_if_free(world, kind, added, at) else None
     return now
 
 
@@ -148,17 +148,17 @@ def reachable(playpen: Playpen) -> list[tuple[float, float]]:
     """Return positions with room that a robot can drive to from its start [mm]."""
     (left, right), (low, high) = extent(playpen)
     start = (playpen.robots[0].x_mm, playpen.robots[0].y_mm)
-    found, todo = {(0, 0)}, [(0, 0)]
+    cells, todo = {(0, 0)}, [(0, 0)]
     while todo:
         column, row = todo.pop()
         for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             cell = column + step[0], row + step[1]
             x_mm, y_mm = start[0] + cell[0] * _GRID_MM, start[1] + cell[1] * _GRID_MM
             inside = left <= x_mm <= right and low <= y_mm <= high
-            if cell not in found and inside and not find_obstruction(playpen, 0, x_mm, y_mm):
-                found.add(cell)
+            if cell not in cells and inside and not find_obstruction(playpen, 0, x_mm, y_mm):
+                cells.add(cell)
                 todo.append(cell)
-    return [(start[0] + column * _GRID_MM, start[1] + row * _GRID_MM) for column, row in sorted(found)]
+    return [(start[0] + column * _GRID_MM, start[1] + row * _GRID_MM) for column, row in sorted(cells)]
 
 
 def _lift(world: World, to: Start | None, rng: np.random.Generator) -> Start | None:
@@ -177,22 +177,22 @@ def _lift(world: World, to: Start | None, rng: np.random.Generator) -> Start | N
     return to
 
 
-def _put(world: World, kind: str, index: int, at: dict[str, float]) -> bool:
-    """Put a thing to a place, unless the robot is there."""
+def _place_if_free(world: World, kind: str, index: int, at: dict[str, float]) -> bool:
+    """Place an object, unless the robot is there; return whether it was placed."""
     grown = {
         key: getattr(world.playpen.objects[kind][index], key) + 2 * _CLEARANCE_MM
         for key in ("length_mm", "width_mm", "radius_mm")
         if hasattr(world.playpen.objects[kind][index], key)
     }
     x, y, _ = world.robots[0].pose
-    if find_obstruction(_with(world.playpen, kind, index, {**at, **grown}), 0, x * 1e3, y * 1e3):
+    if find_obstruction(_with_pose(world.playpen, kind, index, {**at, **grown}), 0, x * 1e3, y * 1e3):
         return False
-    _place(world, kind, index, at)
+    _set_pose(world, kind, index, at)
     return True
 
 
-def _place(world: World, kind: str, index: int, at: dict[str, float]) -> None:
-    world.playpen = _with(world.playpen, kind, index, at)
+def _set_pose(world: World, kind: str, index: int, at: dict[str, float]) -> None:
+    world.playpen = _with_pose(world.playpen, kind, index, at)
     item = world.playpen.objects[kind][index]
     geom, half = world.model.geom(f"{kind}{index}").id, math.radians(item.angle_deg) / 2
     world.model.geom_pos[geom, :2] = metres(item.x_mm), metres(item.y_mm)
@@ -201,7 +201,7 @@ def _place(world: World, kind: str, index: int, at: dict[str, float]) -> None:
     world.refresh()
 
 
-def _with(playpen: Playpen, kind: str, index: int, at: dict[str, float]) -> Playpen:
+def _with_pose(playpen: Playpen, kind: str, index: int, at: dict[str, float]) -> Playpen:
     items = list(playpen.objects[kind])
     items[index] = items[index].model_copy(update=at)
     return playpen.model_copy(update={f"{kind}s": tuple(items)})

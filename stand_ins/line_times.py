@@ -1,9 +1,9 @@
-"""Times of a stand-in's line: when bytes pass its relay and its adapter, and what a log tells of that.
+"""Timing of a stand-in's line: the times at which bytes pass its relay and its adapter, and are logged.
 
-`exact`: at once, by a relay that is never late. `busy`: the relay wakes up as late as a real one did on a
-busy machine, and passes on together all that has come until then. `packets`: an adapter delivers the robot's
-bytes each 16 ms. `stalls`: in each ten seconds, for 0.3 s, either host and relay stand still, or the adapter
-keeps the bytes of one direction. `pyserial`: no relay; a busy host logs whole replies when it has read them.
+`exact`: immediately, by a relay that is never late. `busy`: the relay wakes up as late as a real one did on a
+busy machine, and forwards all bytes received until then together. `packets`: an adapter delivers the robot's
+bytes each 16 ms. `stalls`: once in ten seconds, for 0.3 s, either host and relay stop, or the adapter holds
+back the bytes of one direction. `pyserial`: no relay; a busy host logs whole replies when it has read them.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ PACKET_NS = 16_000_000
 """Interval of an adapter's packets, the default of FTDI's [ns]."""
 
 STALL_NS, STALL_EVERY_NS = 300_000_000, 10 * NS_PER_S
-"""Length of a stall, and of the time that has one [ns]."""
+"""Length of a stall, and interval in which there is one [ns]."""
 
 LATE = 0.0, 0.5, 0.75, 0.9, 0.99, 1.0
 LATE_NS = 20_000, 150_000, 200_000, 4_000_000, 12_000_000, 25_000_000
@@ -30,7 +30,7 @@ Of 3000 chunks both ways, with four endless loops and a shadow beside the relay 
 
 
 class LineTimes:
-    """Times of one line, whose calls come in order of time.
+    """Timing of one line; calls must be in order of time.
 
     Args:
         kind: One of TIMES.
@@ -41,7 +41,7 @@ class LineTimes:
     """
 
     def __init__(self, kind: str, seed: int) -> None:
-        self.whole = kind == "pyserial"
+        self.whole_replies = kind == "pyserial"
         self._late = kind in ("busy", "pyserial")
         self._packets, self._stalls = kind == "packets", kind == "stalls"
         self._rng = stream(seed, "stand-in", "line times")
@@ -50,22 +50,22 @@ class LineTimes:
         self._drawn: list[tuple[int, int]] = []
 
     def host(self, time_ns: int) -> int:
-        """Return when a host does what it would do at a time [ns]."""
+        """Return the time of a host's action that is due at a time [ns]."""
         return self._after_stall(time_ns, 0)
 
     def to_robot(self, time_ns: int) -> tuple[int, int]:
-        """Return when a command is logged and when the robot's line has it [ns]."""
-        logged_ns = time_ns if self.whole else self._relayed(time_ns)
+        """Return the times at which a command is logged and is on the robot's line [ns]."""
+        logged_ns = time_ns if self.whole_replies else self._relayed(time_ns)
         return logged_ns, self._after_stall(logged_ns, 1)
 
     def from_robot(self, time_ns: int) -> int:
-        """Return when a byte of the robot is passed on to the host, which is when it is logged [ns]."""
+        """Return the time at which a byte of the robot is forwarded to the host and logged [ns]."""
         if self._packets:
             return time_ns + (self._phase_ns - time_ns) % PACKET_NS
         return self._relayed(self._after_stall(time_ns, 0, 2))
 
     def _relayed(self, time_ns: int) -> int:
-        """Return when the relay wakes up for a byte; it takes all that has come until then."""
+        """Return the time at which the relay forwards a byte, with all bytes received until then."""
         if not self._late:
             return time_ns
         if time_ns > self._wakes_ns:

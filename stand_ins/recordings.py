@@ -1,9 +1,9 @@
-"""Stand-in robots: recordings of a robot's line as a relay makes them, with the truth beside them.
+"""Stand-in robots: recordings of a robot's line as by a relay, and the truth of each recording.
 
-A twin with hidden differences stands in for a robot: another robot of the same make, faults, and changes of
-its world that the playpen does not tell. A scripted host asks N and sets speeds, one exchange at a time. The
-log NAME.mcap has what crossed the line alone, with the times at which a relay passes it on (`line_times`);
-NAME.npz the truth. Simulated time is the only clock, so a recording is the same each time.
+A twin with hidden differences stands in for a robot: another robot of the same model, faults, and changes
+of its world that the playpen does not have. A scripted host asks N and sets speeds, one exchange at a time.
+The log NAME.mcap has only the line's bytes, with the times at which a relay forwards them (`line_times`);
+NAME.npz has the truth. Simulated time is the only clock, so a recording is the same each time.
 """
 
 import math
@@ -31,20 +31,21 @@ from stand_ins.runs import BAUD, Run, converse, noticeable
 class Truth:
     """Truth of a recording.
 
-    A hidden change is noticeable from the first reply on that differs from that of a second world, which has
-    the same seed and everything else, and gets the same bytes at the same times, but not this change; the end
-    of a fault, from the first one that differs from that of a world in which it goes on. It differs if
+    A hidden change is noticeable from the first reply on that differs from that of a second world. That world
+    has the same seed and gets the same bytes at the same times, but lacks this change. The end of a fault is
+    noticeable from the first reply on that differs from that of a world in which the fault continues. A reply
+    differs if
 
     - a count of N or O is off by more than 100 counts and more than 25 % of the larger one, a counter of H by
       more than 100 pulses, in this reply and, in the same channel, in the next to the same command;
     - or it is missing, malformed or of another kind, or its first byte comes more than 10 ms late, or another
-      line such as a banner comes before it.
+      line, for example a banner, precedes it.
 
     Attributes:
         times_ns: Times of the poses, every 20 ms (n,) [ns].
         poses: x, y [m] and heading [rad] (n, 3).
         start: Pose at the start (3,).
-        told: Pose at the start that the twin is told (3,).
+        told: Start pose that the twin knows (3,).
         hidden: Faults and changes, in words (k,).
         changed_ns: Time of each (k,) [ns]; -1 if there was no room for it.
         ended_ns: End of each (k,) [ns]; -1 if it does not end.
@@ -56,7 +57,7 @@ class Truth:
     times_ns: NDArray[np.int64]
     poses: NDArray[np.float64]
     start: NDArray[np.float64]
-    told: NDArray[np.float64]
+    twin_start: NDArray[np.float64]
     hidden: NDArray[np.str_]
     changed_ns: NDArray[np.int64]
     ended_ns: NDArray[np.int64]
@@ -64,14 +65,14 @@ class Truth:
     over_ns: NDArray[np.int64]
 
     def save(self, path: Path) -> None:
-        """Write it as NumPy's .npz."""
-        np.savez(path, **{each.name: getattr(self, each.name) for each in fields(self)})
+        """Write the truth as NumPy's .npz."""
+        np.savez(path, **{field.name: getattr(self, field.name) for field in fields(self)})
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read it from the .npz beside a log."""
-        with np.load(path) as found:
-            return cls(**{each.name: found[each.name] for each in fields(cls)})
+        """Read the truth from the .npz of a log."""
+        with np.load(path) as arrays:
+            return cls(**{field.name: arrays[field.name] for field in fields(cls)})
 
 
 def record(
@@ -94,21 +95,21 @@ def record(
 
     Args:
         path: Path of the log, NAME.mcap; the truth goes to NAME.npz.
-        playpen: Playpen of one robot, as the twin is told it.
+        playpen: Playpen of one robot, as the twin knows it.
         seed: Seed of the robot, the host and all that is drawn.
         seconds: Length of the recording [s].
         host: Name of the host in `stand_ins.hosts.HOSTS`.
-        asks_counters: Ask H in each cycle, too.
-        asks_light: Ask O in each cycle, too.
-        vary: Draw another robot of the same make.
+        asks_counters: Also ask H in each cycle.
+        asks_light: Also ask O in each cycle.
+        vary: Draw another robot of the same model.
         faults: Faults of the robot, in the syntax of `khep_twin.board.fault_injection`.
         changes: Changes of its world.
-        start: Start that the twin is told; by default the playpen's, or a spot drawn by the seed.
+        start: Start that the twin knows; by default the playpen's, or a spot drawn by the seed.
         start_error: Error of that, in mm and degrees; drawn within 10 mm and 5 degrees if not given.
         times: Times of the line, one of `stand_ins.line_times.TIMES`.
     """
-    told = at_spots(playpen, seed) if start is None else at_start(playpen, 0, start)
-    actual = _misplaced(told, seed, start_error)
+    twin_playpen = at_spots(playpen, seed) if start is None else at_start(playpen, 0, start)
+    actual = _misplaced(twin_playpen, seed, start_error)
     parsed = [parse_fault(fault) for fault in faults]
     run = Run(actual, seed, vary, parsed, changes)
     asks = [b"N\n", *([b"H\n"] if asks_counters else []), *([b"O\n"] if asks_light else [])]
@@ -121,19 +122,24 @@ def record(
     ends_ns = [fault.end_ns if fault.has_end else -1 for fault in parsed]
     seen_ns, over_ns = list[int](), [*ends_ns, *[-1] * len(changes)]
     for index in range(len(over_ns)):
-        others = [*parsed[:index], *parsed[index + 1 :]]
-        without = _without(run.made, index - len(parsed))
-        seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, others, without)))
+        other_faults = [*parsed[:index], *parsed[index + 1 :]]
+        without = _without(run.applied_changes, index - len(parsed))
+        seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, other_faults, without)))
         if index < len(parsed) and parsed[index].device and parsed[index].has_end:
             lasting = [*parsed[:index], replace(parsed[index], end_ns=NEVER_NS), *parsed[index + 1 :]]
-            over_ns[index] = noticeable(exchanges, Run(actual, seed, vary, lasting, run.made))
+            over_ns[index] = noticeable(exchanges, Run(actual, seed, vary, lasting, run.applied_changes))
     truth = Truth(
         np.array(run.times_ns),
         np.array(run.poses),
         np.array(run.poses[0]),
-        np.array(_pose(told)),
-        np.array([*faults, *(str(run.made[i] or each) for i, each in enumerate(changes))], np.str_),
-        np.array([*starts_ns, *(-1 if each is None else to_ns(each.at_s) for each in run.made)], np.int64),
+        np.array(_pose(twin_playpen)),
+        np.array(
+            [*faults, *(str(run.applied_changes[i] or change) for i, change in enumerate(changes))], np.str_
+        ),
+        np.array(
+            [*starts_ns, *(-1 if change is None else to_ns(change.at_s) for change in run.applied_changes)],
+            np.int64,
+        ),
         np.array([*ends_ns, *[-1] * len(changes)], np.int64),
         np.array(seen_ns, np.int64),
         np.array(over_ns, np.int64),
@@ -142,15 +148,19 @@ def record(
     return truth
 
 
-def _without(made: Sequence[Change | None], index: int) -> list[Change | None]:
-    """Return changes without one of them, and later moves of its lamp, which may have no room then."""
+def _without(changes: Sequence[Change | None], index: int) -> list[Change | None]:
+    """Return changes without one of them and later moves of its lamp, which may lack room then."""
 
-    def stays(number: int, each: Change | None) -> bool:
-        gone = made[index] if index >= 0 else None
-        moved = isinstance(gone, LampMoved) and isinstance(each, LampMoved) and each.lamp == gone.lamp
+    def stays(number: int, change: Change | None) -> bool:
+        removed_change = changes[index] if index >= 0 else None
+        moved = (
+            isinstance(removed_change, LampMoved)
+            and isinstance(change, LampMoved)
+            and change.lamp == removed_change.lamp
+        )
         return number != index and not (moved and number > index)
 
-    return [each if stays(number, each) else None for number, each in enumerate(made)]
+    return [change if stays(number, change) else None for number, change in enumerate(changes)]
 
 
 def _misplaced(playpen: Playpen, seed: int, error: Start | None) -> Playpen:
@@ -172,7 +182,7 @@ def _pose(playpen: Playpen) -> Start:
 
 
 def free_start(playpen: Playpen, seed: int) -> Start:
-    """Return a start that a robot could have driven to from the playpen's own, drawn by the seed."""
+    """Return a random start that a robot can reach from the playpen's start."""
     rng = stream(seed, "stand-in", "free start")
     places = reachable(at_spots(playpen, seed))
     return (*places[int(rng.integers(len(places)))], round(float(rng.uniform(-180, 180)), 1))

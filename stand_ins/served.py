@@ -1,4 +1,4 @@
-"""Commands of khep-twin that serve, each in its own process: twins and relays in the place of a robot."""
+"""Serving commands of khep-twin in separate processes: twins and relays in place of a robot."""
 
 import select
 import signal
@@ -17,18 +17,18 @@ def served(
     *words: str,
     program: Sequence[str] = ("-m", "khep_twin"),
     start: Callable[..., "subprocess.Popen[str]"] = subprocess.Popen,
-    **ways: Any,
+    **popen_options: Any,
 ) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """Run a command that serves; yield its process and its first line, which is what a host opens.
+    """Run a command that serves; yield its process and its first line, the path or URL for a host.
 
     Args:
         words: Command with its options.
-        program: Options of Python that come before.
+        program: Options of Python before the command.
         start: Function that starts the process, as `subprocess.Popen` does.
-        ways: Options of that function.
+        popen_options: Options of that function.
     """
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = start([sys.executable, *program, *words], **pipes | ways)
+    process = start([sys.executable, *program, *words], **pipes | popen_options)
     try:
         assert process.stdout is not None
         assert select.select([process.stdout], [], [], LONGEST_START_S)[0], "nothing was served"

@@ -1,1 +1,1 @@
-"""Studies made with the product: fits, fidelity, behaviour, twin trials; each prints what a page shows."""
+"""Studies made with the product: fits, fidelity, behaviour, twin trials. Each prints tables of a page."""

@@ -1,10 +1,10 @@
-"""Behaviour of the twin beside that of a world of sampled tables.
+"""Comparison of the twin's behaviour with that of a world of sampled tables.
 
-The same controllers run in both from the same poses, near a wall, a cylinder or a lamp. Deviations of the
-twin from the tables, root mean square and worst, without noise and with it; the floor is the deviation of
-the world of tables from itself, its noise drawn twice. "Motion" is the twin with the tables' readings, which
-tells what is not due to its sensors. Beside them are worlds with the responses of other simulators. The
-tables are found as in `studies.infrared_fits`; the twin is the calibration `khepera1`.
+The same controllers run in both from the same poses, near a wall, a cylinder or a lamp. The study prints
+deviations of the twin from the tables, root mean square and worst, without and with noise. The floor is the
+deviation between two runs in the world of tables with different noise. "Motion" is the twin with the tables'
+readings: its deviations are not due to its sensors. Further columns have worlds with the responses of other
+simulators. The tables are located as in `studies.infrared_fits`; the twin is the calibration `khepera1`.
 """
 
 import math
@@ -20,7 +20,7 @@ from studies.behaviour_trials import Trial, trials
 from studies.infrared_fits import reference, sampled
 from studies.infrared_picture import PEERS
 from studies.lamp_fits import sampled_lamp
-from studies.one_object import CYLINDER, LAMP, WALL, Floats, Readings, Thing, Track, TwinWorld, run
+from studies.one_object import CYLINDER, LAMP, WALL, Floats, Readings, Target, Track, TwinWorld, run
 from studies.sampled_world import Kinematics, SampledWorld, Samples, along_axes, one_sense, table_readings
 from tools.command_table import command_line
 
@@ -33,18 +33,18 @@ class Row:
     """Deviations of one measure, root mean square and worst.
 
     Attributes:
-        thing: Name of the object.
+        target: Name of the object.
         measure: Name of the measure, with its unit.
         controller: Name of the controller.
         count: Number of robots.
         quiet: Twin less tables, both without noise.
-        motion: The same for the twin with the tables' readings: what is not due to its sensors.
+        motion: The same for the twin with the tables' readings: deviations that its sensors do not cause.
         noisy: Twin less tables, both with noise.
-        floor: Tables less themselves, their noise drawn twice.
+        floor: Difference of two runs with the tables, with different noise.
         peers: Worlds with other responses less tables, without noise.
     """
 
-    thing: str
+    target: str
     measure: str
     controller: str
     count: int
@@ -55,7 +55,7 @@ class Row:
     peers: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
 
 
-def tables(folder: Path) -> dict[Thing, Samples]:
+def tables(folder: Path) -> dict[Target, Samples]:
     """Return the tables of the sampled robot."""
     wall, cylinder = (Samples(table.distances, table.bearings, table.counts) for table in sampled(folder))
     distances, lamp = sampled_lamp(folder)
@@ -71,52 +71,61 @@ def motor_table(folder: Path) -> Kinematics:
 
 
 def judge(
-    samples: Mapping[Thing, Samples], kinematics: Kinematics, chosen: Sequence[Trial], seed: int = 0
+    samples: Mapping[Target, Samples], kinematics: Kinematics, chosen: Sequence[Trial], seed: int = 0
 ) -> list[Row]:
     """Run trials in all worlds; return a row for each of their measures."""
-    things = list(dict.fromkeys(trial.thing for trial in chosen))
+    targets = list(dict.fromkeys(trial.target for trial in chosen))
     noises = False, True
-    twins = {(thing, noise): TwinWorld(thing, noise=noise, seed=seed) for thing in things for noise in noises}
+    twins = {
+        (target, noise): TwinWorld(target, noise=noise, seed=seed) for target in targets for noise in noises
+    }
     rows: list[Row] = []
     for trial in chosen:
-        thing, table = trial.thing, samples[trial.thing]
-        away = partial(
-            run, thing=thing, controller=trial.controller, starts=trial.starts, seconds=trial.seconds
+        target, table = trial.target, samples[trial.target]
+        run_trial = partial(
+            run, target=target, controller=trial.controller, starts=trial.starts, seconds=trial.seconds
         )
 
         def sampled_track(
-            readings: Readings, thing: Thing = thing, away: Callable[..., Track] = away
+            readings: Readings, target: Target = target, run_trial: Callable[..., Track] = run_trial
         ) -> Track:
-            return away(SampledWorld(thing, readings, kinematics))
+            return run_trial(SampledWorld(target, readings, kinematics))
 
-        quiet = sampled_track(table_readings(thing, table))
-        noisy_track, repeat_track = (sampled_track(table_readings(thing, table, 2 * seed + offset)) for offset in (0, 1))
-        still, shaken = (away(twins[thing, noise]) for noise in noises)
-        moved = away(TwinWorld(thing, readings=table_readings(thing, table)))
-        peers = {name: sampled_track(readings) for name, readings in peer_readings(thing, table).items()}
-        pairs = (still, quiet), (moved, quiet), (shaken, noisy_track), (repeat_track, noisy_track)
+        table_track = sampled_track(table_readings(target, table))
+        noisy_track, repeat_track = (
+            sampled_track(table_readings(target, table, 2 * seed + offset)) for offset in (0, 1)
+        )
+        twin_track, noisy_twin_track = (run_trial(twins[target, noise]) for noise in noises)
+        motion_track = run_trial(TwinWorld(target, readings=table_readings(target, table)))
+        peers = {name: sampled_track(readings) for name, readings in peer_readings(target, table).items()}
+        pairs = (
+            (twin_track, table_track),
+            (motion_track, table_track),
+            (noisy_twin_track, noisy_track),
+            (repeat_track, noisy_track),
+        )
         for name, measure in trial.measures.items():
             rows.append(
                 Row(
-                    thing.name,
+                    target.name,
                     name,
                     trial.controller.name,
                     len(trial.starts),
                     *(_rms_and_worst(measure(*pair)) for pair in pairs),
-                    {peer: _rms_and_worst(measure(track, quiet)) for peer, track in peers.items()},
+                    {peer: _rms_and_worst(measure(track, table_track)) for peer, track in peers.items()},
                 )
             )
     return rows
 
 
-def peer_readings(thing: Thing, table: Samples) -> dict[str, Readings]:
+def peer_readings(target: Target, table: Samples) -> dict[str, Readings]:
     """Return the readings of other simulators; of a lamp, only those of evorobot."""
-    nearest = one_sense(thing, table.nearest)
-    if not thing.solid:
+    nearest = one_sense(target, table.nearest)
+    if not target.solid:
         return {EVOROBOT: nearest}
     curves = {
         name: along_axes(
-            thing, lambda lengths, at=at, counts=counts: np.interp(lengths * 1e3, at, counts, right=0)
+            target, lambda lengths, at=at, counts=counts: np.interp(lengths * 1e3, at, counts, right=0)
         )
         for name, (at, counts) in PEERS.items()
     }
@@ -127,7 +136,7 @@ def pooled(rows: Sequence[Row]) -> list[Row]:
     """Return one row for each object and measure, over all vehicles, and one over all networks."""
     groups: dict[tuple[str, str, bool], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row.thing, row.measure, row.controller.startswith("network")), []).append(row)
+        groups.setdefault((row.target, row.measure, row.controller.startswith("network")), []).append(row)
 
     def combine(group: Sequence[Row], values: Callable[[Row], tuple[float, float]]) -> tuple[float, float]:
         count = sum(row.count for row in group)
@@ -136,7 +145,7 @@ def pooled(rows: Sequence[Row]) -> list[Row]:
 
     return [
         Row(
-            thing,
+            target,
             measure,
             f"{len(group)} {'networks' if random else 'vehicles'}" if len(group) > 1 else group[0].controller,
             sum(row.count for row in group),
@@ -146,7 +155,7 @@ def pooled(rows: Sequence[Row]) -> list[Row]:
             combine(group, lambda row: row.floor),
             {peer: combine(group, lambda row, peer=peer: row.peers[peer]) for peer in group[0].peers},
         )
-        for (thing, measure, random), group in groups.items()
+        for (target, measure, random), group in groups.items()
     ]
 
 
@@ -158,7 +167,7 @@ def text(rows: Sequence[Row]) -> str:
             f"{rms:9.3g}{worst:7.3g}" for rms, worst in (row.quiet, row.motion, row.noisy, row.floor)
         )
         peers = ", ".join(f"{name} {rms:.3g}" for name, (rms, _) in row.peers.items())
-        lines.append(f"{row.thing:10}{row.measure:25}{row.controller:23}{row.count:5}{numbers}   {peers}")
+        lines.append(f"{row.target:10}{row.measure:25}{row.controller:23}{row.count:5}{numbers}   {peers}")
     return "\n".join(lines)
 
 

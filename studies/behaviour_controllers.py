@@ -1,4 +1,4 @@
-"""Controllers of `studies.behaviour`: each is a function of n robots' counts at once."""
+"""Controllers of `studies.behaviour`: each is a function of the counts of n robots."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ _SIDES = np.sin(SENSOR_HEADINGS)
 
 
 def threshold_stop(level: float, direction: int = 1) -> Controller:
-    """Return one that drives straight on, or back, until a sensor reaches a level, and stays."""
+    """Return a controller that drives straight ahead, or back, and stops when a sensor reaches a level."""
 
     def decide(proximity: Floats, ambient: Floats, memory: Floats) -> Floats:
         memory[proximity.max(axis=1) >= level, 0] = 1
@@ -26,7 +26,7 @@ def threshold_stop(level: float, direction: int = 1) -> Controller:
 
 
 def proportional_stop(level: float = 700) -> Controller:
-    """Return a Braitenberg vehicle that drives the slower the nearer, and back beyond a level."""
+    """Return a Braitenberg vehicle that slows down near an object, and drives back above a level."""
 
     def decide(proximity: Floats, ambient: Floats, memory: Floats) -> Floats:
         return np.outer(2 * _SLOW * (1 - proximity.max(axis=1) / level), [1.0, 1.0])
@@ -45,7 +45,7 @@ def avoider() -> Controller:
 
 
 def wall_follower(side: str) -> Controller:
-    """Return one that keeps an object at its "left" or "right" at half scale, and turns before it."""
+    """Return a controller that keeps objects at its "left" or "right" at half scale and turns before it."""
     names = (Sensor.RIGHT_90, Sensor.RIGHT_45) if side == "right" else (Sensor.LEFT_90, Sensor.LEFT_45)
     sign = 1.0 if side == "right" else -1.0
 

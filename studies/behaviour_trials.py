@@ -1,4 +1,4 @@
-"""Trials of `studies.behaviour`: controllers, their starts, and what is compared."""
+"""Trials of `studies.behaviour`: controllers, start poses and compared measures."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from studies.behaviour_controllers import (
     threshold_stop,
     wall_follower,
 )
-from studies.one_object import CYLINDER, LAMP, PERIOD_S, WALL, Controller, Floats, Thing, Track
+from studies.one_object import CYLINDER, LAMP, PERIOD_S, WALL, Controller, Floats, Target, Track
 
 Deviation = Callable[[Track, Track], Floats]
 """Function of two tracks that returns a number for each robot (n,); NaN for one that does not count."""
@@ -31,17 +31,17 @@ NEAREST = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A controller, its starts, and what is compared.
+    """A controller, its start poses and the compared measures.
 
     Attributes:
-        thing: Object.
+        target: Object.
         controller: Controller.
         starts: Start poses (n, 3) [m, rad].
         seconds: Duration [s].
         measures: Deviations by name; the name ends with its unit in brackets.
     """
 
-    thing: Thing
+    target: Target
     controller: Controller
     starts: Floats
     seconds: float
@@ -49,34 +49,34 @@ class Trial:
 
 
 def stopping_difference(track: Track, other: Track) -> Floats:
-    """Return how much farther from the object a robot stops, mean of the last half second [mm]."""
+    """Return the difference of the distances at which robots stop, means of the last half second [mm]."""
     last = round(0.5 / PERIOD_S)
     return (track.gaps[-last:].mean(axis=0) - other.gaps[-last:].mean(axis=0)) * 1e3
 
 
 def turning_difference(track: Track, other: Track) -> Floats:
-    """Return how much farther left a robot turns from its start to its end [deg]."""
+    """Return the difference of the robots' turns from start to end, positive to the left [deg]."""
     return np.degrees(track.poses[-1, :, 2] - other.poses[-1, :, 2])
 
 
 def path_distance(track: Track, other: Track) -> Floats:
     """Return the distance between two paths at the same time, root mean square [mm].
 
-    It ends where one of the two is nearer than any sample (`NEAREST`): tables tell nothing there.
+    The comparison stops where one robot is nearer than any sample (`NEAREST`), as the tables end there.
     """
     squares = ((track.poses[..., :2] - other.poses[..., :2]) ** 2).sum(axis=-1)
-    before = np.logical_and.accumulate((track.gaps >= NEAREST) & (other.gaps >= NEAREST))
-    return np.sqrt((squares * before).sum(axis=0) / before.sum(axis=0)) * 1e3
+    is_valid = np.logical_and.accumulate((track.gaps >= NEAREST) & (other.gaps >= NEAREST))
+    return np.sqrt((squares * is_valid).sum(axis=0) / is_valid.sum(axis=0)) * 1e3
 
 
 def following_difference(track: Track, other: Track) -> Floats:
-    """Return how much farther from the object a robot drives in the second half, on average [mm]."""
+    """Return the difference of the mean distances from the object in the second half [mm]."""
     half = len(track.gaps) // 2
     return (track.gaps[half:].mean(axis=0) - other.gaps[half:].mean(axis=0)) * 1e3
 
 
 def arrival_difference(track: Track, other: Track) -> Floats:
-    """Return how much later a robot arrives [s]; one that does not is taken to arrive at the end."""
+    """Return the difference of the arrival times [s]; a missing arrival counts as one at the end."""
     times = [
         np.where(near.any(axis=0), near.argmax(axis=0), len(near)) * PERIOD_S
         for near in (track.gaps < ARRIVED, other.gaps < ARRIVED)
@@ -89,23 +89,31 @@ def trials() -> list[Trial]:
     all_trials: list[Trial] = []
     stop: dict[str, Deviation] = {"stopping distance [mm]": stopping_difference}
     path: dict[str, Deviation] = {"path [mm]": path_distance}
-    for thing in (WALL, CYLINDER):
-        forward_starts = heading_for(thing, 60, np.arange(-60, 61, 10) if thing is WALL else np.arange(-12, 13, 2))
-        backward_starts = heading_for(thing, 60, np.arange(140, 221, 10) if thing is WALL else np.arange(172, 189, 2))
-        all_trials += [Trial(thing, threshold_stop(level), forward_starts, 5.0, stop) for level in (300, 900)]
-        all_trials.append(Trial(thing, threshold_stop(600, -1), backward_starts, 4.0, stop))
-        all_trials.append(Trial(thing, proportional_stop(), forward_starts, 6.0, stop))
-        offsets = np.arange(-60, 61, 5) if thing is WALL else np.arange(-30, 31, 2.5)
-        away = heading_for(thing, 60, offsets)
-        all_trials.append(Trial(thing, avoider(), away, 3.0, {"turn [deg]": turning_difference, **path}))
+    for target in (WALL, CYLINDER):
+        forward_starts = heading_for(
+            target, 60, np.arange(-60, 61, 10) if target is WALL else np.arange(-12, 13, 2)
+        )
+        backward_starts = heading_for(
+            target, 60, np.arange(140, 221, 10) if target is WALL else np.arange(172, 189, 2)
+        )
+        all_trials += [
+            Trial(target, threshold_stop(level), forward_starts, 5.0, stop) for level in (300, 900)
+        ]
+        all_trials.append(Trial(target, threshold_stop(600, -1), backward_starts, 4.0, stop))
+        all_trials.append(Trial(target, proportional_stop(), forward_starts, 6.0, stop))
+        offsets = np.arange(-60, 61, 5) if target is WALL else np.arange(-30, 31, 2.5)
+        avoider_starts = heading_for(target, 60, offsets)
+        all_trials.append(
+            Trial(target, avoider(), avoider_starts, 3.0, {"turn [deg]": turning_difference, **path})
+        )
         for side, sign in (("right", 1), ("left", -1)):
-            along = np.concatenate(
-                [heading_for(thing, gap, sign * np.arange(75, 106, 10)) for gap in (8, 15, 22)]
+            follower_starts = np.concatenate(
+                [heading_for(target, gap, sign * np.arange(75, 106, 10)) for gap in (8, 15, 22)]
             )
             measures: dict[str, Deviation] = {"following distance [mm]": following_difference, **path}
-            all_trials.append(Trial(thing, wall_follower(side), along, 6.0, measures))
-        network_starts = np.concatenate([heading_for(thing, gap, np.arange(0, 360, 45)) for gap in (12, 24)])
-        all_trials += [Trial(thing, controller, network_starts, 4.0, path) for controller in networks(4)]
+            all_trials.append(Trial(target, wall_follower(side), follower_starts, 6.0, measures))
+        network_starts = np.concatenate([heading_for(target, gap, np.arange(0, 360, 45)) for gap in (12, 24)])
+        all_trials += [Trial(target, controller, network_starts, 4.0, path) for controller in networks(4)]
     lamp_starts = np.concatenate([heading_for(LAMP, gap, np.arange(-120, 121, 30)) for gap in (150, 300)])
     all_trials.append(Trial(LAMP, light_stop(), lamp_starts, 9.0, stop))
     all_trials.append(Trial(LAMP, light_follower(), lamp_starts, 1.5, {"turn [deg]": turning_difference}))
@@ -115,8 +123,8 @@ def trials() -> list[Trial]:
     return [*all_trials, *(Trial(LAMP, controller, network_starts, 4.0, path) for controller in networks(4))]
 
 
-def heading_for(thing: Thing, gap_mm: float, offsets_deg: NDArray[Any]) -> Floats:
-    """Return poses before an object, heading so much to the left of it (n, 3)."""
-    away = gap_mm / 1e3 + BODY_RADIUS + thing.radius
+def heading_for(target: Target, gap_mm: float, offsets_deg: NDArray[Any]) -> Floats:
+    """Return poses before an object, with headings at these angles to its left (n, 3)."""
+    distance = gap_mm / 1e3 + BODY_RADIUS + target.radius
     offsets = np.radians(np.asarray(offsets_deg, np.float64))
-    return np.column_stack([np.full(len(offsets), -away), np.zeros(len(offsets)), offsets])
+    return np.column_stack([np.full(len(offsets), -distance), np.zeros(len(offsets)), offsets])

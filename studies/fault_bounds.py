@@ -1,8 +1,8 @@
-"""Bounds of the shadow's alarms: how far the explanations of a fault are apart in what is seen of it in time.
+"""Bounds of the shadow's alarms: differences of evidence between the explanations of a fault.
 
-The evidence of an oracle's explanations (`fault_oracle`) 3 s after the first noticeable reply, with what was
-known before, tells how probable the right name is for one that knows everything else, as far as twins drive
-as the robot does. Where that is not sure, no alarm is right and sure in time but by luck.
+An oracle (`fault_oracle`) knows everything except the fault. Its evidence 3 s after the first noticeable
+reply, with the prior odds, yields the probability of the right name, as far as twins drive as the robot
+does. If that probability is low, no alarm can be right and certain in time, except by luck.
 """
 
 import math
@@ -25,24 +25,24 @@ BOUNDED = (
     "blocked wheel",
     "weak motor",
     "slipping wheel",
-    "thing gone",
-    "thing moved",
-    "thing added",
+    "object removed",
+    "object moved",
+    "object added",
     "robot lifted",
 )
-"""Faults that twins explain: those of wheels, of things and of the pose."""
+"""Faults that twins explain: those of wheels, of objects and of the pose."""
 
 SURE = 0.95
 """Probability from which on an oracle is sure."""
 
 
 class Bound(NamedTuple):
-    """What an oracle could tell of a trial.
+    """Result of an oracle for one trial.
 
     Attributes:
-        gap: Evidence for the right name beyond that for the best other one.
+        gap: Evidence for the right name less that for the best alternative.
         right: Probability of the right name.
-        alike: Probability of that and those that look alike.
+        alike: Probability of that name and similar ones together.
         text: Fault, its name and the best other explanations, and the host's speeds, for a person.
     """
 
@@ -91,7 +91,9 @@ def run_bound(
     oracle = Oracle(trial, settings, end_ns)
     explanations, names = oracle.explanations(), trial.trial.names
     probabilities = posterior(explanations)
-    noticeable_s, end_s = ((time_ns - trial.truth.changed_ns[0]) / NS_PER_S for time_ns in (noticeable_ns, end_ns))
+    noticeable_s, end_s = (
+        (time_ns - trial.truth.changed_ns[0]) / NS_PER_S for time_ns in (noticeable_ns, end_ns)
+    )
     return Bound(
         gap(explanations, names[0]),
         probabilities.get(names[0], 0.0),
@@ -104,21 +106,35 @@ def run_bound(
 def posterior(explanations: Sequence[Explanation]) -> dict[str, float]:
     """Return the probabilities of explanations, which exclude explanation other, by name."""
     logs = np.array([explanation.prior + explanation.evidence for explanation in explanations])
-    return dict(zip([explanation.name for explanation in explanations], np.exp(logs - log_sum_exp(logs)).tolist(), strict=True))
+    return dict(
+        zip(
+            [explanation.name for explanation in explanations],
+            np.exp(logs - log_sum_exp(logs)).tolist(),
+            strict=True,
+        )
+    )
 
 
 def gap(explanations: Sequence[Explanation], name: str) -> float:
-    """Return the evidence for a name beyond that for the best other one."""
+    """Return the evidence for a name less that for the best alternative."""
     evidences = {explanation.name: explanation.evidence for explanation in explanations}
     right = evidences.pop(name, -math.inf)
     return right - max(evidences.values(), default=-math.inf)
 
 
 def _describe(explanations: Sequence[Explanation], name: str) -> str:
-    """Tell a name and the best other explanations, by the evidence and by the probability, with both."""
+    """Describe a name and the best alternatives by evidence and by probability, with both values."""
     probabilities = posterior(explanations)
     alternatives = [explanation for explanation in explanations if explanation.name != name]
-    best = max(alternatives, key=lambda explanation: explanation.evidence), max(alternatives, key=lambda explanation: probabilities[explanation.name])
-    selection = [explanation for explanation in explanations if explanation.name == name or explanation in best]
+    best = (
+        max(alternatives, key=lambda explanation: explanation.evidence),
+        max(alternatives, key=lambda explanation: probabilities[explanation.name]),
+    )
+    selection = [
+        explanation for explanation in explanations if explanation.name == name or explanation in best
+    ]
     selection.sort(key=lambda explanation: -explanation.evidence)
-    return ", ".join(f"{explanation.name} {explanation.evidence:.1f} ({100 * probabilities[explanation.name]:.1f} %)" for explanation in selection)
+    return ", ".join(
+        f"{explanation.name} {explanation.evidence:.1f} ({100 * probabilities[explanation.name]:.1f} %)"
+        for explanation in selection
+    )

@@ -1,10 +1,10 @@
-"""An oracle of faults: filters that know everything but what is wrong, one for each explanation.
+"""An oracle of faults: particle filters that know everything except the fault, one for each explanation.
 
-They begin with the true pose, within a millimetre and a degree, where the fault begins, or shortly before it
-is noticeable; with wheels and sensors as a filter has learned them until the fault; and they know how far the
-robot really goes between replies. All particles of a filter have the fault of its explanation. In trials of
-lifts one explanation is a lift at its true time to its true place; its odds are divided by the number of
-places that are told apart within a millimetre and a degree.
+They start at the true pose, within a millimetre and a degree, when the fault starts, or shortly before it is
+noticeable. Wheels and sensors are those that a filter has learned until the fault. The filters know the
+distance that the robot drives between replies. All particles of a filter have the fault of its explanation.
+In trials of lifts one explanation is a lift at its true time to its true place. Its odds are divided by the
+number of places that differ by a millimetre and a degree.
 """
 
 import math
@@ -36,7 +36,7 @@ from khep_twin.units import N_SENSORS, SCAN_NS
 from stand_ins import hidden_changes
 from stand_ins.recordings import Truth
 from studies.fault_recordings import RecordedTrial
-from studies.twin_runs import Floats, poses_at, told_playpen
+from studies.twin_runs import Floats, playpen_at_known_start, poses_at
 
 SOUND = "sound"
 """Name of the explanation without a fault."""
@@ -45,26 +45,26 @@ POSE_SD = 1e-3, 1e-3, math.radians(1)
 """Standard deviations of the pose that the oracle knows [m, rad]."""
 
 EARLIER_NS = NS_PER_S // 2
-"""Time before the first noticeable reply at which it begins at the earliest, for things [ns]: before that
-they are out of reach, while what a wheel does adds up from the fault's begin on."""
+"""Longest time before the first noticeable reply at which filters start, for objects [ns]: earlier they are
+out of reach, while the effect of a wheel adds up from the start of the fault."""
 
 ADDED_NS = 400_000_000, 250_000_000, 100_000_000
-"""Times before that reply at which a thing may have come into reach that the playpen does not have [ns]."""
+"""Times before that reply at which an added object may have come into reach [ns]."""
 
 ONSET_S = 1.0
-"""Time in which a fault may have begun, besides that for which it was out of reach [s] (assumed)."""
+"""Time in which a fault may have started, in addition to the time out of reach [s] (assumed)."""
 
 PARTICLES = 600
 """Particles of each explanation."""
 
-_SPEEDS = 4
-"""Pairs of speeds that are told, the most frequent ones."""
+_N_SPEEDS = 4
+"""Number of pairs of speeds in the description, the most frequent ones."""
 
 USE: NDArray[np.bool_] = np.ones(N_SENSORS, np.bool_)
 
 
 class Explanation(NamedTuple):
-    """Explanation of the replies: a name, the logarithms of its odds before and of what replies tell."""
+    """Explanation of the replies: a name, the logarithm of its prior odds, and its log evidence."""
 
     name: str
     prior: float
@@ -72,7 +72,7 @@ class Explanation(NamedTuple):
 
 
 class _Listener(Shadow):
-    """A shadow that notes actions, and follows none."""
+    """A shadow that records actions without following them."""
 
     def __init__(self, playpen: Playpen) -> None:
         super().__init__(playpen, ShadowSettings(particles=1))
@@ -85,9 +85,9 @@ class _Listener(Shadow):
 
 
 class _Informed(ParticleFilter):
-    """A filter that knows which part of each reply is new, by its time [ns].
+    """A filter that knows the new part of each reply, by the reply's time [ns].
 
-    Twins that stand would have others count less than those that drive, and could not be compared.
+    Standing twins would weight replies less than driving ones, and could not be compared.
     """
 
     parts: Mapping[int, float]
@@ -97,7 +97,7 @@ class _Informed(ParticleFilter):
 
 
 class Oracle:
-    """Filters of the explanations of one trial, which begin with the true pose."""
+    """Filters of the explanations of one trial, which start at the true pose."""
 
     def __init__(self, trial: RecordedTrial, settings: ShadowSettings, end_ns: int) -> None:
         self._truth, self._seed, self._end_ns = trial.truth, settings.seed, end_ns
@@ -105,11 +105,11 @@ class Oracle:
         changed_ns = int(trial.truth.changed_ns[0])
         begin_ns, self._lifted_ns = changed_ns, None
         if any(isinstance(change, hidden_changes.Lifted) for change in trial.trial.changes):
-            # The sample of its time is that after the lift.
+            # The sample at that time is the one after the lift.
             begin_ns, self._lifted_ns = changed_ns - SCAN_NS, changed_ns
         elif trial.trial.changes:
             begin_ns = max(begin_ns, self._noticeable_ns - EARLIER_NS)
-        playpen = told_playpen(trial.room, trial.truth)
+        playpen = playpen_at_known_start(trial.room, trial.truth)
         listener = _Listener(playpen)
         for chunk in read_recording(trial.path).chunks:
             if chunk.time_ns <= end_ns:
@@ -123,7 +123,9 @@ class Oracle:
         earlier_actions = listener.actions[: -len(self._actions)]
         self._start = self._track_sound(earlier_actions, changed_ns, begin_ns, settings.particles)
 
-    def _track_sound(self, actions: Sequence[Action], changed_ns: int, begin_ns: int, count: int) -> Particles:
+    def _track_sound(
+        self, actions: Sequence[Action], changed_ns: int, begin_ns: int, count: int
+    ) -> Particles:
         """Return particles at the true pose, with wheels and sensors as learned before the fault."""
         rng = stream(self._seed, "oracle")
         x, y, heading = self._truth.start.tolist()
@@ -144,7 +146,7 @@ class Oracle:
         return particles
 
     def _place_particles(self, particles: Particles, time_ns: int, rng: np.random.Generator) -> None:
-        """Put particles where the robot is, in motion as they are."""
+        """Place particles at the robot's pose; their motion is not changed."""
         (pose,) = poses_at(self._truth, np.array([time_ns]))
         particles.planes.move(pose + POSE_SD * rng.standard_normal((len(particles), 3)))
 
@@ -178,13 +180,15 @@ class Oracle:
     def _lifted(self, time_ns: int, evidence: float) -> Explanation:
         """Return a lift to the true place at a time [ns], with the evidence of replies before it.
 
-        The sum over all places would have as much evidence at the least.
+        The sum over all places would have at least this evidence.
         """
         fault, particles = Lifted(), self._start.resample(PARTICLES, 0.5)
         particles.planes.advance_to(time_ns)
         self._place_particles(particles, time_ns, stream(self._seed, "oracle", fault.name, "place"))
         particles.planes.reset_poses(particles.planes.poses)  # at rest
-        branch = _Branch(particles, evidence, [action for action in self._actions if action.time_ns > time_ns])
+        branch = _Branch(
+            particles, evidence, [action for action in self._actions if action.time_ns > time_ns]
+        )
         arena = self._setup.playpen.arena
         places = arena.width_mm * arena.height_mm * 1e-6 * math.tau / (math.tau**1.5 * math.prod(POSE_SD))
         return Explanation(
@@ -192,7 +196,7 @@ class Oracle:
         )
 
     def _evidence(self, hypothesis: Hypothesis, branch: "_Branch") -> float:
-        """Return the evidence at the end for a fault that has begun where twins branch off."""
+        """Return the evidence at the end for a fault that starts at the branch."""
         tracker = self._tracker(branch, hypothesis.name)
         rng = stream(self._seed, "oracle", hypothesis.name, "values")
         hypothesis.begin(tracker.particles, rng)
@@ -219,13 +223,17 @@ class Oracle:
 
     @property
     def speeds(self) -> str:
-        """Speeds that the host has set most often since the begin, with their numbers."""
-        counts = Counter((action.left, action.right) for action in self._actions if isinstance(action, WheelCommand))
-        return ", ".join(f"{number} x {left} {right}" for (left, right), number in counts.most_common(_SPEEDS))
+        """Speeds that the host has set most often since the start, with their numbers."""
+        counts = Counter(
+            (action.left, action.right) for action in self._actions if isinstance(action, WheelCommand)
+        )
+        return ", ".join(
+            f"{number} x {left} {right}" for (left, right), number in counts.most_common(_N_SPEEDS)
+        )
 
 
 class _Branch(NamedTuple):
-    """Twins of a sound robot from which on a fault is considered: their evidence so far, what follows."""
+    """Twins of a sound robot at which a fault may start, their evidence, and the remaining actions."""
 
     particles: Particles
     evidence: float
@@ -233,16 +241,16 @@ class _Branch(NamedTuple):
 
 
 def new_parts(truth: Truth, replies: Sequence[ProximityReply]) -> dict[int, float]:
-    """Return the parts of replies to N that are new, by their times [ns], after the robot's true way."""
+    """Return the new parts of replies to N by their times [ns], from the robot's true path."""
     steps = np.abs(np.diff(truth.poses[:, :2], axis=0)).sum(axis=1)
     steps += SENSOR_RADIUS * np.abs(np.diff(np.unwrap(truth.poses[:, 2])))
-    ways = np.concatenate([[0.0], np.cumsum(steps)])
+    distances = np.concatenate([[0.0], np.cumsum(steps)])
     parts: dict[int, float] = {}
     last_distance = 0.0
     for reply in replies:
         uncertain_ns = TICK_NS + max(reply.late_ns - reply.time_ns, 0)
         ends = reply.time_ns - uncertain_ns, reply.time_ns
-        earlier, distance = np.interp(ends, truth.times_ns, ways).tolist()
+        earlier, distance = np.interp(ends, truth.times_ns, distances).tolist()
         parts[reply.time_ns] = novelty_of(distance - last_distance, PERSISTENCE, distance - earlier)
         last_distance = distance
     return parts

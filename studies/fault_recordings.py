@@ -1,4 +1,4 @@
-"""Recordings of stand-in robots with one fault each, which begins at a random time and ends where it can."""
+"""Recordings of stand-in robots with one fault each, with a random start and, if possible, an end."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -12,9 +12,9 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Block, Cylinder, Playpen
 from khep_twin.randomness import stream
 from khep_twin.units import N_SENSORS
-from stand_ins.hidden_changes import Added, Change, Gone, LampMoved, LampOff, Lifted, Moved
+from stand_ins.hidden_changes import Added, Change, LampMoved, LampOff, Lifted, Moved, Removed
 from stand_ins.recordings import Truth
-from studies.twin_runs import Recording, alternating
+from studies.twin_runs import Recording, alternate
 
 SIDES = ("left", "right")
 
@@ -23,19 +23,19 @@ GENERAL_PLAYPENS, OBJECT_PLAYPENS, LAMP_PLAYPENS = (
     ("workshop", "obstacles"),
     ("workshop", "light-seeking", "two-lamps"),
 )
-"""Playpens of all faults, of those of things, and of those of lamps."""
+"""Playpens of all faults, of those of objects, and of those of lamps."""
 
 ONSET_S = 12.0, 22.0
-"""Times at which faults begin [s]."""
+"""Range of the faults' start times [s]."""
 
 DURATION_S, TAIL_S = 25.0, 13.0
-"""How long they last, and how long the recording goes on [s]."""
+"""Duration of faults, and of the recording after them [s]."""
 
 _REACH_MM = 45.0
-"""Distance from the robot's centre at which a thing is met: 17 mm from its edge."""
+"""Distance from the robot's centre at which an object counts as reached: 17 mm from its edge."""
 
 _FAR_MM = 5000.0
-"""Where `hidden_changes` has what is gone."""
+"""Offset of objects that `hidden_changes` has removed [mm]."""
 
 STANDING = "dead motor or blocked wheel"
 
@@ -56,7 +56,7 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _TrialSetting:
-    """What a trial is drawn for: the playpen, the way of the healthy robot, the fault's begin and end [s]."""
+    """Inputs of a random trial: playpen, truth of the healthy robot, start and end of the fault [s]."""
 
     playpen: Playpen
     healthy_truth: Truth
@@ -70,7 +70,9 @@ class _TrialSetting:
 
     def position_at(self, time_s: float) -> tuple[float, float]:
         """Return the healthy robot's position at a time [mm]."""
-        x, y, _ = self.healthy_truth.poses[int(np.searchsorted(self.healthy_truth.times_ns, time_s * NS_PER_S))].tolist()
+        x, y, _ = self.healthy_truth.poses[
+            int(np.searchsorted(self.healthy_truth.times_ns, time_s * NS_PER_S))
+        ].tolist()
         return x * 1e3, y * 1e3
 
 
@@ -82,16 +84,20 @@ def _draw_sensor_fault(setting: _TrialSetting, kind: str) -> Trial:
     return Trial(names, f"{kind}:{sensor}{setting.suffix}")
 
 
-def _draw_wheel_fault(setting: _TrialSetting, kind: str, name: str, parts: tuple[float, float] | None = None) -> Trial:
+def _draw_wheel_fault(
+    setting: _TrialSetting, kind: str, name: str, parts: tuple[float, float] | None = None
+) -> Trial:
     side = SIDES[int(setting.rng.integers(2))]
     part = "" if parts is None else f":{setting.rng.uniform(*parts):.3f}"
     return Trial((f"{name} {side}",), f"{kind}:{side}{part}{setting.suffix}")
 
 
 def _first_object(setting: _TrialSetting) -> tuple[str, Block | Cylinder] | None:
-    """Return the thing that the robot meets first while the fault lasts; None if it meets none."""
+    """Return the first object that the robot reaches during the fault; None if it reaches none."""
     times = np.arange(setting.start_s + 1, setting.end_s - 5, 0.1)
-    objects = {f"{kind}{i}": item for kind, items in _object_lists(setting.playpen) for i, item in enumerate(items)}
+    objects = {
+        f"{kind}{i}": item for kind, items in _object_lists(setting.playpen) for i, item in enumerate(items)
+    }
     for time_s in times.tolist():
         for name, item in objects.items():
             if _distance_mm(item, *setting.position_at(time_s)) < _REACH_MM:
@@ -104,7 +110,7 @@ def _draw_removed(setting: _TrialSetting) -> Trial | None:
         return None
     name, item = first_object
     back = Moved(setting.end_s, name, (_FAR_MM + item.x_mm, _FAR_MM + item.y_mm))
-    return Trial((f"missing {name}",), "", (Gone(setting.start_s, name), back))
+    return Trial((f"missing {name}",), "", (Removed(setting.start_s, name), back))
 
 
 def _draw_moved(setting: _TrialSetting) -> Trial | None:
@@ -114,7 +120,9 @@ def _draw_moved(setting: _TrialSetting) -> Trial | None:
     length, direction = setting.rng.uniform(25, 40), setting.rng.uniform(0, math.tau)
     dx, dy = round(length * math.cos(direction), 1), round(length * math.sin(direction), 1)
     return Trial(
-        (f"moved {name}",), "", (Moved(setting.start_s, name, (dx, dy)), Moved(setting.end_s, name, (-dx, -dy)))
+        (f"moved {name}",),
+        "",
+        (Moved(setting.start_s, name, (dx, dy)), Moved(setting.end_s, name, (-dx, -dy))),
     )
 
 
@@ -157,18 +165,33 @@ FAULTS: Mapping[str, tuple[tuple[str, ...], Callable[[_TrialSetting], Trial | No
     "dead sensor": (GENERAL_PLAYPENS, lambda setting: _draw_sensor_fault(setting, "dead")),
     "dead motor": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "dead", STANDING)),
     "blocked wheel": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "blocked", STANDING)),
-    "weak motor": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "weak", "weak motor", (0.1, 0.15))),
-    "slipping wheel": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "slip", "slipping wheel", (0.0, 0.03))),
-    "thing gone": (OBJECT_PLAYPENS, _draw_removed),
-    "thing moved": (OBJECT_PLAYPENS, _draw_moved),
-    "thing added": (GENERAL_PLAYPENS, _draw_added),
+    "weak motor": (
+        GENERAL_PLAYPENS,
+        lambda setting: _draw_wheel_fault(setting, "weak", "weak motor", (0.1, 0.15)),
+    ),
+    "slipping wheel": (
+        GENERAL_PLAYPENS,
+        lambda setting: _draw_wheel_fault(setting, "slip", "slipping wheel", (0.0, 0.03)),
+    ),
+    "object removed": (OBJECT_PLAYPENS, _draw_removed),
+    "object moved": (OBJECT_PLAYPENS, _draw_moved),
+    "object added": (GENERAL_PLAYPENS, _draw_added),
     "lamp off": (LAMP_PLAYPENS, _draw_lamp_off),
     "lamp moved": (LAMP_PLAYPENS, _draw_lamp_moved),
-    "robot lifted": (GENERAL_PLAYPENS, lambda setting: Trial(("robot lifted",), "", (Lifted(setting.start_s),))),
+    "robot lifted": (
+        GENERAL_PLAYPENS,
+        lambda setting: Trial(("robot lifted",), "", (Lifted(setting.start_s),)),
+    ),
     "brown-out": (GENERAL_PLAYPENS, lambda setting: Trial(("restart",), f"brown-out@{setting.start_s:g}")),
-    "line losing bytes": (GENERAL_PLAYPENS, lambda setting: Trial(("line losing bytes",), f"drop:0.03{setting.suffix}")),
+    "line losing bytes": (
+        GENERAL_PLAYPENS,
+        lambda setting: Trial(("line losing bytes",), f"drop:0.03{setting.suffix}"),
+    ),
 }
-"""Faults by name: their playpens, and what draws a trial; None where there is none for its seed."""
+"""Faults by name: their playpens, and a function that draws a trial, or None if a seed has none."""
+
+_STREAM_NAMES = {"object removed": "thing gone", "object moved": "thing moved", "object added": "thing added"}
+"""Stream names that differ from those of their faults; the tables of docs/twin.md depend on them."""
 
 
 class RecordedTrial(NamedTuple):
@@ -178,7 +201,7 @@ class RecordedTrial(NamedTuple):
         trial: Its fault.
         room: Name of its playpen.
         path: Path of the log.
-        truth: Truth of the recording, whose first hidden thing is the fault.
+        truth: Truth of the recording; the fault is its first hidden change.
         ended_ns: End of the fault [ns]; -1 if it does not end.
         over_ns: Arrival of the first reply that its end changes noticeably [ns]; -1 if none is.
     """
@@ -191,8 +214,10 @@ class RecordedTrial(NamedTuple):
     over_ns: int
 
 
-def record_trial(fault: str, seed: int, folder: Path, hosts: Sequence[str], times: str) -> RecordedTrial | None:
-    """Make the recording of a trial; return None if its fault is not noticeable.
+def record_trial(
+    fault: str, seed: int, folder: Path, hosts: Sequence[str], times: str
+) -> RecordedTrial | None:
+    """Record a trial; return None if its fault is not noticeable.
 
     Args:
         fault: One of FAULTS.
@@ -203,19 +228,21 @@ def record_trial(fault: str, seed: int, folder: Path, hosts: Sequence[str], time
     """
     rooms, draw = FAULTS[fault]
     room = rooms[seed % len(rooms)]
-    rng = stream(seed, "fault trial", fault)
-    at_s = round(float(rng.uniform(*ONSET_S)), 2)
-    light, host = rooms is LAMP_PLAYPENS, alternating(hosts, seed // 3) if hosts else ""
-    sound = Recording("sound" + "_light" * light, room, seed, ONSET_S[1] + DURATION_S, host, asks_light=light)
-    way = Truth.load(sound.path(folder).with_suffix(".npz"))
-    trial = draw(_TrialSetting(Playpen.load(room), way, at_s, at_s + DURATION_S, rng))
+    rng = stream(seed, "fault trial", _STREAM_NAMES.get(fault, fault))
+    start_s = round(float(rng.uniform(*ONSET_S)), 2)
+    light, host = rooms is LAMP_PLAYPENS, alternate(hosts, seed // 3) if hosts else ""
+    healthy = Recording(
+        "sound" + "_light" * light, room, seed, ONSET_S[1] + DURATION_S, host, asks_light=light
+    )
+    healthy_truth = Truth.load(healthy.path(folder).with_suffix(".npz"))
+    trial = draw(_TrialSetting(Playpen.load(room), healthy_truth, start_s, start_s + DURATION_S, rng))
     if trial is None:
         return None
     faulty = Recording(
         fault.replace(" ", "_"),
         room,
         seed,
-        round(at_s + DURATION_S + TAIL_S),
+        round(start_s + DURATION_S + TAIL_S),
         host,
         asks_light=light,
         faults=[trial.fault] if trial.fault else [],
@@ -237,7 +264,7 @@ def _object_lists(playpen: Playpen) -> list[tuple[str, tuple[Block | Cylinder, .
 
 
 def _distance_mm(item: Block | Cylinder, x_mm: float, y_mm: float) -> float:
-    """Return the distance of a position from a thing [mm]."""
+    """Return the distance of a position from an object [mm]."""
     dx, dy = x_mm - item.x_mm, y_mm - item.y_mm
     if isinstance(item, Cylinder):
         return math.hypot(dx, dy) - item.radius_mm

@@ -1,7 +1,7 @@
 """Trials of the shadow's alarms: stand-in robots with one fault each, and whether it is named.
 
-Trials in which the fault is not noticeable (`stand_ins.Truth`) are left out. A fault is named rightly if an
-alarm of a right name is raised after it began and at most 3 s after it is noticeable.
+Trials in which the fault is not noticeable (`stand_ins.Truth`) are left out. A fault is named correctly if an
+alarm with a right name is raised after its start and at most 3 s after it is noticeable.
 """
 
 import math
@@ -15,29 +15,29 @@ from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.recordings import Truth
 from studies.fault_recordings import STANDING, record_trial
 from studies.reliability import Claim, claims
-from studies.twin_runs import Raised, Suspected, follow
+from studies.twin_runs import AlarmRecord, SuspicionRecord, follow
 
 SOON_NS = 3 * NS_PER_S
-"""Time for which a noticeable fault may go without its name [ns]."""
+"""Longest time from a noticeable fault to its alarm [ns]."""
 
 FADES_NS = 5 * NS_PER_S
-"""Time after the noticeable end of a fault for which it is right to say that there is one [ns]."""
+"""Time after the noticeable end of a fault in which an alarm still counts as right [ns]."""
 
 SIMILAR_FAULTS = ("weak motor", "slipping wheel", STANDING), ("missing", "moved")
-"""Faults that look alike for a while."""
+"""Faults with similar replies for a while."""
 
 
 class Outcome(NamedTuple):
     """Outcome of a trial.
 
     Attributes:
-        named: Whether the fault was named rightly in time.
-        paired: Whether it was given its name or one that looks alike in time.
+        named: Whether the fault was named correctly in time.
+        paired: Whether its name or a similar one was raised in time.
         delay_s: Time of that after the fault was noticeable [s]; NaN without a right name.
         wrong: Other names.
         end_s: Time for which a right name outlasted the first reply that showed the fault's end [s]; NaN if
             the name did not end, none was given, or no reply showed it.
-        ends: Whether the fault was named, and its end is noticeable.
+        has_end: Whether the fault was named, and its end is noticeable.
         busiest_s: CPU time of the busiest second [s].
         text: Fault, names and times, for a person.
         claims: Alarms and suspicions, and whether they are right.
@@ -48,7 +48,7 @@ class Outcome(NamedTuple):
     delay_s: float
     wrong: tuple[str, ...]
     end_s: float
-    ends: bool
+    has_end: bool
     busiest_s: float
     text: str
     claims: list[Claim]
@@ -71,8 +71,9 @@ def run_trial(
     if recorded is None:
         return None
     followed = follow(recorded.path, recorded.room, settings)
-    given = recorded.trial.names, recorded.truth, recorded.over_ns
-    outcome = judge(*given, followed.alarms, followed.suspected)
+    outcome = judge(
+        recorded.trial.names, recorded.truth, recorded.over_ns, followed.alarms, followed.suspected
+    )
     return outcome._replace(busiest_s=float(followed.cpu_s.max()))
 
 
@@ -80,14 +81,14 @@ def judge(
     names: tuple[str, ...],
     truth: Truth,
     over_ns: int,
-    alarms: list[Raised],
-    suspected: Sequence[Suspected] = (),
+    alarms: list[AlarmRecord],
+    suspected: Sequence[SuspicionRecord] = (),
 ) -> Outcome:
     """Judge the alarms of a trial.
 
     Args:
         names: Right names.
-        truth: Truth of the recording, whose first hidden thing is the fault.
+        truth: Truth of the recording; the fault is its first hidden change.
         over_ns: Arrival of the first reply that its end changes noticeably [ns]; -1 if none is: then a name
             that was right once stays right.
         alarms: Alarms of the shadow.
@@ -95,20 +96,23 @@ def judge(
     """
     onset_ns, noticeable_ns = int(truth.changed_ns[0]), int(truth.noticeable_ns[0])
     right = [
-        alarm for alarm in alarms if alarm.raised_ns >= onset_ns and _is_right(alarm.fault, alarm.readings, names)
+        alarm
+        for alarm in alarms
+        if alarm.raised_ns >= onset_ns and _is_right(alarm.fault, alarm.readings, names)
     ]
     similar = add_similar_names(names)
     paired = [
         alarm
         for alarm in alarms
-        if alarm.raised_ns >= onset_ns and (_pair_has(alarm.fault, names) or similar >= {*alarm.fault.split(FAULT_SEPARATOR)})
+        if alarm.raised_ns >= onset_ns
+        and (_pair_has(alarm.fault, names) or similar >= {*alarm.fault.split(FAULT_SEPARATOR)})
     ]
     alike_ns = [alarm.raised_ns for alarm in [*right, *paired]]
     delay_s = (right[0].raised_ns - noticeable_ns) / NS_PER_S if right else math.nan
     last_ns = max((alarm.ended_ns for alarm in right), default=-1)
     lasting = any(alarm.ended_ns < 0 for alarm in right)
-    ends = bool(right) and over_ns >= 0
-    end_s = math.nan if lasting or not ends else max(last_ns - over_ns, 0) / NS_PER_S
+    has_end = bool(right) and over_ns >= 0
+    end_s = math.nan if lasting or not has_end else max(last_ns - over_ns, 0) / NS_PER_S
     lines = [
         f"{alarm.fault} {alarm.raised_ns / NS_PER_S:.1f} to "
         + (f"{alarm.ended_ns / NS_PER_S:.1f}" if alarm.ended_ns >= 0 else "the end")
@@ -121,10 +125,12 @@ def judge(
         any(onset_ns <= raised_ns <= noticeable_ns + SOON_NS for raised_ns in alike_ns),
         delay_s,
         tuple(
-            alarm.fault for alarm in alarms if alarm not in right and not (alarm in paired and FAULT_SEPARATOR in alarm.fault)
+            alarm.fault
+            for alarm in alarms
+            if alarm not in right and not (alarm in paired and FAULT_SEPARATOR in alarm.fault)
         ),
         end_s,
-        ends,
+        has_end,
         0.0,
         text + ("; ".join(lines) or "no alarm"),
         claims(
@@ -140,7 +146,7 @@ def judge(
 
 
 def add_similar_names(names: Sequence[str]) -> set[str]:
-    """Return names with those of faults that look alike, of the same wheel or thing."""
+    """Return names with those of similar faults of the same wheel or object."""
     matches = {
         (kinds, name.removeprefix(kind))
         for name in names
@@ -152,10 +158,13 @@ def add_similar_names(names: Sequence[str]) -> set[str]:
 
 
 def _pair_has(fault: str, names: Sequence[str]) -> bool:
-    """Return whether one of the names that a fault may have is right, each of which may be that of a pair."""
-    return FAULT_SEPARATOR in fault and any(FAULT_SEPARATOR + name + FAULT_SEPARATOR in FAULT_SEPARATOR + fault + FAULT_SEPARATOR for name in names)
+    """Return whether an alarm of several names has a right one."""
+    return FAULT_SEPARATOR in fault and any(
+        FAULT_SEPARATOR + name + FAULT_SEPARATOR in FAULT_SEPARATOR + fault + FAULT_SEPARATOR
+        for name in names
+    )
 
 
 def _is_right(fault: str, readings: Sequence[float], names: tuple[str, ...]) -> bool:
-    """Return whether a fault has a right name; a sensor that is stuck at 0 is as a dead one is."""
+    """Return whether a fault has a right name; a sensor that is stuck at 0 equals a dead one."""
     return fault in names and (fault == names[0] or readings[int(fault[-1])] == 0)

@@ -1,6 +1,6 @@
 """docs/fidelity.md, every comparison of the twin with reality, and its picture.
 
-The measured tables are found as in `studies.infrared_fits`. A comparison belongs to a section of
+The measured tables are located as in `studies.infrared_fits`. A comparison belongs to a section of
 `SECTIONS`; the page follows that list, and a test checks that it does.
 """
 
@@ -101,24 +101,36 @@ def names(page: str) -> dict[str, list[str]]:
 
 def draw(outcomes: Mapping[str, Outcome], target: Path) -> None:
     """Draw a bar for each comparison of the twin, with the floor and other simulators."""
-    rows = [(section, comparison, outcomes[comparison.name]) for section, comparisons in SECTIONS.items() for comparison in comparisons]
+    rows = [
+        (section, comparison, outcomes[comparison.name])
+        for section, comparisons in SECTIONS.items()
+        for comparison in comparisons
+    ]
     figure = Figure(figsize=(10, 0.27 * len(rows) + 1.2), layout="constrained")
     axes = figure.subplots()
     for predicted, colour in ((True, _INK), (False, _PALE)):
-        bars = [(row, outcome.figure) for row, (_, comparison, outcome) in enumerate(rows) if comparison.is_predicted == predicted]
+        bars = [
+            (row, outcome.figure)
+            for row, (_, comparison, outcome) in enumerate(rows)
+            if comparison.is_predicted == predicted
+        ]
         label = "twin, predicted" if predicted else "twin, fitted"
         axes.barh(*zip(*bars, strict=True), color=colour, height=0.66, label=label)
     floors = [(outcome.floor, row) for row, (_, _, outcome) in enumerate(rows) if outcome.floor is not None]
     axes.plot(*zip(*floors, strict=True), "|", color=_RED, ms=13, mew=2.5, label="noise floor")
     peers = dict.fromkeys(peer for _, _, outcome in rows for peer in outcome.peers)
     for number, (peer, (marker, colour)) in enumerate(zip(peers, _MARKS, strict=False)):
-        points = [(outcome.peers[peer], row) for row, (_, _, outcome) in enumerate(rows) if peer in outcome.peers]
-        aside = [row + 0.13 * (number - 1.5) for _, row in points]
+        points = [
+            (outcome.peers[peer], row) for row, (_, _, outcome) in enumerate(rows) if peer in outcome.peers
+        ]
+        offset_rows = [row + 0.13 * (number - 1.5) for _, row in points]
         deviations = [deviation for deviation, _ in points]
-        axes.plot(deviations, aside, marker, color=colour, mec="white", mew=0.6, ms=6, label=peer)
+        axes.plot(deviations, offset_rows, marker, color=colour, mec="white", mew=0.6, ms=6, label=peer)
     axes.set_xscale("log")
     axes.set_xlim(right=5 * axes.get_xlim()[1])  # room for the sections' names
-    axes.set_yticks(range(len(rows)), [f"{comparison.name} [{comparison.unit}]" for _, comparison, _ in rows], fontsize=8)
+    axes.set_yticks(
+        range(len(rows)), [f"{comparison.name} [{comparison.unit}]" for _, comparison, _ in rows], fontsize=8
+    )
     axes.set_ylim(len(rows) - 0.4, -0.6)
     for row, (section, _, _) in enumerate(rows):
         if row == 0 or section != rows[row - 1][0]:
@@ -162,6 +174,8 @@ def main() -> None:
     for comparisons in SECTIONS.values():
         for comparison in comparisons:
             outcomes[comparison.name] = comparison.measure(folder)
-            print(f"{comparison.name}: {short(outcomes[comparison.name].figure)} {comparison.unit}", flush=True)
+            print(
+                f"{comparison.name}: {short(outcomes[comparison.name].figure)} {comparison.unit}", flush=True
+            )
     PAGE.write_text(text(outcomes), encoding="utf-8")
     draw(outcomes, PICTURE)

@@ -23,7 +23,7 @@ def rows(folder: Path) -> dict[str, Row]:
     """Return the rows over all controllers, by the name of their comparison."""
     tables, kinematics = behaviour.tables(folder), behaviour.motor_table(folder)
     pooled_rows = behaviour.pooled(behaviour.judge(tables, kinematics, trials()))
-    return {_name(row.thing, row.measure, "network" in row.controller): row for row in pooled_rows}
+    return {_name(row.target, row.measure, "network" in row.controller): row for row in pooled_rows}
 
 
 def compare(name: str, folder: Path) -> Outcome:
@@ -35,19 +35,19 @@ def compare(name: str, folder: Path) -> Outcome:
     return Outcome(row.quiet[0], row.floor[0], peers, note)
 
 
-def _name(thing: str, measure: str, of_networks: bool) -> str:
-    return f"{thing}: {measure.partition(' [')[0]}{_NETWORKS if of_networks else ''}"
+def _name(target: str, measure: str, of_networks: bool) -> str:
+    return f"{target}: {measure.partition(' [')[0]}{_NETWORKS if of_networks else ''}"
 
 
 COMPARISONS = tuple(
     Comparison(
-        name := _name(thing, measure, of_networks),
+        name := _name(target, measure, of_networks),
         _SOURCE,
         "sensors fitted to the tables, motion predicted",
         measure.partition("[")[2].rstrip("]"),
         partial(compare, name),
     )
-    for thing, measures in _MEASURES.items()
+    for target, measures in _MEASURES.items()
     for measure in measures
     for of_networks in ((False, True) if measure.startswith("path") else (False,))
 )

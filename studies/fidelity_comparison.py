@@ -1,4 +1,4 @@
-"""Comparison of the twin with reality, as a row of `docs/fidelity.md`, and what its measures share."""
+"""Comparison of the twin with reality, as a row of `docs/fidelity.md`, and functions for its measures."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -23,9 +23,9 @@ class Outcome:
 
     Attributes:
         figure: Deviation of the twin from the robot.
-        floor: Deviation that the robot's own noise leaves to a perfect twin; None if it is not known.
+        floor: Deviation that the robot's noise leaves to a perfect twin; None if unknown.
         peers: Deviations of other simulators by name.
-        note: Further figures, or what to know of this one.
+        note: Further figures or a remark.
     """
 
     figure: float
@@ -39,9 +39,9 @@ class Comparison:
     """A comparison of the twin with measurements.
 
     Attributes:
-        name: What is compared.
+        name: Compared quantity.
         source: Origin of the measurements.
-        basis: What was fitted to them; begins with "predicted" if nothing was.
+        basis: Values that were fitted to them; starts with "predicted" if nothing was.
         unit: Unit of the figures.
         measure: Function of the folder of the measured tables that makes the comparison.
     """
@@ -54,7 +54,7 @@ class Comparison:
 
     @property
     def is_predicted(self) -> bool:
-        """Whether nothing of the twin was fitted to the measurements themselves."""
+        """True if nothing of the twin was fitted to the measurements."""
         return self.basis.startswith("predicted")
 
 
@@ -81,9 +81,11 @@ def read_at_rest(playpen: Playpen, starts: Floats) -> tuple[Floats, Floats]:
     for start in starts.tolist():
         episode.begin(options=EpisodeOptions(start=start, noise=False))
         counts.append(episode.readings())
-    return np.array([reading[0] for reading in counts], float), np.array([reading[1] for reading in counts], float)
+    return np.array([reading[0] for reading in counts], float), np.array(
+        [reading[1] for reading in counts], float
+    )
 
 
 def columns(path: Path, kind: type | None = None) -> Any:
-    """Return a table's columns by name, each of its own type or all of one, with NaN for words."""
+    """Return a table's columns by name, each with its type or all with one type; words become NaN."""
     return np.genfromtxt(path, delimiter=",", names=True, dtype=kind, encoding="utf-8")

@@ -10,7 +10,7 @@ from khep_twin.lab.fit.lamp_fit import LampTable
 from khep_twin.playpen import Arena, Lamp, Playpen, RobotEntry
 from khep_twin.sensing import calibration
 from khep_twin.units import BODY_HEIGHT, N_SENSORS, SENSOR_HEADINGS, SENSOR_HEIGHT, SENSOR_POSITIONS
-from studies.fidelity_comparison import Comparison, Floats, Outcome, read_at_rest, columns, noise_variance
+from studies.fidelity_comparison import Comparison, Floats, Outcome, columns, noise_variance, read_at_rest
 from studies.infrared_fits import rms
 from studies.lamp_fits import COUNTS_AT_0, FAR, FILAMENT_HEIGHT, POWER, SAMPLED_LIMIT, sampled_lamp
 
@@ -64,7 +64,7 @@ def sampled_light(folder: Path, far: bool) -> Outcome:
 
 
 def figure_9(folder: Path) -> Outcome:
-    """Compare a lamp of 1 W straight before a sensor, by the sensor that meets it best."""
+    """Compare a lamp of 1 W straight before a sensor, by the sensor that fits best."""
     table = columns(folder / "manual_data" / "k1_fig9_ambient_vs_distance_1W.csv")
     distances, measured = table["distance_mm"] / 1e3, table["ambient_raw"].astype(float)
     robot, headings = _robot("khepera1-manual"), _headings("khepera1-manual")
@@ -79,7 +79,7 @@ def figure_9(folder: Path) -> Outcome:
 
 
 def figure_10(folder: Path) -> Outcome:
-    """Compare the lobes of six receivers, each with its own depth."""
+    """Compare the lobes of six receivers with a fitted depth for each."""
     table = columns(folder / "manual_data" / "k1_fig10_ambient_vs_angle.csv")
     robot, calibrated = _robot("khepera1-manual"), calibration.read("khepera1-manual")[0].ambient
     errors: list[Floats] = []

@@ -1,6 +1,6 @@
 """Comparisons of proximity with the figures of the manuals and other Khepera IIs.
 
-A sensor's distance is that from its own face to a wall; before a Khepera II, from the face that is foremost.
+Distances are those from a sensor's face to a wall; before a Khepera II, from the foremost face.
 """
 
 import math
@@ -14,7 +14,7 @@ from khep_twin.playpen import Arena, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.surfaces import Surface
 from khep_twin.sensing import calibration
 from khep_twin.units import N_SENSORS
-from studies.fidelity_comparison import Comparison, Floats, Outcome, read_at_rest, columns
+from studies.fidelity_comparison import Comparison, Floats, Outcome, columns, read_at_rest
 from studies.fidelity_proximity import peer_curve, sensor_name
 from studies.infrared_fits import (
     MANUAL_SURFACES,
@@ -48,7 +48,7 @@ OBSTACLE_RADIUS_MM, OBSTACLE_MM = 3.5, 15.0
 
 
 def face_to_face(name: str, sensor: int, distances_mm: Floats, surface: str = "white") -> Floats:
-    """Return the counts of a sensor whose face is so far from a wall; NaN where the robot would be in it."""
+    """Return the counts of a sensor over the distance of its face from a wall; NaN in contact."""
     robot = _robot(name)
     heading = math.radians(calibration.read(name)[0].heading_deg[sensor])
     forward, left = robot.body.sensor_positions[sensor]
@@ -62,7 +62,7 @@ def face_to_face(name: str, sensor: int, distances_mm: Floats, surface: str = "w
 
 
 def figure_11(folder: Path) -> Outcome:
-    """Compare the materials of the manual, by the sensor that meets them best."""
+    """Compare the materials of the manual, by the sensor that fits best."""
     measured = {name: curve for name, curve in materials(folder).items() if name in MANUAL_SURFACES}
 
     def errors(sensor: int) -> Floats:
@@ -76,7 +76,7 @@ def figure_11(folder: Path) -> Outcome:
 
 
 def figure_12(folder: Path) -> Outcome:
-    """Compare a thin obstacle around a sensor, by the sensor that meets it best."""
+    """Compare a thin obstacle around a sensor, by the sensor that fits best."""
     table = columns(folder / "manual_data" / "k1_fig12_proximity_vs_angle_7mm_obstacle_15mm.csv")
     measured = table["proximity_raw"].astype(float)
     calibrated, robot = calibration.read("khepera1-manual")[0], _robot("khepera1-manual")
@@ -121,7 +121,9 @@ def khepera2_facing(folder: Path) -> Outcome:
             for name in errors:
                 counts = peer_curve(name, curve.distances) if name in PEERS else _modelled_counts(curve, name)
                 errors[name].append(counts - curve.counts)
-    manual_name, middle_name, *_ = figures = {name: rms(curve_errors) for name, curve_errors in errors.items()}
+    manual_name, middle_name, *_ = figures = {
+        name: rms(curve_errors) for name, curve_errors in errors.items()
+    }
     return Outcome(
         figures[manual_name],
         None,
@@ -158,7 +160,7 @@ def khepera2_robot(folder: Path) -> Outcome:
 
 
 def pykhepera(folder: Path, sensors: Sequence[int]) -> Outcome:
-    """Compare sensors of yet another Khepera II, each turned to a wall, on the days that were not fitted."""
+    """Compare sensors of another Khepera II, each turned to a wall, on days that were not fitted."""
     wall = pykhepera_wall(folder)
     robot, arena = _robot("khepera2"), Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
     test_days = [day for day in np.unique(wall.days).tolist() if day not in FITTED_DAYS]
@@ -176,7 +178,7 @@ def pykhepera(folder: Path, sensors: Sequence[int]) -> Outcome:
 
 
 def _modelled_counts(curve: Report, name: str = "khepera2-manual") -> Floats:
-    """Return a Khepera II's counts before a wall of white paper or a robot, so far from its foremost face."""
+    """Return a Khepera II's counts before white paper or a robot, at distances from its foremost face."""
     robot, sensor = _robot(name), curve.sensor
     turn = 90.0 if curve.is_aside else 0.0
     reach = max(-left if curve.is_aside else forward for forward, left in robot.body.sensor_positions) * 1e3

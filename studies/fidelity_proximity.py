@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_HEADINGS, Sensor
-from studies.fidelity_comparison import Comparison, Floats, Outcome, read_at_rest, noise_variance
+from studies.fidelity_comparison import Comparison, Floats, Outcome, noise_variance, read_at_rest
 from studies.infrared_fits import MeasuredTable, compare, fit_sampled, on_axis, rms, sampled
 from studies.infrared_picture import PEERS
-from studies.one_object import CYLINDER, WALL, Thing, scene
+from studies.one_object import CYLINDER, WALL, Target, scene
 from studies.sampled_world import along_axes
 
 _SAMPLED = "one Khepera, sampled at CNR Rome"
@@ -28,19 +28,19 @@ def peer_curve(name: str, distances: Floats) -> Floats:
 
 
 @cache
-def modelled_table(folder: Path, thing: Thing) -> tuple[MeasuredTable, Floats]:
+def modelled_table(folder: Path, target: Target) -> tuple[MeasuredTable, Floats]:
     """Return the sampled table of an object, and the twin's counts at its poses (n, 8)."""
-    table = sampled(folder)[0 if thing is WALL else 1]
-    away = (table.distances + BODY_RADIUS + thing.radius) * 1e3
-    object_mm = _SIDE_MM if thing is WALL else _SIDE_MM / 2
+    table = sampled(folder)[0 if target is WALL else 1]
+    away = (table.distances + BODY_RADIUS + target.radius) * 1e3
+    object_mm = _SIDE_MM if target is WALL else _SIDE_MM / 2
     headings = -np.degrees(table.bearings)
     starts = np.column_stack([object_mm - away, np.full(len(away), _SIDE_MM / 2), headings])
-    return table, read_at_rest(scene(thing), starts)[0]
+    return table, read_at_rest(scene(target), starts)[0]
 
 
-def compare_on_axis(folder: Path, thing: Thing) -> Outcome:
+def compare_on_axis(folder: Path, target: Target) -> Outcome:
     """Compare means within 6 degrees of each sensor's peak."""
-    table, modelled = modelled_table(folder, thing)
+    table, modelled = modelled_table(folder, target)
     errors: list[Floats] = []
     peer_errors: dict[str, list[Floats]] = {name: [] for name in PEERS}
     floors: list[float] = []
@@ -63,11 +63,11 @@ def compare_all_bearings(folder: Path) -> Outcome:
     errors: list[Floats] = []
     noise: list[Floats] = []
     peer_errors: dict[str, list[Floats]] = {name: [] for name in PEERS}
-    for thing in (WALL, CYLINDER):
-        table, modelled = modelled_table(folder, thing)
+    for target in (WALL, CYLINDER):
+        table, modelled = modelled_table(folder, target)
         errors.append(modelled - table.counts)
         for name in PEERS:
-            peer_counts, _ = along_axes(thing, lambda lengths, name=name: peer_curve(name, lengths))(
+            peer_counts, _ = along_axes(target, lambda lengths, name=name: peer_curve(name, lengths))(
                 table.distances, table.bearings
             )
             peer_errors[name].append(peer_counts - table.counts)
@@ -75,12 +75,14 @@ def compare_all_bearings(folder: Path) -> Outcome:
         noise.append(noise_variance(grid.transpose(0, 2, 1)))
     floor = math.sqrt(float(np.mean(noise)))
     note = f"wall {rms([errors[0]]):.0f}, cylinder {rms([errors[1]]):.0f}"
-    return Outcome(rms(errors), floor, {name: rms(curve_errors) for name, curve_errors in peer_errors.items()}, note)
+    return Outcome(
+        rms(errors), floor, {name: rms(curve_errors) for name, curve_errors in peer_errors.items()}, note
+    )
 
 
-def compare_half_scale(folder: Path, thing: Thing) -> Outcome:
+def compare_half_scale(folder: Path, target: Target) -> Outcome:
     """Compare the distance at half scale of each sensor [mm]."""
-    table, modelled = modelled_table(folder, thing)
+    table, modelled = modelled_table(folder, target)
     distances = np.unique(table.distances) * 1e3
     differences: list[float] = []
     peer_differences: dict[str, list[float]] = {name: [] for name in PEERS}
@@ -140,7 +142,11 @@ COMPARISONS = (
         lambda folder: compare_left_out(folder, 1, 0),
     ),
     Comparison(
-        "wall, distance at half scale", _SAMPLED, _FITTED, "mm", lambda folder: compare_half_scale(folder, WALL)
+        "wall, distance at half scale",
+        _SAMPLED,
+        _FITTED,
+        "mm",
+        lambda folder: compare_half_scale(folder, WALL),
     ),
     Comparison(
         "cylinder, distance at half scale",

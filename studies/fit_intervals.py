@@ -1,9 +1,9 @@
 """Study of the intervals that `khep-twin fit` prints.
 
-Robots are drawn around a calibration and recorded by the planar models of the sensors, before objects that
-stand where a person with a ruler puts them: off by 0.5 mm and 1.5 degrees (standard deviations). Printed is
-how often the fitted 95 % intervals contain the robot's own values. With `--sessions` they are twins in MuJoCo
-that go through `khep-twin calibrate`, motors included, with all that the planar models leave out.
+Random robots around a calibration are recorded by the planar models of the sensors. A person with a ruler has
+placed the objects, with errors of 0.5 mm and 1.5 degrees (standard deviations). The study prints the share of
+fitted 95 % intervals that contain the robot's true values. With `--sessions` the robots are twins in MuJoCo
+that `khep-twin calibrate` measures, including motors and all effects that the planar models omit.
 """
 
 import math
@@ -197,7 +197,7 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
 
 
 def errors(values: Sequence[tuple[FittedValue, float]]) -> Iterator[tuple[str, float]]:
-    """Yield the error of each value in its told standard deviation, with its place in the calibration."""
+    """Yield the error of each value in its fitted standard deviation, with its key in the calibration."""
     for value, true in values:
         yield ".".join(filter(None, value.path[:2])), (value.value - true) / (value.interval / CONFIDENCE)
 
@@ -220,8 +220,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 (value.interval, value.interval / abs(true))
             )
     print(f"{'value':36}{'number':>8}{'within 95 %':>14}{'rms error/sd':>14}{'95 %, median':>24}")
-    errors_by_value["all"] = [error for value_errors in errors_by_value.values() for error in value_errors]
-    for name, each in errors_by_value.items():
-        within = np.mean(np.abs(each) <= CONFIDENCE)
+    errors_by_value["all"] = [error for series in errors_by_value.values() for error in series]
+    for name, value_errors in errors_by_value.items():
+        within = np.mean(np.abs(value_errors) <= CONFIDENCE)
         width = "{:14.3g} or {:6.1%}".format(*np.median(widths[name], axis=0)) if name in widths else ""
-        print(f"{name:36}{len(each):8}{within:14.1%}{np.sqrt(np.mean(np.square(each))):14.2f}{width}")
+        print(
+            f"{name:36}{len(value_errors):8}{within:14.1%}{np.sqrt(np.mean(np.square(value_errors))):14.2f}{width}"
+        )

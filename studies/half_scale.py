@@ -1,8 +1,8 @@
-"""Distance at half scale of robots of the same make.
+"""Distance at half scale of robots of the same model.
 
-A white wall stands straight ahead of 100 robots (seeds 1 to 100) without noise, and comes nearer by 1 mm at a
-time. The distance from the robot's edge at which the mean of both front sensors passes half of 1023 counts is
-told for them and for the nominal robot.
+A white wall straight ahead of 100 robots (seeds 1 to 100) approaches in steps of 1 mm, without noise. The
+study prints the distance from the robot's edge at which the mean of both front sensors passes half of 1023
+counts, for them and for the nominal robot.
 """
 
 import numpy as np
@@ -31,7 +31,7 @@ heading_deg = 0
 
 
 def half_scale(seed: int, world: World) -> float:
-    """Return the distance of a robot of the same make, or of the nominal one by seed 0 [mm]."""
+    """Return the distance of a robot of the same model, or of the nominal one for seed 0 [mm]."""
     counts: list[float] = []
     for distance_mm in DISTANCES_MM:
         x_mm = 600 - BODY_RADIUS * 1e3 - max(distance_mm, 0.1)
@@ -48,6 +48,6 @@ def main() -> None:
     distances_mm: NDArray[np.float64] = np.array([half_scale(seed, world) for seed in ROBOTS])
     low, middle, high = np.percentile(distances_mm, (10, 50, 90))
     print(
-        f"{len(distances_mm)} robots of the same make: {distances_mm.min():.1f} to {distances_mm.max():.1f} mm, "
-        f"median {middle:.1f} mm, 10 to 90 %: {low:.1f} to {high:.1f} mm"
+        f"{len(distances_mm)} robots of the same make: "
+        f"{distances_mm.min():.1f} to {distances_mm.max():.1f} mm, median {middle:.1f} mm, 10 to 90 %: {low:.1f} to {high:.1f} mm"
     )

@@ -1,4 +1,4 @@
-"""Trials of sound robots: false alarms, states, and how often the truth lies where the shadow says."""
+"""Trials of sound robots: false alarms, states, and the share of true poses inside the shadow's region."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.shadow_channels import PoseState
 from khep_twin.shadow.shadow import ShadowSettings
-from studies.twin_runs import Floats, Followed, Raised, Recording, Suspected, alternating, follow
+from studies.twin_runs import AlarmRecord, Floats, Recording, ShadowRun, SuspicionRecord, alternate, follow
 
 ALL = ("workshop", "obstacles", "looping-maze", "default", "homing", "light-seeking", "t-maze", "two-lamps")
 """Playpens of one robot without movable things, which a shadow supports."""
 
 ASTRAY_MM = 100.0
-"""Error of a pose that is not followed, whatever the shadow says."""
+"""Error of a pose from which on it does not count as followed, even if the shadow states so."""
 
 STARTS = "told start", "own start"
-"""A start anywhere, which the shadow is told, and one that the playpen has, or one of its spots."""
+"""A start anywhere, which the shadow knows, and the start of the playpen or one of its spots."""
 
 IN_REACH = 100
 """Counts from which something is in reach."""
 
 BLIND_S = 30.0
-"""Time for which a robot has nothing in reach at most where the shadow should follow it [s]."""
+"""Longest time without anything in reach for which the shadow should follow a robot [s]."""
 
 NEVER_BLIND = f"in reach each {BLIND_S:g} s"
 """Row of those that are never blind for longer."""
@@ -47,7 +47,7 @@ class Healthy:
         errors_mm: Errors of position while it is followed (n,) [mm].
         inside: Whether position and heading lie in the region, while it is not lost (m, 2).
         blind_s: Longest time without anything in reach [s].
-        astray_s: Longest time for which it is said to be followed and is ASTRAY_MM off [s].
+        astray_s: Longest time in state `followed` with an error above ASTRAY_MM [s].
         alarms: Alarms, all of them false.
         suspected: Suspicions.
         cpu_s: CPU time [s].
@@ -59,8 +59,8 @@ class Healthy:
     inside: NDArray[np.bool_]
     blind_s: float
     astray_s: float
-    alarms: list[Raised]
-    suspected: list[Suspected]
+    alarms: list[AlarmRecord]
+    suspected: list[SuspicionRecord]
     cpu_s: float
 
     @property
@@ -68,34 +68,36 @@ class Healthy:
         """Return the rows of the table that it belongs to."""
         recording = self.recording
         reach_rows = {NEVER_BLIND} if self.blind_s <= BLIND_S else set[str]()
-        return {recording.playpen, recording.host, STARTS[recording.own_start], "all", *reach_rows}
+        return {recording.playpen, recording.host, STARTS[recording.default_start], "all", *reach_rows}
 
     @property
     def text(self) -> str:
-        """Return how it is made, and its alarms, for a person."""
-        recording, start = self.recording, STARTS[self.recording.own_start]
+        """Return its parameters and alarms as text."""
+        recording, start = self.recording, STARTS[self.recording.default_start]
         alarms = ", ".join(f"{alarm.fault} at {alarm.raised_ns / NS_PER_S:.1f} s" for alarm in self.alarms)
         return (
-            f"{recording.playpen}, {recording.host}, seed {recording.seed}, {start}: {_quantile(self.errors_mm, 0.5)} mm, "
-            f"blind {self.blind_s:.0f} s, astray {self.astray_s:.0f} s; {alarms or 'no alarm'}"
+            f"{recording.playpen}, {recording.host}, seed {recording.seed}, {start}: "
+            f"{_quantile(self.errors_mm, 0.5)} mm, blind {self.blind_s:.0f} s, astray {self.astray_s:.0f} s; {alarms or 'no alarm'}"
         )
 
 
 def healthy_recordings(
     playpens: Sequence[str], hosts: Sequence[str], first: int, runs: int, seconds: float, times: str
 ) -> Iterator[Recording]:
-    """Yield recordings of playpens with hosts in turn; half of them start where the playpen has it."""
+    """Yield recordings of playpens with hosts in turn; half of them start at the playpen's start."""
     for i in range(runs):
         number = i // len(playpens)
-        playpen, host = alternating(playpens, i), alternating(hosts, i % len(playpens) + number)
+        playpen, host = alternate(playpens, i), alternate(hosts, i % len(playpens) + number)
         is_default_start = (number + number // len(hosts) * (len(hosts) + 1)) % 2 == 1
-        yield Recording("healthy", playpen, first + i, seconds, host, times=times, own_start=is_default_start)
+        yield Recording(
+            "healthy", playpen, first + i, seconds, host, times=times, default_start=is_default_start
+        )
 
 
 def run_healthy(recording: Recording, folder: Path, settings: ShadowSettings) -> Healthy:
     """Make and follow a recording of a sound robot."""
     path = recording.path(folder)
-    run = follow(path, recording.playpen, settings, told=not recording.own_start)
+    run = follow(path, recording.playpen, settings, start_known=not recording.default_start)
     lasts_s = np.diff(run.times_ns, append=run.times_ns[-1:]) / NS_PER_S
     errors_mm, is_followed = run.errors(run.poses)[:, 0], run.states == PoseState.FOLLOWED
     return Healthy(
@@ -111,7 +113,7 @@ def run_healthy(recording: Recording, folder: Path, settings: ShadowSettings) ->
     )
 
 
-def inside(run: Followed) -> NDArray[np.bool_]:
+def inside(run: ShadowRun) -> NDArray[np.bool_]:
     """Return whether the true position lies in the 95 % ellipse, the heading in its interval (n, 2)."""
     off = run.poses - run.actual
     off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi

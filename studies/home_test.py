@@ -1,11 +1,11 @@
-"""Home by odometry alone: `python -m studies home-test [PICTURE]`.
+"""Homing by odometry alone: `python -m studies home-test [PICTURE]`.
 
 A host drives a robot over an open floor for 30 s: legs of 100 to 400 mm straight on at speed 10 (80 mm/s,
 as the toolbox's vehicles drive), and between them turns on the spot of 30 to 150 degrees to either side,
-the wheels at speed 5. Then it turns to where by its odometry it started, drives there and stops within 5
-mm. It knows the encoders (command H, as often as 9600 baud allow) and the nominal wheels. The result is how
-far from its start the robot really is, for 100 robots of the same make (seeds 1 to 100, a path each), for
-the nominal robot, and for three robots on ten paths each.
+the wheels at speed 5. Then it returns to its start by odometry and stops within 5 mm.
+It knows the encoders (command H, as often as 9600 baud allow) and the nominal wheels. The result is the true
+distance from the start, for 100 robots of the same model (seeds 1 to 100, a path each), for the nominal
+robot, and for three robots on ten paths each.
 """
 
 import math
@@ -44,7 +44,7 @@ heading_deg = 0
 
 
 class Odometry:
-    """Pose by the encoders and the nominal wheels, from where it begins.
+    """Pose relative to the start, from the encoders and the nominal wheels.
 
     Attributes:
         x: Position ahead of the start [m].
@@ -85,7 +85,7 @@ def open_arena(folder: str | Path) -> Path:
 
 
 def twin(arena: Path, seed: int) -> Khepera:
-    """Return a robot of the same make, or the nominal one by seed 0."""
+    """Return a robot of the same model, or the nominal one for seed 0."""
     return Khepera(f"khep://{arena}?seed={seed}&vary={'on' if seed else 'off'}")
 
 
@@ -95,7 +95,7 @@ def true_pose(robot: Khepera) -> tuple[float, float, float]:
 
 
 def miss_distance(arena: Path, seed: int, path: int) -> float:
-    """Return how far from its start a robot is that takes itself to be there [m]."""
+    """Return the true distance from the start after homing by odometry [m]."""
     with twin(arena, seed) as robot:
         start_x, start_y, _ = true_pose(robot)
         odometry = Odometry(robot)
@@ -124,7 +124,7 @@ def _wander(robot: Khepera, odometry: Odometry, rng: np.random.Generator) -> Non
 
 
 def _go_home(robot: Khepera, odometry: Odometry) -> None:
-    """Drive to where the odometry has its start."""
+    """Drive to the start according to the odometry."""
     while odometry.away > _NEAR:
         bearing = odometry.bearing
         if abs(bearing) > 0.3:
@@ -138,7 +138,7 @@ def _go_home(robot: Khepera, odometry: Odometry) -> None:
 
 
 def misses(seeds: range, paths: range) -> NDArray[np.float64]:
-    """Return how far robots miss home on paths [mm], pair by pair; one seed drives all paths."""
+    """Return the distances from home on paths [mm], pair by pair; one seed drives all paths."""
     with TemporaryDirectory() as folder:
         arena = open_arena(folder)
         pairs = [(seeds[0], path) for path in paths] if len(seeds) == 1 else zip(seeds, paths, strict=True)
@@ -156,7 +156,7 @@ def summary_line(name: str, missed: NDArray[np.float64]) -> str:
 
 
 def draw(missed: NDArray[np.float64], target: Path) -> None:
-    """Draw a histogram of the misses of robots of the same make."""
+    """Draw a histogram of the misses of robots of the same model."""
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     panel = figure.subplots()
     panel.hist(missed, bins=np.arange(0, max(missed.max(), 200) + 10, 10).tolist(), color="#1b4965")
@@ -178,7 +178,9 @@ def main() -> None:
     nominal = misses(range(1), range(1, 11))
     print(summary_line("the nominal robot, 10 paths", nominal), flush=True)
     for seed in (1, 2, 3):
-        print(summary_line(f"robot {seed}, 10 paths", misses(range(seed, seed + 1), range(1, 11))), flush=True)
+        print(
+            summary_line(f"robot {seed}, 10 paths", misses(range(seed, seed + 1), range(1, 11))), flush=True
+        )
     missed = misses(ROBOTS, ROBOTS)
     print(summary_line(f"{len(ROBOTS)} robots, a path each", missed))
     if options.picture is not None:

@@ -1,7 +1,7 @@
-"""Fits of the infrared optics of the Khepera 1 to measured tables, and what is left.
+"""Fits of the infrared optics of the Khepera 1 to measured tables, and their residuals.
 
-The tables are not part of the project; the environment variable KHEP_TWIN_REFERENCE_DATA names the folder in
-which they lie (data/ and manual_data/). The printed values are those in khep_twin/assets/calibration.
+The tables are not part of the project; the environment variable KHEP_TWIN_REFERENCE_DATA names their
+folder (with data/ and manual_data/). The printed values are those in khep_twin/assets/calibration.
 """
 
 import os
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin.lab.fit.infrared import Optics, View, level
+from khep_twin.lab.fit.infrared import Optics, View, unclipped_counts
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS, SENSOR_POSITIONS
 from tools.command_table import command_line
 
@@ -25,7 +25,7 @@ SET_UP_BEARING = np.radians(2.2)
 """Corrections of the sampled set-up's bearings of wall and cylinder [rad]: they make left and right equal."""
 
 MANUAL_SENSOR = 1
-"""Sensor of the manual's figures 11 and 12, which name none: that of figure 13 which meets them best."""
+"""Sensor of the manual's figures 11 and 12, which name none: that of figure 13 which fits best."""
 
 ROD_RADIUS, ROD_DISTANCE = 0.0035, 0.015
 """Obstacle of the manual's figure 12 [m], taken as a cylinder; its distance is from the sensor's face."""
@@ -80,7 +80,7 @@ def proximity(
     view: View, optics: Optics, reflectance: float = 1.0, limit_counts: int = COUNTS_LIMIT
 ) -> Floats:
     """Return the counts of a sensor without noise, not rounded (n_places,)."""
-    return np.clip(level(view, optics, reflectance), 0, limit_counts)
+    return np.clip(unclipped_counts(view, optics, reflectance), 0, limit_counts)
 
 
 def reference() -> Path:
@@ -218,7 +218,10 @@ def manual_residuals(
         for name, measured in materials(folder).items()
     ]
     walls = zip(wooden_wall(folder), sensors, strict=False)
-    thirteen = [facing(distances, sensor_optics, reflectances["wood 2"]) - measured for (distances, measured), sensor_optics in walls]
+    thirteen = [
+        facing(distances, sensor_optics, reflectances["wood 2"]) - measured
+        for (distances, measured), sensor_optics in walls
+    ]
     return eleven, rod(bearings, optics, reflectances["obstacle"]) - counts, thirteen
 
 
@@ -243,7 +246,7 @@ def fit_manual(folder: Path) -> tuple[list[Optics], dict[str, float]]:
 
 
 def main() -> None:
-    """Fit both robots and print the values of their calibrations, and what is left."""
+    """Fit both robots; print the values of their calibrations and the residuals."""
     command_line(__doc__).parse_args()
     folder = reference()
     tables = sampled(folder)
@@ -264,7 +267,7 @@ def main() -> None:
 
 
 def show_optics(sensors: Sequence[Optics]) -> None:
-    """Print optics as a calibration has them."""
+    """Print optics in the form of a calibration."""
     print("gain_counts_mm2 =", [round(optics.gain_counts_mm2, -3) for optics in sensors])
     print("threshold_counts =", [round(optics.threshold_counts) for optics in sensors])
     for name in ("offset_mm", "lobe_exponent"):

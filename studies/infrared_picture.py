@@ -1,7 +1,7 @@
 """Plot of the twin's infrared sensors over the real robot's: `python -m studies infrared-picture FILE`.
 
 Means on axis per distance, and the responses published by other simulators of this robot; the tables are
-found as in `studies.infrared_fits`.
+located as in `studies.infrared_fits`.
 """
 
 from pathlib import Path

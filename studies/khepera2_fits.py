@@ -1,8 +1,8 @@
 """Fits of the infrared optics of Khepera IIs: the manufacturer's robot, another one, and the middle of both.
 
-The tables are found as in `studies.infrared_fits`. The manufacturer's robot is `khepera2-manual`. `khepera2`
-has its optics with the geometric mean of both robots' gains, and the means of their readings at rest. A third
-robot, of which only means at rest are published, is not fitted.
+The tables are located as in `studies.infrared_fits`. The manufacturer's robot is `khepera2-manual`.
+`khepera2` has its optics with the geometric mean of both robots' gains, and the means of their readings at
+rest. A third robot, of which only means at rest are published, is not fitted.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin.lab.fit.infrared import Optics, View, level
+from khep_twin.lab.fit.infrared import Optics, View, unclipped_counts
 from khep_twin.sensing import calibration
 from khep_twin.units import BODIES, N_SENSORS
 from studies.infrared_fits import OFFSET_PRIOR, USUAL, reference, show_optics
@@ -28,7 +28,7 @@ ON_AXIS = (2, 3)
 """Sensors whose readings before a wall straight ahead are known of both robots."""
 
 FITTED_DAYS = (30, 31, 3)
-"""Days of pykhepera's table that are fitted; the two others tell how good the fit is."""
+"""Days of pykhepera's table that are fitted; the two others check the fit."""
 
 REST_MEAN, REST_RANGE = 84, (56, 133)
 """Means of a hundred readings at rest of a third robot, of all sensors and by sensor [counts]: nothing is
@@ -74,7 +74,10 @@ def khepera2_report(folder: Path) -> list[Report]:
             part = rows[(rows["test"] == f"A0_12_{target}_{side}") & (rows["kind"] == "marker")]
             for sensor in np.unique(part["sensor_fig7_number"]).tolist():
                 sensor_rows = part[part["sensor_fig7_number"] == sensor]
-                distances, counts = sensor_rows["distance_mm"] / 1e3, sensor_rows["mean_raw"].astype(np.float64)
+                distances, counts = (
+                    sensor_rows["distance_mm"] / 1e3,
+                    sensor_rows["mean_raw"].astype(np.float64),
+                )
                 curves.append(Report(int(sensor), side == "side", target == "robot", distances, counts))
     return curves
 
@@ -93,7 +96,7 @@ def fit_khepera2(
         sensors, shell = split(x)
         errors = [
             np.minimum(
-                level(
+                unclipped_counts(
                     curve.view(headings[curve.sensor]),
                     sensors[curve.sensor],
                     shell if curve.is_robot else 1.0,
@@ -151,7 +154,7 @@ def fit_wall(wall: Wall) -> tuple[float, list[float]]:
         heading, bearings = np.radians(manual.heading_deg[sensor]), np.full(len(gaps), FACING_DEG[sensor])
         view = View.of(body.sensor_positions[sensor], heading, gaps, np.radians(bearings), 0, body.radius)
         optics = Optics.of(manual.proximity, sensor)
-        light = level(view, optics) + optics.threshold_counts
+        light = unclipped_counts(view, optics) + optics.threshold_counts
 
         def residuals(x: Floats, light: Floats = light, counts: Floats = counts) -> Floats:
             return np.minimum(x[0] * light + 100 * x[1], _LIMIT) - counts

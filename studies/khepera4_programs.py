@@ -3,8 +3,8 @@
 FOLDER has a folder for each program with its executable `prog`, compiled for this computer with the options
 that `khep-twin exec --cflags` prints, and, where they are needed, a file `arguments` and a file `typed` with
 the input typed at its start. Each runs for 600 simulated seconds at a terminal, in a temporary folder, seeded
-with its index in the list. A row of the table has its end, the robot's path length, the largest reading of the
-sensors around it, the size of the program's output, and the speed.
+with its index in the list. A row of the table has its end, the robot's path length, the largest reading of
+the sensors around it, the size of the program's output, and the speed.
 """
 
 import math
@@ -24,16 +24,16 @@ from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
 from tools.command_table import command_line
 
-_LOOK_NS = 100_000_000
-"""Time between two looks at the robot [ns]."""
+_SAMPLE_NS = 100_000_000
+"""Interval of samples of the robot [ns]."""
 
 
 class TrackedTime:
-    """Time of a world, with the way of its robot.
+    """Clock of a world that also records its robot's path.
 
     Attributes:
-        way: Way of the robot [m].
-        nearest: Largest reading of its sensors around.
+        way: Length of the robot's path [m].
+        nearest: Largest reading of the infrared sensors around it.
     """
 
     def __init__(self, world: World, robot: Khepera4Robot) -> None:
@@ -46,9 +46,9 @@ class TrackedTime:
         return self._world.time_ns
 
     def advance_to(self, time_ns: int) -> None:
-        """Advance, and look at the robot on the way."""
-        while (look_ns := (self._world.time_ns // _LOOK_NS + 1) * _LOOK_NS) <= time_ns:
-            self._world.advance_to(look_ns)
+        """Advance, and sample the robot at fixed intervals."""
+        while (sample_ns := (self._world.time_ns // _SAMPLE_NS + 1) * _SAMPLE_NS) <= time_ns:
+            self._world.advance_to(sample_ns)
             now = self._robot.pose
             self.path_m += math.dist(now[:2], self._last_pose[:2])
             self._last_pose = now
@@ -78,17 +78,18 @@ def run(folder: Path, seconds: float, seed: int, playpen: str = "arena4") -> str
         os.dup2(saved_stdout, 1)
         written = os.fstat(output.fileno()).st_size
     simulated_s = world.time_ns * 1e-9
-    outcome = f"code {code}" if simulated_s < seconds else "goes on"
+    outcome = f"code {code}" if simulated_s < seconds else "still runs"
     wall_s = time.monotonic() - start_s
     x, y, heading = robot.pose
     return (
         f"| {folder.name} | {outcome} | {simulated_s:.1f} | {clock.path_m:.2f} | {x:.2f}, {y:.2f}, "
-        f"{math.degrees(heading):.0f}° | {clock.nearest} | {written / 1000:.1f} | {simulated_s / wall_s:.0f} |"
+        f"{math.degrees(heading):.0f}° | {clock.nearest} | {written / 1000:.1f} | "
+        f"{simulated_s / wall_s:.0f} |"
     )
 
 
 def main() -> None:
-    """Run all programs of a folder, each in a process of its own."""
+    """Run all programs of a folder, each in a separate process."""
     parser = command_line(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seconds", type=float, default=600.0)

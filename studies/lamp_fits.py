@@ -1,4 +1,4 @@
-"""Fit of the law of lamps to a sampled robot's readings, and what is left.
+"""Fit of the model of lamps to a sampled robot's readings, and its residuals.
 
 The tables come from the folder that KHEP_TWIN_REFERENCE_DATA names, as in `infrared_fits`.
 """
@@ -30,7 +30,7 @@ POWER = 2.0
 """Power of the sampled lamp [W]."""
 
 FAR = 0.113
-"""Distance from which the law can hold [m]: nearer, the lamp saturates the sensors and the lobe is wrong."""
+"""Smallest distance of the model [m]: nearer, the lamp saturates the sensors and the lobe is wrong."""
 
 _THINNED = 4
 """Stride of the nearer readings used, so that they do not spoil the fit of the others."""

@@ -1,7 +1,7 @@
 """Plot of the twin's receivers over the real robot's: `python -m studies lamp-picture FILE`.
 
 Readings of a lamp of 2 W over its distance, means within 10 degrees of the receiver's axis; and over its
-bearing, 213 mm away. The tables are found as in `studies.infrared_fits`.
+bearing, 213 mm away. The tables are located as in `studies.infrared_fits`.
 """
 
 from pathlib import Path

@@ -1,8 +1,9 @@
 """`python -m studies line`: fitness of networks in rollouts with and without a line, and over khep://.
 
-Random networks, and the best of evolutions in the plane with the line, each with a seed of its own. The first
-table has mean fitness and Spearman's rank correlation with that over `khep://`, the second what genomes that
-were evolved in the plane, without the line and with it, have there and over the line.
+The networks are random ones, and the best of evolutions in the planar model with the line, with different
+seeds. The first table has mean fitness and Spearman's rank correlation with that over `khep://`. The second
+has the fitness of genomes that evolved in the planar model, without and with the line, there and over the
+line.
 """
 
 import sys
@@ -50,21 +51,21 @@ class Trial(NamedTuple):
 
     def khep_fitness(self, baud: int) -> Floats:
         """Return the fitness of each network over khep:// (n,)."""
-        found: list[float] = []
+        fitnesses: list[float] = []
         for genes, seed in zip(self.genes.tolist(), self.seeds, strict=True):
             twin = open_twin(self.playpen, TwinOptions(seed=seed, mode=MODES[baud]))
             twin.world.compile()
-            heard = HostMetrics()
+            metrics = HostMetrics()
             with Khepera(Serial.of(twin, timeout=1.0)) as robot:
-                robot.listen(heard)
+                robot.listen(metrics)
                 controller = NetworkController(replace(NETWORK, genes=genes))
-                run(controller, robot, seconds=SECONDS, after_cycle=heard.end_cycle)
-            found.append(heard.metrics()["fitness"])
-        return np.array(found)
+                run(controller, robot, seconds=SECONDS, after_cycle=metrics.end_cycle)
+            fitnesses.append(metrics.metrics()["fitness"])
+        return np.array(fitnesses)
 
 
-def evolved(playpen: Playpen, line: int | None, seed: int) -> Floats:
-    """Return the best genes of an evolution in the plane (n_genes,)."""
+def evolve(playpen: Playpen, line: int | None, seed: int) -> Floats:
+    """Evolve networks in the planar model; return the best genes (n_genes,)."""
     rng, setup = stream(seed, "evolution"), EpisodeSetup(playpen, planar=True, at_line=line is not None)
     genes: Floats = rng.normal(size=(POPULATION, NETWORK.n_genes))
     for generation in range(GENERATIONS):
@@ -80,30 +81,33 @@ def main() -> int:
     """Print the tables."""
     print("| playpen, networks, baud | khep:// | with the line | plane, with the line | without a line |")
     print("|---|---|---|---|---|")
-    kept: list[str] = []
+    rows: list[str] = []
     for name in PLAYPENS:
         playpen = Playpen.load(name)
         random = stream(7, name).normal(size=(N_RANDOM, NETWORK.n_genes))
         for baud in MODES:
-            bred = {
-                line: np.array([evolved(playpen, line, n) for n in range(N_EVOLVED)]) for line in (None, baud)
+            evolved_genes = {
+                line: np.array([evolve(playpen, line, n) for n in range(N_EVOLVED)]) for line in (None, baud)
             }
-            for kind, genes in (("random", random), ("evolved", bred[baud])):
+            for kind, genes in (("random", random), ("evolved", evolved_genes[baud])):
                 trial = Trial(playpen, genes, list(range(500, 500 + len(genes))))
-                true = trial.khep_fitness(baud)
-                cells = [f"{true.mean():.4f}"]
+                khep_fitness = trial.khep_fitness(baud)
+                cells = [f"{khep_fitness.mean():.4f}"]
                 for line, planar in ((baud, False), (baud, True), (None, False)):
-                    got = trial.rollout_fitness(line, planar)
-                    off, rank = got.mean() / true.mean() - 1, spearmanr(got, true)[0]
-                    cells.append(f"{got.mean():.4f} ({off:+.1%}), {rank:.3f}")
+                    fitness = trial.rollout_fitness(line, planar)
+                    off, rank = fitness.mean() / khep_fitness.mean() - 1, spearmanr(fitness, khep_fitness)[0]
+                    cells.append(f"{fitness.mean():.4f} ({off:+.1%}), {rank:.3f}")
                 print(f"| {name}, {len(genes)} {kind}, {baud} | " + " | ".join(cells) + " |", flush=True)
-            ends: list[float] = []
-            for line in bred:
-                trial = Trial(playpen, bred[line], list(range(500, 500 + N_EVOLVED)))
-                ends += [float(trial.rollout_fitness(line, True).mean()), float(trial.khep_fitness(baud).mean())]
-            kept.append(f"| {name}, {baud} | " + " | ".join(f"{end:.3f}" for end in ends) + " |")
+            means: list[float] = []
+            for line in evolved_genes:
+                trial = Trial(playpen, evolved_genes[line], list(range(500, 500 + N_EVOLVED)))
+                means += [
+                    float(trial.rollout_fitness(line, True).mean()),
+                    float(trial.khep_fitness(baud).mean()),
+                ]
+            rows.append(f"| {name}, {baud} | " + " | ".join(f"{mean:.3f}" for mean in means) + " |")
     print("\n| playpen, baud | evolved without | then over khep:// | evolved with | then over khep:// |")
-    print("|---|---|---|---|---|", *kept, sep="\n")
+    print("|---|---|---|---|---|", *rows, sep="\n")
     return 0
 
 

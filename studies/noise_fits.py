@@ -1,8 +1,8 @@
-"""Noise of the sampled robot's proximity beside a twin of its room.
+"""Comparison of the sampled robot's proximity noise with that of a twin of its room.
 
 The tables come from the folder that KHEP_TWIN_REFERENCE_DATA names, as in `infrared_fits`. Their readings
 have a ripple that advances by a quarter of a period from one sensor to the next, which is converted 2.5 ms
-later: light that swings at 100 Hz. It belongs to the room. The twin of the room has a lamp overhead that
+later. It is the 100 Hz flicker of the room's lighting. The twin of the room has a lamp overhead that
 flickers, and its robot is turned as the sampled one was.
 """
 
@@ -29,7 +29,7 @@ ORDERS = 2, 4, 6
 """Orders of the differences."""
 
 LOW, HIGH = 15, 850
-"""Readings between which the noise shows [counts]; above, the twin's lamp takes from the limit."""
+"""Readings between which the noise shows [counts]; above, the twin's lamp lowers the limit."""
 
 N_BEARINGS = 180
 DISTANCES_MM = tuple(range(5, 45, 2))
@@ -42,10 +42,10 @@ PERIOD = 4.66
 """Bearings in a period of the ripple, as measured."""
 
 LAMP_W, LAMP_MM = 345.0, 1000.0
-"""Power and height of the lamp, all of whose light swings: fitted to the ripple's amplitude."""
+"""Power and height of the lamp, all of whose light flickers: fitted to the ripple's amplitude."""
 
 BEARING_SD_DEG = 0.3
-"""Standard deviation of the sampled bearings [deg]: noise is larger where readings change fast with them."""
+"""Standard deviation of the sampled bearings [deg]: noise is larger if readings change fast with them."""
 
 _SIDE_MM = 1000
 _SHORTEST = 12
@@ -54,18 +54,18 @@ _TURN_NS = SCANS * units.SCAN_NS
 
 
 def differences(counts: Floats, order: int, low: float = LOW, high: float = HIGH) -> float:
-    """Return the rms of the differences of an order along the bearings, as of white noise [counts].
+    """Return the rms of the differences of an order along the bearings, scaled for white noise [counts].
 
     Args:
         counts: Readings (n_distances, n_bearings, 8).
         order: Order of the differences.
-        low: Readings below and
-        high: above which nothing is counted.
+        low: Lower limit of the readings that count.
+        high: Upper limit of the readings that count.
     """
-    around = np.concatenate([counts, counts[:, :order]], axis=1)
-    inside = np.lib.stride_tricks.sliding_window_view((around > low) & (around < high), order + 1, axis=1)
-    found = np.diff(around, n=order, axis=1)[inside.all(-1)]
-    return float(np.sqrt((found**2).mean() / comb(2 * order, order)))
+    wrapped = np.concatenate([counts, counts[:, :order]], axis=1)
+    inside = np.lib.stride_tricks.sliding_window_view((wrapped > low) & (wrapped < high), order + 1, axis=1)
+    values = np.diff(wrapped, n=order, axis=1)[inside.all(-1)]
+    return float(np.sqrt((values**2).mean() / comb(2 * order, order)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class Ripple:
         period: Period [bearings].
         amplitude: Amplitude [counts].
         lead_deg: Phase by which each sensor leads the one before it in the scan [deg].
-        coherence: Length of the mean of those phases as unit vectors: 1 if all are alike, 0 if random.
+        coherence: Length of the mean of those phases as unit vectors: 1 if all are equal, 0 if random.
     """
 
     period: float
@@ -91,14 +91,17 @@ def ripple(counts: Floats) -> Ripple:
     frequencies = np.arange(0.1, 0.45, 0.001)
     left = [sum(_waves(at, values, f)[1] for *_, at, values in stretches) for f in frequencies]
     best = float(frequencies[int(np.argmin(left))])
-    found = [(row, sensor, at.mean(), _waves(at, values, best)[0]) for row, sensor, at, values in stretches]
+    waves = [
+        (row, sensor, bearings.mean(), _waves(bearings, values, best)[0])
+        for row, sensor, bearings, values in stretches
+    ]
     leads = [
-        after * before.conjugate()
-        for row, sensor, middle, before in found
-        for other, later, centre, after in found
+        next_wave * wave.conjugate()
+        for row, sensor, middle, wave in waves
+        for other, later, centre, next_wave in waves
         if row == other and later == sensor + 1 and abs(centre - middle) <= _NEAR
     ]
-    amplitude = np.sqrt(np.mean([abs(wave) ** 2 for *_, wave in found]))
+    amplitude = np.sqrt(np.mean([abs(wave) ** 2 for *_, wave in waves]))
     units_of = [lead / abs(lead) for lead in leads]
     return Ripple(
         1 / best, float(amplitude), float(np.degrees(np.angle(sum(leads)))), float(abs(np.mean(units_of)))
@@ -128,7 +131,7 @@ def twin(
     sensors, simulation = world.simulation.plain.robots[0].sensors, world.simulation
     if noise is not None:
         sensors = sensors._replace(proximity=sensors.proximity._replace(noise=[noise] * units.N_SENSORS))
-    found = np.zeros((len(distances_mm), N_BEARINGS, units.N_SENSORS))
+    readings = np.zeros((len(distances_mm), N_BEARINGS, units.N_SENSORS))
     for row, distance_mm in enumerate(distances_mm):
         away_mm = units.BODY_RADIUS * 1e3 + distance_mm
         x_mm = _SIDE_MM - away_mm if target == "wall" else _SIDE_MM / 2 + CYLINDER_RADIUS * 1e3 + away_mm
@@ -144,20 +147,20 @@ def twin(
                 step(plain.scene)
                 draws = rng.standard_normal(), 0.0, rng.standard_exponential()
                 powers = simulation.inputs.powers[0]
-                found[row, index, channel], _ = convert(
+                readings[row, index, channel], _ = convert(
                     plain.scene, sensors, light, powers, time_ns, channel, draws
                 )
-    return found
+    return readings
 
 
 def sampled() -> dict[str, Floats]:
     """Return the readings of the sampled robot (n_distances, n_bearings, 8) by target."""
-    found: dict[str, Floats] = {}
+    readings_by_target: dict[str, Floats] = {}
     for target, name in (("wall", "wall"), ("cylinder", "round")):
         path = reference() / "data" / f"evorobot_{name}_samples.csv"
         rows = np.genfromtxt(path, delimiter=",", skip_header=1)
-        found[target] = rows[:, 2:].reshape(-1, N_BEARINGS, units.N_SENSORS)
-    return found
+        readings_by_target[target] = rows[:, 2:].reshape(-1, N_BEARINGS, units.N_SENSORS)
+    return readings_by_target
 
 
 def main() -> None:
@@ -167,10 +170,10 @@ def main() -> None:
     for target, counts in sampled().items():
         for name, readings in (("robot", counts), ("twin", twin(target))):
             levels = "  ".join(f"{differences(readings, order):5.1f}" for order in ORDERS)
-            found = ripple(readings)
+            wave = ripple(readings)
             print(
-                f"{target:10} {name:10}  {levels}    {found.period:.2f} bearings, "
-                f"{found.amplitude:.0f} counts, {found.lead_deg:.0f} deg, {found.coherence:.2f}"
+                f"{target:10} {name:10}  {levels}    {wave.period:.2f} bearings, "
+                f"{wave.amplitude:.0f} counts, {wave.lead_deg:.0f} deg, {wave.coherence:.2f}"
             )
 
 
@@ -201,11 +204,11 @@ def _stretches(counts: Floats) -> Iterator[tuple[int, int, Floats, Floats]]:
                     yield row, sensor, np.arange(first, end, dtype=float), readings[first:end, sensor]
 
 
-def _waves(at: Floats, values: Floats, frequency: float) -> tuple[complex, float]:
+def _waves(bearings: Floats, values: Floats, frequency: float) -> tuple[complex, float]:
     """Return a wave's complex amplitude in a stretch, beside a polynomial, and the squares left over."""
-    degree = min(6, len(at) // 4)
-    smooth = np.vander((at - at.mean()) / len(at), degree + 1)
-    turn = 2 * np.pi * frequency * at
+    degree = min(6, len(bearings) // 4)
+    smooth = np.vander((bearings - bearings.mean()) / len(bearings), degree + 1)
+    turn = 2 * np.pi * frequency * bearings
     matrix = np.column_stack([smooth, np.cos(turn), np.sin(turn)])
     x = np.linalg.lstsq(matrix, values)[0]
     return complex(x[-2], -x[-1]), float(((values - matrix @ x) ** 2).sum())

@@ -1,4 +1,4 @@
-"""A robot and one object, in the twin or in another world: the same controllers run in each.
+"""One robot and one object, in the twin or in another world: the same controllers run in each.
 
 The object is at the origin: a wall that fills the half-plane x > 0, an upright cylinder, or a lamp.
 """
@@ -38,7 +38,7 @@ _SPEED_LIMIT = 127
 
 
 @dataclass(frozen=True, slots=True)
-class Thing:
+class Target:
     """The object of a world.
 
     Attributes:
@@ -59,18 +59,18 @@ class Thing:
         return np.hypot(x, y) - self.radius - BODY_RADIUS, np.arctan2(-y, -x) - heading
 
 
-WALL = Thing("wall", 0.0)
-CYLINDER = Thing("cylinder", 0.027)
-LAMP = Thing("lamp", BULB_RADIUS, solid=False)
+WALL = Target("wall", 0.0)
+CYLINDER = Target("cylinder", 0.027)
+LAMP = Target("lamp", BULB_RADIUS, solid=False)
 
 
 class World(Protocol):
-    """World of n robots, each alone with the object, that move at the same time."""
+    """World of n robots that move at the same time, each alone with the object."""
 
     poses: Floats
 
     def begin(self, starts: Floats) -> None:
-        """Put the robots at poses x, y [m] and heading [rad] from the object (n, 3), at rest."""
+        """Place the robots at poses x, y [m] and heading [rad] from the object (n, 3), at rest."""
         ...
 
     def read(self) -> tuple[Floats, Floats]:
@@ -84,7 +84,7 @@ class World(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """Controller of n robots at once.
+    """Controller of n robots together.
 
     Attributes:
         name: Name in results.
@@ -110,7 +110,7 @@ class Track:
     gaps: Floats
 
 
-def run(world: World, thing: Thing, controller: Controller, starts: Floats, seconds: float) -> Track:
+def run(world: World, target: Target, controller: Controller, starts: Floats, seconds: float) -> Track:
     """Run a controller from start poses (n, 3); speeds are rounded and clipped as by command D."""
     world.begin(starts)
     memory = np.zeros((len(starts), controller.n_memory))
@@ -120,43 +120,43 @@ def run(world: World, thing: Thing, controller: Controller, starts: Floats, seco
         world.drive(np.clip(np.round(speeds), -_SPEED_LIMIT, _SPEED_LIMIT))
         poses.append(world.poses.copy())
     track = np.array(poses)
-    return Track(track, np.array([thing.place(period_poses)[0] for period_poses in track]))
+    return Track(track, np.array([target.place(period_poses)[0] for period_poses in track]))
 
 
 class TwinWorld:
     """World of the twin in MuJoCo, one episode for each robot.
 
     Args:
-        thing: Object.
+        target: Object near the robots.
         noise: Whether sensors are noisy.
         seed: Seed of the first robot; the others have the next ones.
-        readings: Other readings than the twin's own sensors', by distance and bearing.
+        readings: Readings that replace those of the twin's sensors, by distance and bearing.
     """
 
     def __init__(
-        self, thing: Thing, *, noise: bool = False, seed: int = 0, readings: Readings | None = None
+        self, target: Target, *, noise: bool = False, seed: int = 0, readings: Readings | None = None
     ) -> None:
-        self._thing, self._readings = thing, readings
-        self._setup = EpisodeSetup(scene(thing))
+        self._target, self._readings = target, readings
+        self._setup = EpisodeSetup(scene(target))
         self._noise, self._seed = noise, seed
-        self._origin = np.array([2 * _MIDDLE_MM if thing is WALL else _MIDDLE_MM, _MIDDLE_MM]) / 1e3
+        self._origin = np.array([2 * _MIDDLE_MM if target is WALL else _MIDDLE_MM, _MIDDLE_MM]) / 1e3
         self._lanes: list[Episode] = []
 
     def begin(self, starts: Floats) -> None:
-        """Put the robots at poses."""
+        """Place the robots at poses."""
         while len(self._lanes) < len(starts):
             self._lanes.append(Episode(self._setup))
         self._live = self._lanes[: len(starts)]
         for number, (episode, (x, y, heading)) in enumerate(zip(self._live, starts, strict=True)):
-            at = (np.array([x, y]) + self._origin) * 1e3
-            start = float(at[0]), float(at[1]), math.degrees(heading)
+            position_mm = (np.array([x, y]) + self._origin) * 1e3
+            start = float(position_mm[0]), float(position_mm[1]), math.degrees(heading)
             episode.begin(self._seed + number, EpisodeOptions(start=start, noise=self._noise))
         self.poses = starts.copy()
 
     def read(self) -> tuple[Floats, Floats]:
         """Return the counts of the last scan."""
         if self._readings is not None:
-            proximity, ambient = self._readings(*self._thing.place(self.poses))
+            proximity, ambient = self._readings(*self._target.place(self.poses))
             return np.round(proximity), np.round(ambient)
         counts = np.array([episode.readings() for episode in self._live], np.float64)
         return counts[:, 0], counts[:, 1]
@@ -172,18 +172,18 @@ class TwinWorld:
             self.poses[number, 2] += math.atan2(math.sin(turned), math.cos(turned))
 
 
-def scene(thing: Thing) -> Playpen:
+def scene(target: Target) -> Playpen:
     """Return the object as a playpen: the wall at its right side, others in its middle."""
-    at = _MIDDLE_MM
+    middle_mm = _MIDDLE_MM
     cylinders: tuple[Cylinder, ...] = ()
     lamps: tuple[Lamp, ...] = ()
-    if thing is CYLINDER:
-        cylinders = (Cylinder(x_mm=at, y_mm=at, radius_mm=thing.radius * 1e3, height_mm=50),)
-    elif thing is LAMP:
-        lamps = (Lamp(x_mm=at, y_mm=at, power_w=LAMP_POWER_W),)
+    if target is CYLINDER:
+        cylinders = (Cylinder(x_mm=middle_mm, y_mm=middle_mm, radius_mm=target.radius * 1e3, height_mm=50),)
+    elif target is LAMP:
+        lamps = (Lamp(x_mm=middle_mm, y_mm=middle_mm, power_w=LAMP_POWER_W),)
     return Playpen(
         version=1,
-        name=thing.name,
+        name=target.name,
         arena=Arena(width_mm=2 * _MIDDLE_MM, height_mm=2 * _MIDDLE_MM),
         robot=(RobotEntry(x_mm=500, y_mm=500, heading_deg=0),),
         cylinder=cylinders,

@@ -1,4 +1,4 @@
-"""Trials of the shadow's poses: sound stand-in robots, whose start is known or not."""
+"""Trials of the shadow's poses: sound stand-in robots with a known or unknown start."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from studies.twin_runs import Floats, Recording, follow
 POSE = "obstacles", "looping-maze", "workshop"
 
 NEAR_MM = 30.0
-"""Distance within which a pose that was unknown counts as found."""
+"""Error up to which an initially unknown pose counts as found."""
 
 
 class Errors(NamedTuple):
@@ -62,11 +62,11 @@ def unknown(options: Options) -> None:
     settings = options.settings
     lost = ShadowSettings(seed=settings.seed, particles=settings.particles, known=False)
     tasks = [(options.folder, seed, lost) for seed in _seeds(options)]
-    found: list[tuple[float, float]] = list(options.run(unknown_errors, tasks))
-    errors_30_s, errors_60_s = np.array(found).T
+    errors: list[tuple[float, float]] = list(options.run(unknown_errors, tasks))
+    errors_30_s, errors_60_s = np.array(errors).T
     row(
         "workshop",
-        len(found),
+        len(errors),
         int((errors_30_s < NEAR_MM).sum()),
         int((errors_60_s < NEAR_MM).sum()),
         f"{np.median(errors_60_s):.0f} mm",
@@ -85,8 +85,8 @@ def unknown_errors(folder: Path, seed: int, settings: ShadowSettings) -> tuple[f
 
 
 def _quantiles(errors: Floats) -> tuple[str, str, str]:
-    median, most = np.quantile(errors[:, 0], (0.5, 0.95))
-    return f"{median:.1f}", f"{most:.1f}", f"{np.quantile(errors[:, 1], 0.95):.1f}"
+    median, high = np.quantile(errors[:, 0], (0.5, 0.95))
+    return f"{median:.1f}", f"{high:.1f}", f"{np.quantile(errors[:, 1], 0.95):.1f}"
 
 
 def _seeds(options: Options) -> range:

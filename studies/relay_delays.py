@@ -1,8 +1,8 @@
 """Delays of a real relay on a busy machine: `python -m studies relay-delays`.
 
-Chunks are written to `serve --relay` in turn by a host and by a robot, some 20 ms apart, with endless loops
-beside it; a delay is the time of a chunk in the relay's log less that of its writing, of which the least one
-counts as 0. `stand_ins.line_times` draws delays of this shape.
+Chunks are written to `serve --relay` in turn by a host and by a robot, some 20 ms apart, while endless loops
+run. A delay is the time of a chunk in the relay's log less that of its writing; the smallest one counts as 0.
+`stand_ins.line_times` draws delays of this shape.
 """
 
 import os
@@ -53,10 +53,14 @@ def main() -> None:
                         pass
             os.close(host)
         chunks = read_recording(log).chunks
-    late = {to_robot: np.array([chunk.time_ns for chunk in chunks if chunk.to_robot == to_robot]) - written[to_robot] for to_robot in written}
-    least = min(each.min() for each in late.values())
+    late = {
+        to_robot: np.array([chunk.time_ns for chunk in chunks if chunk.to_robot == to_robot])
+        - written[to_robot]
+        for to_robot in written
+    }
+    min_delay = min(delays.min() for delays in late.values())
     for to_robot, values in late.items():
-        quantiles = zip(QUANTILES, np.quantile(values - least, QUANTILES) / 1e6, strict=True)
+        quantiles = zip(QUANTILES, np.quantile(values - min_delay, QUANTILES) / 1e6, strict=True)
         cells = ", ".join(f"{100 * part:g} % {value:.2f} ms" for part, value in quantiles)
         print(f"{'to' if to_robot else 'from'} the robot: {cells}")
     for end in (robot, line):

@@ -1,4 +1,4 @@
-"""Reliability of a shadow's probabilities: said against true, in bins, as a table and as a picture."""
+"""Reliability of a shadow's probabilities: stated against true shares, in bins, as a table and a picture."""
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from studies.twin_runs import LEVELS, Raised, Suspected
+from studies.twin_runs import LEVELS, AlarmRecord, SuspicionRecord
 
 
 class Claim(NamedTuple):
-    """What a shadow said: a probability, whether by an alarm or as a suspicion, and whether it is right."""
+    """Claim of a shadow: its probability, whether it is an alarm or a suspicion, and whether it is right."""
 
-    said: float
+    probability: float
     alarm: bool
     right: bool
 
@@ -28,7 +28,7 @@ class Bin(NamedTuple):
         high: Upper end.
         alarms: Number of alarms.
         suspicions: Number of suspicions.
-        said: Mean probability.
+        mean_probability: Mean probability.
         true: Share that is right.
         interval: Wilson's 95 % interval of that.
     """
@@ -37,62 +37,82 @@ class Bin(NamedTuple):
     high: float
     alarms: int
     suspicions: int
-    said: float
+    mean_probability: float
     true: float
     interval: tuple[float, float]
 
 
 def claims(
-    alarms: Sequence[Raised],
-    suspected: Iterable[Suspected],
+    alarms: Sequence[AlarmRecord],
+    suspected: Iterable[SuspicionRecord],
     right: Callable[[str, int, Sequence[float]], bool] = lambda fault, time_ns, readings: False,
 ) -> list[Claim]:
-    """Return what was said in a run.
+    """Return the claims of a run.
 
-    An alarm says one name as it is raised. A suspicion says that it is one of its names, and counts once in
-    each bin that its probability enters.
+    An alarm claims one name when it is raised. A suspicion claims that one of its names is right, and counts
+    once in each bin that its probability enters.
 
     Args:
         alarms: Alarms.
         suspected: Suspicions.
         right: Function that takes a name, a time [ns] and readings, and returns whether the name is right.
     """
-    found = [Claim(alarm.sureness, True, right(alarm.fault, alarm.raised_ns, alarm.readings)) for alarm in alarms]
+    all_claims = [
+        Claim(alarm.sureness, True, right(alarm.fault, alarm.raised_ns, alarm.readings)) for alarm in alarms
+    ]
     for suspicion in suspected:
         is_right = any(right(fault, suspicion.time_ns, suspicion.readings) for fault in suspicion.faults)
-        found.append(Claim(suspicion.probability, False, is_right))
-    return found
+        all_claims.append(Claim(suspicion.probability, False, is_right))
+    return all_claims
 
 
-def binned(found: Sequence[Claim]) -> list[Bin]:
-    """Return the bins that have claims."""
+def bin_claims(all_claims: Sequence[Claim]) -> list[Bin]:
+    """Sort claims into bins; return the bins that are not empty."""
     bins: list[Bin] = []
     for low, high in pairwise(LEVELS):
-        inside = [each for each in found if low <= each.said < high or each.said == high == LEVELS[-1]]
-        if inside:
-            right, alarms = (sum(getattr(each, name) for each in inside) for name in ("right", "alarm"))
-            interval = binomtest(right, len(inside)).proportion_ci(method="wilson")
-            said = float(np.mean([each.said for each in inside]))
+        members = [
+            claim
+            for claim in all_claims
+            if low <= claim.probability < high or claim.probability == high == LEVELS[-1]
+        ]
+        if members:
+            right, alarms = (sum(getattr(claim, name) for claim in members) for name in ("right", "alarm"))
+            interval = binomtest(right, len(members)).proportion_ci(method="wilson")
+            mean_probability = float(np.mean([claim.probability for claim in members]))
             ends = float(interval.low), float(interval.high)
-            bins.append(Bin(low, high, alarms, len(inside) - alarms, said, right / len(inside), ends))
+            bins.append(
+                Bin(low, high, alarms, len(members) - alarms, mean_probability, right / len(members), ends)
+            )
     return bins
 
 
 def draw(bins: Sequence[Bin], target: Path) -> None:
-    """Draw the shares that are right over the probabilities that were said."""
+    """Draw the shares of right claims over their probabilities."""
     figure = Figure(figsize=(5.2, 5), layout="constrained")
     panel = figure.subplots()
-    said, true = np.array([group.said for group in bins]), np.array([group.true for group in bins])
+    probabilities, shares = (
+        np.array([group.mean_probability for group in bins]),
+        np.array([group.true for group in bins]),
+    )
     ends = np.array([group.interval for group in bins]).T
     panel.plot((0, 1), (0, 1), "--", color="#9a9a9a", lw=1.2, label="as often as is said")
     panel.errorbar(
-        said, true, np.abs(ends - true), fmt="o", ms=4, color="#1b4965", capsize=3, label="with 95 % interval"
+        probabilities,
+        shares,
+        np.abs(ends - shares),
+        fmt="o",
+        ms=4,
+        color="#1b4965",
+        capsize=3,
+        label="with 95 % interval",
     )
     for number, group in enumerate(reversed(bins)):
         count = str(group.alarms + group.suspicions)
         # The last bins are so narrow that their numbers stand on both sides.
         place = (4, -11) if number % 2 == 0 else (-4 - 5 * len(count), -11)
-        panel.annotate(count, (group.said, group.true), place, textcoords="offset points", fontsize=8)
+        panel.annotate(
+            count, (group.mean_probability, group.true), place, textcoords="offset points", fontsize=8
+        )
     panel.set(
         xlabel="probability that the shadow says",
         ylabel="share that is right",

@@ -1,10 +1,10 @@
-"""Differences between episodes in a plane and in MuJoCo.
+"""Differences between episodes in the planar model and in MuJoCo.
 
-Two tables; `python -m benchmarks` measures the speeds. Paths: the same episode in both, without noise, as the
-median and the largest of some; with speeds from a list, regardless of obstacles, and with the ROM's vehicle
-and networks, whose feedback from the sensors makes any difference grow. Ranks: Spearman's correlation of a
-metric over random networks between both, and, as an upper bound, between MuJoCo's own episodes with other
-seeds.
+It prints two tables; `python -m benchmarks` measures the speeds. Paths: the same episodes in both, without
+noise, as median and largest differences. They run with speeds from a list, regardless of obstacles, and with
+the ROM's vehicle and networks, whose feedback from the sensors amplifies any difference. Ranks: Spearman's
+correlation of a metric over random networks between both, and, as an upper bound, between episodes in MuJoCo
+with different seeds.
 """
 
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ def scenes() -> dict[str, Playpen]:
 
 
 def path(setup: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
-    """Return the poses of an episode at some times; without a driver speeds change at random every 0.5 s."""
+    """Return the poses of an episode at TIMES_S; without a driver, speeds change at random every 0.5 s."""
     episode = Episode(setup, driver or ConstantSpeed())
     genes = random_genes(REPEATS)[index] if isinstance(driver, Network) else ()
     robot = setup.entry
@@ -83,25 +83,25 @@ def ranks(name: str, scene: Playpen) -> None:
     """Print the correlation of both rankings of the same networks."""
     genes = np.repeat(random_genes(GENOMES), SEEDS, axis=0)
 
-    def judged(first: int, planar: bool) -> dict[str, np.ndarray]:
+    def mean_metrics(first: int, planar: bool) -> dict[str, np.ndarray]:
         seeds = [first + seed for _ in range(GENOMES) for seed in range(SEEDS)]
         setup = EpisodeSetup(scene, planar=planar)
-        found = rollout(setup, NETWORK, seeds, EPISODE_S, genes=genes)
-        numbers = {number: found.metrics[number] for number in ("obstacle_avoidance", "distance_m")}
-        if found.objects.size:
+        results = rollout(setup, NETWORK, seeds, EPISODE_S, genes=genes)
+        numbers = {number: results.metrics[number] for number in ("obstacle_avoidance", "distance_m")}
+        if results.objects.size:
             first = rollout(setup, NETWORK, seeds[:1], 0.0, genes=genes[:1]).objects
-            numbers["objects moved"] = np.hypot(*(found.objects - first)[..., :2].T).sum(axis=0)
+            numbers["objects moved"] = np.hypot(*(results.objects - first)[..., :2].T).sum(axis=0)
         return {name: values.reshape(GENOMES, SEEDS).mean(axis=1) for name, values in numbers.items()}
 
-    plane, true, again = judged(0, True), judged(0, False), judged(SEEDS, False)
+    plane, true, again = mean_metrics(0, True), mean_metrics(0, False), mean_metrics(SEEDS, False)
     for number in plane:
         hit = len(set(_best_first(plane[number])[:ELITE]) & set(_best_first(true[number])[:ELITE]))
-        own = len(set(_best_first(again[number])[:ELITE]) & set(_best_first(true[number])[:ELITE]))
+        seed_hits = len(set(_best_first(again[number])[:ELITE]) & set(_best_first(true[number])[:ELITE]))
         best = int(_best_first(true[number])[0])
         rank = int(np.flatnonzero(_best_first(plane[number]) == best)[0]) + 1
         print(
             f"{name:14}{number:20}{spearmanr(plane[number], true[number])[0]:8.3f}"
-            f"{spearmanr(again[number], true[number])[0]:12.3f}{hit:10d}{own:10d}{rank:10d}",
+            f"{spearmanr(again[number], true[number])[0]:12.3f}{hit:10d}{seed_hits:10d}{rank:10d}",
             flush=True,
         )
 
@@ -113,9 +113,9 @@ def _best_first(metrics: np.ndarray) -> np.ndarray:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = command_line(__doc__)
     parser.add_argument("table", nargs="?", choices=["paths", "ranks"], help="print one table; default both")
-    wanted = parser.parse_args(arguments).table or "paths and ranks"
+    tables = parser.parse_args(arguments).table or "paths and ranks"
     print(f"mujoco {mujoco.__version__}")
-    if "paths" in wanted:
+    if "paths" in tables:
         print("apart after" + "".join(f"{time_s:>24g} s " for time_s in TIMES_S))
         print(" " * 36 + "   ".join("  median     max    turn" for _ in TIMES_S) + "  [mm, mm, deg]")
         paths("open floor, speeds by a list", open_floor(), None)
@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             paths(f"{name}, ROM's vehicle", scene, Braitenberg())
         for name, scene in scenes().items():
             paths(f"{name}, random networks", scene, NETWORK)
-    if "ranks" in wanted:
+    if "ranks" in tables:
         print(
             f"{GENOMES} networks, {SEEDS} episodes of {EPISODE_S:g} s: Spearman's rank correlation to MuJoCo"
         )

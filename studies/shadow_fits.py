@@ -1,8 +1,8 @@
-"""Study of what a shadow learns: `python -m studies shadow-fits [FOLDER]`.
+"""Study of the values that a shadow learns: `python -m studies shadow-fits [FOLDER]`.
 
-Stand-in robots of the same make drive for five minutes, and a shadow follows the recordings. Printed is how
-often the robot's own values lie in the 95 % intervals that `khep-twin fit --from` tells, and the errors in
-standard deviations of these. The robots are sound, and faults are not looked for.
+Stand-in robots of the same model drive for five minutes, and a shadow follows the recordings. The study
+prints the share of true values inside the 95 % intervals that `khep-twin fit --from` reports, and the errors
+in standard deviations of these. The robots are sound, and the shadow does not diagnose faults.
 """
 
 from collections import defaultdict
@@ -56,12 +56,15 @@ def main() -> None:
             robot_calibration = calibration.vary(start, stream(seed, "robot", 0, "spread"))
             shadow = Shadow(playpen, ShadowSettings(particles=options.particles))
             follower = Follower(shadow)
-            for heard in read_recording(path).chunks:
-                for _ in follower.feed(heard):
+            for chunk in read_recording(path).chunks:
+                for _ in follower.feed(chunk):
                     pass
             for value, _ in learned_values(shadow.learned, start):
                 _, key, *sensor = value.path
-                part = value.value_in(robot_calibration) / value.value_in(start), value.value / value.value_in(start)
+                part = (
+                    value.value_in(robot_calibration) / value.value_in(start),
+                    value.value / value.value_in(start),
+                )
                 deviation = value.interval / value.value_in(start) / CONFIDENCE
                 errors[key].append((part[0], part[1], deviation))
                 print(
@@ -73,6 +76,6 @@ def main() -> None:
         off = (value - actual) / deviation
         print(
             f"{key:16} {np.mean(np.abs(off) < CONFIDENCE):4.0%} of {len(rows)} inside of 95 %, errors "
-            f"{np.sqrt(np.mean(off**2)):.2f} of the deviation deviation {np.median(deviation):.4f}; "
+            f"{np.sqrt(np.mean(off**2)):.2f} of the fitted deviation {np.median(deviation):.4f}; "
             f"rms {np.sqrt(np.mean((value - actual) ** 2)):.4f}, of robots {np.std(actual):.4f}"
         )

@@ -1,4 +1,4 @@
-"""Options of the trials of `studies.twin_trials`, which of them are wanted, and how tables are printed."""
+"""Options of the trials of `studies.twin_trials`, selection of noticeable trials, and printed tables."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -46,21 +46,21 @@ class Options(NamedTuple):
 
 
 _TRIES = 6
-"""Seeds for each trial that is wanted; the fault of many is not noticeable."""
+"""Largest number of seeds for each requested trial; many faults are not noticeable."""
 
 T = TypeVar("T")
 
 
 def noticeable(run: Callable[..., T | None], fault: str, options: Options) -> Iterator[tuple[int, T]]:
-    """Yield what the wanted number of trials lead to, with their seeds; those that lead to None are left out.
+    """Yield the seeds and results of the requested number of trials; results of None are left out.
 
     `run` takes the fault, the seed, the folder, the settings, hosts and times.
     """
     seed, missing = options.first, options.runs
     while missing and seed < options.first + _TRIES * options.runs:
         tasks = [
-            (fault, each, options.folder, options.settings, options.hosts, options.times)
-            for each in range(seed, seed + missing)
+            (fault, trial_seed, options.folder, options.settings, options.hosts, options.times)
+            for trial_seed in range(seed, seed + missing)
         ]
         for task, outcome in zip(tasks, options.run(run, tasks), strict=True):
             if outcome is not None:
@@ -86,6 +86,6 @@ def note(lines: Iterable[str]) -> None:
         print(f"    {line}", flush=True)
 
 
-def counted(names: Counter[str]) -> str:
+def count_text(names: Counter[str]) -> str:
     """Return names with their numbers, the most frequent first."""
     return ", ".join(f"{number} {name}" for name, number in names.most_common())

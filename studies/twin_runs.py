@@ -1,4 +1,4 @@
-"""Shadows of recorded stand-in robots: what the trials of `studies.twin_trials` look at."""
+"""Shadows of recorded stand-in robots, the data of the trials of `studies.twin_trials`."""
 
 import time
 from collections.abc import Sequence
@@ -27,20 +27,14 @@ LEVELS = 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0
 
 
 class Recording(NamedTuple):
-    """A recording to be made.
+    """Parameters of a recording.
 
     Attributes:
-        name: Name of its files.
-        playpen: Name of its playpen.
-        seed: Seed of the robot, the host, its start and all that is drawn.
-        seconds: Length [s].
-        host: Name of the host; by default those of the seed alternate, each with three seeds.
-        asks_counters: Ask H, too.
-        asks_light: Ask O, too.
-        faults: Faults of the robot.
-        changes: Changes of its world.
-        times: Times of its line.
-        own_start: Start where the playpen has it, or at a spot; else anywhere, which the shadow is told.
+        name: Name of its files. playpen: Name of its playpen. seed: Seed of the robot, the host, its start
+        and all that is drawn. seconds: Length [s]. host: Name of the host; by default those of the seed
+        alternate, each with three seeds. asks_counters: Also ask H. asks_light: Also ask O. faults: Faults of
+        the robot. changes: Changes of its world. times: Times of its line. own_start: True to start at the
+        playpen's start or a spot; False to start anywhere, which the shadow knows.
     """
 
     name: str
@@ -53,11 +47,11 @@ class Recording(NamedTuple):
     faults: Sequence[str] = ()
     changes: Sequence[Change] = ()
     times: str = "exact"
-    own_start: bool = False
+    default_start: bool = False
 
     def path(self, folder: Path) -> Path:
-        """Return the path of the log; the recording is made unless it is there."""
-        ways = [self.host.replace(" ", "-"), "own" * self.own_start, self.times.replace("exact", "")]
+        """Return the path of the log; record it if it does not exist."""
+        ways = [self.host.replace(" ", "-"), "own" * self.default_start, self.times.replace("exact", "")]
         words = [self.name, self.playpen, *filter(None, ways), str(self.seed), f"{self.seconds:g}s.mcap"]
         path = folder / "_".join(words)
         if not path.with_suffix(".npz").exists():
@@ -67,18 +61,18 @@ class Recording(NamedTuple):
                 playpen,
                 seed=self.seed,
                 seconds=self.seconds,
-                host=self.host or alternating(hosts_of(self.seed), self.seed // 3),
+                host=self.host or alternate(hosts_of(self.seed), self.seed // 3),
                 asks_counters=self.asks_counters,
                 asks_light=self.asks_light,
                 faults=self.faults,
                 changes=self.changes,
-                start=None if self.own_start else free_start(playpen, self.seed),
+                start=None if self.default_start else free_start(playpen, self.seed),
                 times=self.times,
             )
         return path
 
 
-class Raised(NamedTuple):
+class AlarmRecord(NamedTuple):
     """An alarm that was raised.
 
     Attributes:
@@ -96,8 +90,8 @@ class Raised(NamedTuple):
     sureness: float = 1.0
 
 
-class Suspected(NamedTuple):
-    """A suspicion, when its probability came into a bin of `LEVELS` for the first time.
+class SuspicionRecord(NamedTuple):
+    """A suspicion whose probability entered a bin of `LEVELS` for the first time.
 
     Attributes:
         faults: Names that it had then.
@@ -113,15 +107,15 @@ class Suspected(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Followed:
+class ShadowRun:
     """Updates of a shadow, beside the truth at their times.
 
     Attributes:
         truth: Truth of the recording.
         times_ns: Times (n,) [ns].
         poses: Estimated x, y [m] and heading [rad] (n, 3).
-        actual: Actual ones (n, 3).
-        reckoned: Those of dead reckoning (n, 3).
+        actual: Actual poses (n, 3).
+        reckoned: Poses by dead reckoning (n, 3).
         covariances: Covariances of the estimated poses (n, 3, 3).
         states: States (n,).
         readings: Largest proximity as replied last (n,) [counts].
@@ -138,8 +132,8 @@ class Followed:
     covariances: Floats
     states: NDArray[np.str_]
     readings: Floats
-    alarms: list[Raised]
-    suspected: list[Suspected]
+    alarms: list[AlarmRecord]
+    suspected: list[SuspicionRecord]
     cpu_s: Floats
 
     def errors(self, poses: Floats) -> Floats:
@@ -149,24 +143,26 @@ class Followed:
         return np.stack([np.hypot(off[:, 0], off[:, 1]) * 1e3, np.degrees(turned)], axis=1)
 
 
-def told_playpen(name: str, truth: Truth) -> Playpen:
-    """Return a playpen whose robot stands where the shadow is told."""
-    x, y, heading = truth.told.tolist()
+def playpen_at_known_start(name: str, truth: Truth) -> Playpen:
+    """Return a playpen whose robot stands at the start that the shadow knows."""
+    x, y, heading = truth.twin_start.tolist()
     return at_start(Playpen.load(name), 0, (x * 1e3, y * 1e3, float(np.degrees(heading))))
 
 
-def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True) -> Followed:
-    """Follow a recorded robot by its line alone.
+def follow(path: Path, playpen: str, settings: ShadowSettings, start_known: bool = True) -> ShadowRun:
+    """Follow a recorded robot by its serial line alone.
 
     Args:
         path: Path of the log, with the truth beside it.
         playpen: Name of the playpen.
         settings: Settings of the shadow.
-        told: Tell the shadow the robot's start; else it has the playpen as it is.
+        start_known: True to give the shadow the robot's start, False to use that of the playpen.
     """
     truth = Truth.load(path.with_suffix(".npz"))
     chunks = read_recording(path).chunks
-    follower = Follower(Shadow(told_playpen(playpen, truth) if told else Playpen.load(playpen), settings))
+    follower = Follower(
+        Shadow(playpen_at_known_start(playpen, truth) if start_known else Playpen.load(playpen), settings)
+    )
     updates: list[Update] = []
     watch = _Watch()
     cpu_s = np.zeros(chunks[-1].time_ns // NS_PER_S + 1)
@@ -179,7 +175,7 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
             # Thousands of particles each would fill the memory.
             updates.append(replace(update, particles=np.empty((0, 3))))
     times_ns = np.array([update.time_ns for update in updates], np.int64)
-    return Followed(
+    return ShadowRun(
         truth,
         times_ns,
         np.array([update.estimate.pose for update in updates]),
@@ -195,12 +191,12 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
 
 
 _SAME_NS = 5 * NS_PER_S
-"""Time for which a suspicion that was given up is the same when it comes back [ns]."""
+"""Longest gap within one suspicion [ns]."""
 
 
 @dataclass
-class _Episode:
-    """A suspicion that lasts: its present names, when it was seen last [ns], and the bins in which it was."""
+class _LastingSuspicion:
+    """A lasting suspicion: its present names, the time of its last update [ns], and its bins."""
 
     faults: tuple[str, ...]
     seen_ns: int
@@ -210,49 +206,51 @@ class _Episode:
 class _Watch:
     """Watch of the alarms and suspicions of a shadow's updates.
 
-    The probability of a suspicion moves; where it is right, those whose probability comes into a bin, each
-    taken at the first time, are as often true as it says then. Their highest probabilities would not be.
+    The probability of a suspicion changes. If it is calibrated, suspicions that enter a bin for the first
+    time are right as often as their probability then. Their highest probabilities would not be calibrated.
     """
 
     def __init__(self) -> None:
         self._alarms = LastingAlarms()
-        self._found: dict[tuple[str, int], Raised] = {}
-        self._episodes: list[_Episode] = []
-        self.suspected: list[Suspected] = []
+        self._records: dict[tuple[str, int], AlarmRecord] = {}
+        self._episodes: list[_LastingSuspicion] = []
+        self.suspected: list[SuspicionRecord] = []
 
     def see(self, update: Update) -> None:
-        """Note the alarms that an update begins and ends, and what is suspected."""
+        """Record the alarms that an update raises and ends, and its suspicions."""
         readings = tuple(update.measured.tolist())
         for _, alarm in self._alarms.changes(update.time_ns, update.alarms, update.ended):
             key = alarm.fault, alarm.raised_ns
             if alarm.ended_ns is None:
-                self._found[key] = Raised(*key, -1, readings, alarm.sureness)
+                self._records[key] = AlarmRecord(*key, -1, readings, alarm.sureness)
             else:
-                self._found[key] = self._found[key]._replace(ended_ns=update.time_ns)
+                self._records[key] = self._records[key]._replace(ended_ns=update.time_ns)
         for suspicion in update.suspected:
             episode = self._episode(suspicion.faults, update.time_ns)
             level = int(np.searchsorted(LEVELS, suspicion.probability, "right"))
             if level not in episode.bins:
                 episode.bins.add(level)
-                found = Suspected(suspicion.faults, update.time_ns, suspicion.probability, readings)
-                self.suspected.append(found)
+                record = SuspicionRecord(suspicion.faults, update.time_ns, suspicion.probability, readings)
+                self.suspected.append(record)
 
-    def raised(self) -> list[Raised]:
+    def raised(self) -> list[AlarmRecord]:
         """Return the alarms in the order in which they were raised."""
-        return sorted(self._found.values(), key=lambda alarm: alarm.raised_ns)
+        return sorted(self._records.values(), key=lambda alarm: alarm.raised_ns)
 
-    def _episode(self, faults: tuple[str, ...], time_ns: int) -> _Episode:
+    def _episode(self, faults: tuple[str, ...], time_ns: int) -> _LastingSuspicion:
         """Return the episode that has one of these names, or a new one."""
         self._episodes = [candidate for candidate in self._episodes if time_ns - candidate.seen_ns < _SAME_NS]
-        episode = next((candidate for candidate in self._episodes if set(candidate.faults) & set(faults)), None)
+        episode = next(
+            (candidate for candidate in self._episodes if set(candidate.faults) & set(faults)), None
+        )
         if episode is None:
-            self._episodes.append(episode := _Episode(faults, time_ns, set()))
+            self._episodes.append(episode := _LastingSuspicion(faults, time_ns, set()))
         episode.faults, episode.seen_ns = faults, time_ns
         return episode
 
 
-def alternating(names: Sequence[str], number: int) -> str:
-    """Return the name of a number, where they alternate."""
+def alternate(names: Sequence[str], number: int) -> str:
+    """Return the name for a number, by turns."""
     return names[number % len(names)]
 
 

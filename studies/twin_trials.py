@@ -1,4 +1,4 @@
-"""Trials of the shadow: stand-in robots, followed by their lines alone.
+"""Trials of the shadow: it follows stand-in robots by their serial lines alone.
 
     python -m studies twin-trials                        # all of them: hours
     python -m studies twin-trials pose --runs 4 --seconds 120
@@ -6,8 +6,8 @@
     python -m studies twin-trials bounds --fault "weak motor" --runs 6 --detail
     python -m studies twin-trials healthy --hours 20 --jobs 2
 
-Each robot is another of the same make, steps in MuJoCo and talks at 9600 baud; its host asks N and sets
-speeds. The same options give the same tables, but for CPU times.
+The robots are varied robots of the same model, simulated in MuJoCo, with a line at 9600 baud. Their hosts ask
+N and set speeds. The same options give the same tables, except for CPU times.
 """
 
 import sys
@@ -41,8 +41,8 @@ from studies.healthy_trials import (
     run_healthy,
 )
 from studies.pose_trials import pose, unknown
-from studies.reliability import binned, claims, draw
-from studies.trial_tables import Map, Options, counted, head, note, noticeable, row
+from studies.reliability import bin_claims, claims, draw
+from studies.trial_tables import Map, Options, count_text, head, note, noticeable, row
 from studies.twin_runs import Recording, follow
 from tools.command_table import command_line
 
@@ -66,7 +66,7 @@ def alarms(options: Options) -> None:
             row(fault, 0, *[""] * 7)
             continue
         outcomes = [outcome for _, outcome in seed_outcomes]
-        ends = [outcome for outcome in outcomes if outcome.ends]
+        ends = [outcome for outcome in outcomes if outcome.has_end]
         times = [outcome.end_s for outcome in ends if not np.isnan(outcome.end_s)]
         delays = [outcome.delay_s for outcome in outcomes if not np.isnan(outcome.delay_s)]
         row(
@@ -78,11 +78,12 @@ def alarms(options: Options) -> None:
             f"{sum(end_s <= FADES_NS / NS_PER_S for end_s in times)} of {len(ends)}" if ends else "",
             len(times) if ends else "",
             f"{np.median(times):.1f}, {max(times):.1f} s" if times else "",
-            counted(Counter(name for outcome in outcomes for name in outcome.wrong)),
+            count_text(Counter(name for outcome in outcomes for name in outcome.wrong)),
         )
         if options.detail:
             note(
-                f"{'' if outcome.named else 'NOT NAMED '}seed {seed}, {outcome.text} (busiest {outcome.busiest_s:.2f})"
+                f"{'' if outcome.named else 'NOT NAMED '}seed {seed}, {outcome.text} "
+                f"(busiest {outcome.busiest_s:.2f})"
                 for seed, outcome in seed_outcomes
             )
     print("\nRuns are those with a noticeable fault; delays and ends count from the first reply with them.\n")
@@ -118,13 +119,15 @@ def _healthy(options: Options) -> Iterable[Healthy]:
 
 
 def reliability(options: Options) -> None:
-    """Print how often what is all_claims with a probability is right, over sound and faulty robots."""
+    """Print the share of right claims by their probability, over sound and faulty robots."""
     all_claims = [claim for run in _healthy(options) for claim in claims(run.alarms, run.suspected)]
     for fault in options.faults:
-        all_claims += [claim for _, outcome in noticeable(run_trial, fault, options) for claim in outcome.claims]
+        all_claims += [
+            claim for _, outcome in noticeable(run_trial, fault, options) for claim in outcome.claims
+        ]
     head("probability", "alarms", "suspicions", "all_claims, mean", "right", "95 % interval")
-    for group in binned(all_claims):
-        shares = (f"{100 * share:.1f} %" for share in (group.said, group.true, *group.interval))
+    for group in bin_claims(all_claims):
+        shares = (f"{100 * share:.1f} %" for share in (group.mean_probability, group.true, *group.interval))
         said_share, true, low, high = shares
         row(
             f"{100 * group.low:g} to {100 * group.high:g} %",
@@ -136,7 +139,7 @@ def reliability(options: Options) -> None:
         )
     print("\nA suspicion counts once in group bin that its probability enters.\n")
     if options.picture is not None:
-        draw(binned(all_claims), options.picture)
+        draw(bin_claims(all_claims), options.picture)
 
 
 def stalls(options: Options) -> None:
@@ -178,7 +181,7 @@ SECTIONS: dict[str, Callable[[Options], None]] = {
 
 @contextmanager
 def _jobs(count: int) -> Generator[Map]:
-    """Yield a map over so many processes."""
+    """Yield a map over this number of processes."""
     if count == 1:
         yield starmap
         return
@@ -187,7 +190,7 @@ def _jobs(count: int) -> Generator[Map]:
 
 
 def main() -> None:
-    """Run the trials that are wanted."""
+    """Run the requested trials."""
     parser = command_line(__doc__)
     parser.add_argument("trials", nargs="?", choices=SECTIONS, help="which trials; all without it")
     parser.add_argument("--runs", type=int, default=20, help="number of runs of each kind")
@@ -203,7 +206,7 @@ def main() -> None:
     parser.add_argument("--particles", type=int, default=1000, help="number of particles")
     parser.add_argument("--jobs", type=int, default=1, help="number of processes")
     parser.add_argument("--keep", type=Path, help="folder of recordings, which are reused if they are there")
-    parser.add_argument("--detail", action="store_true", help="print a line for each run, too")
+    parser.add_argument("--detail", action="store_true", help="also print a line for each run")
     parser.add_argument(
         "--picture", type=Path, help="picture of the reliability to draw, FILE.svg or FILE.png"
     )
@@ -228,7 +231,7 @@ def main() -> None:
             run,
         )
         try:
-            for section in [given.trials] if given.trials else SECTIONS:
+            for section in [options.trials] if options.trials else SECTIONS:
                 print(f"## {section}\n")
                 SECTIONS[section](trial_options)
         except (KhepTwinError, OSError) as error:

@@ -15,7 +15,7 @@ from benchmarks import archive, growth, peers, record
 from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import bare_row, episode_row, world_row
 from benchmarks.swarm import swarm_rows
-from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
+from benchmarks.table import COST, Row, RunTimes, Table, measure, text, timed
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Playpen
@@ -24,7 +24,7 @@ FOLDER = Path(benchmarks.__file__).parent
 
 
 def steady(name: str, work: float, wall: float, cpu: float = math.nan) -> Row:
-    return Row(name, work, lambda: Taken(wall, cpu), lambda rate: f"{rate:g} per s")
+    return Row(name, work, lambda: RunTimes(wall, cpu), lambda rate: f"{rate:g} per s")
 
 
 def trivial() -> Table:
@@ -55,8 +55,8 @@ def test_a_ratio_is_of_the_same_round() -> None:
     # Whatever makes a round slow makes all of it slow.
     walls = [iter([9.0, *slow]) for slow in ([1, 5, 20], [2, 10, 40])]
     rows = [
-        Row("floor", 1, lambda: Taken(next(walls[0]))),
-        Row("half as fast", 1, lambda: Taken(next(walls[1]))),
+        Row("floor", 1, lambda: RunTimes(next(walls[0]))),
+        Row("half as fast", 1, lambda: RunTimes(next(walls[1]))),
     ]
     _, half = measure("scene", rows, 3).results
     assert (half.ratio, half.median, half.best) == (0.5, 0.1, 0.5)
@@ -66,9 +66,9 @@ def test_rows_take_turns_and_the_first_round_does_not_count() -> None:
     lines: list[str] = []
     times = itertools.chain([100.0, 100.0], itertools.repeat(1.0))
 
-    def run(name: str) -> Taken:
+    def run(name: str) -> RunTimes:
         lines.append(name)
-        return Taken(next(times))
+        return RunTimes(next(times))
 
     table = measure("scene", [Row(name, 1, lambda name=name: run(name)) for name in "ab"], 2)
     assert lines == ["a", "b"] * 3
@@ -171,7 +171,7 @@ def test_an_archive_is_a_row_of_cost_coverage_and_score() -> None:
 @pytest.mark.skipif(importlib.util.find_spec("jax") is not None, reason="jax is installed")
 def test_an_archive_in_kheperax_without_kheperax_is_one_line() -> None:
     with pytest.raises(KhepTwinError, match=r"^Kheperax failed: .*No module named 'jax'$"):
-        archive.there(sys.executable, 0, 1, 1, 0.2)
+        archive.run_kheperax(sys.executable, 0, 1, 1, 0.2)
 
 
 def test_kheperax_gets_every_wall_of_a_playpen() -> None:

@@ -169,10 +169,10 @@ def test_rubbish_is_answered_line_by_line_in_plain_ascii(chunks: list[bytes]) ->
 def test_the_remedy_for_another_speed_is_the_mode_that_has_it(
     rom: str, mode: int, baud: int, remedy: str
 ) -> None:
-    assert Firmware(ROMS[rom], mode).remedy(baud) == remedy
+    assert Firmware(ROMS[rom], mode).baud_rate_hint(baud) == remedy
 
 
 def test_the_remedy_for_a_speed_that_the_tool_serial_has_left_is_a_restart() -> None:
     firmware = Firmware(ROMS["5.02"], 1)
     firmware.receive(b"serial 38400\n")
-    assert firmware.remedy(9600) == "'restart' brings the robot back to 9600 baud"
+    assert firmware.baud_rate_hint(9600) == "'restart' brings the robot back to 9600 baud"

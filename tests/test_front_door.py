@@ -74,7 +74,7 @@ def test_a_robot_on_a_cable_needs_no_simulator() -> None:
 FIRST_LINES = runpy.run_path(str(PACKAGE.parent / "examples" / "00_first_lines.py"))
 
 
-@pytest.mark.parametrize("beginning", FIRST_LINES["BEGINNINGS"], ids=lambda function: function.__name__)
+@pytest.mark.parametrize("beginning", FIRST_LINES["EXAMPLES"], ids=lambda function: function.__name__)
 def test_each_way_to_begin_runs_as_it_stands(
     beginning: Callable[[], None],
     tmp_path: Path,
@@ -89,4 +89,4 @@ def test_each_way_to_begin_runs_as_it_stands(
 
 
 def test_there_are_ten_ways_to_begin() -> None:
-    assert len(FIRST_LINES["BEGINNINGS"]) == 10
+    assert len(FIRST_LINES["EXAMPLES"]) == 10

@@ -74,7 +74,7 @@ def test_a_twin_is_driven_in_lock_step_and_its_log_is_read_recovered_and_repeate
         "from khep_twin.host import Khepera\n"
         "from khep_twin.lab.experiment.repeat import repeat\n"
         "from khep_twin import read_log\n"
-        "from khep_twin.log.recorded import read_recorded\n"
+        "from khep_twin.log.recorded import read_recorded_run\n"
         "from khep_twin.log.recover import recover\n"
         "log = Path(sys.argv[1])\n"
         "with Khepera(f'khep://default?seed=1&log={log}') as robot:\n"
@@ -83,7 +83,7 @@ def test_a_twin_is_driven_in_lock_step_and_its_log_is_read_recovered_and_repeate
         "    print(robot.proximity())\n"
         "part = log.with_suffix('.mcap.part')\n"
         "part.write_bytes(log.read_bytes()[:-200])\n"
-        "print(recover(part).path.name, len(read_log(log).robots), repeat(read_recorded(log)))",
+        "print(recover(part).path.name, len(read_log(log).robots), repeat(read_recorded_run(log)))",
         str(log),
     )
     assert process.returncode == 0, process.stderr

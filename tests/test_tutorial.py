@@ -82,8 +82,8 @@ def test_numbers_are_compared_where_they_were_made(tmp_path: Path) -> None:
 def test_what_is_shown_is_put_into_its_block() -> None:
     page = "a\n```text\n1\n2\n```\nb\n```text\n3\n```\n"
     first, second = tutorial.blocks(page)
-    assert tutorial.with_shown(page, first, "4\n5\n") == page.replace("1\n2", "4\n5")
-    assert tutorial.with_shown(page, second, "6\n") == page.replace("3", "6")
+    assert tutorial.replace_block(page, first, "4\n5\n") == page.replace("1\n2", "4\n5")
+    assert tutorial.replace_block(page, second, "6\n") == page.replace("3", "6")
 
 
 def test_another_output_than_the_page_shows_is_found(tmp_path: Path) -> None:

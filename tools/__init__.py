@@ -1,1 +1,1 @@
-"""Scripts that make things for the project: pages, pictures, records, definitions, and the list of wheels."""
+"""Scripts of the project: pages, pictures, records, definitions, and the list of wheels."""

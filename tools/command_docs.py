@@ -1,9 +1,9 @@
-"""docs/commands.md, every command with its options, out of the help texts.
+"""docs/commands.md: every command with its options, from the help texts.
 
     python -m tools commands [FILE]
 
-Typer's own writer, without its limit of 45 characters to the sentence about a command in a list, and with the
-page that is about the command.
+It is written by Typer's writer, without its limit of 45 characters for a command's summary in a list, and
+with a link to the page about the command.
 """
 
 import re
@@ -77,6 +77,6 @@ def _sentence(command: Command, limit: int = 0) -> str:
 
 
 def _linked(line: re.Match[str]) -> str:
-    """Return the line about a command with a link to its page, if there is one."""
+    """Return the line about a command with a link to its page, if any."""
     page = PAGES.get(line[1])
     return line[0] if page is None else f"{line[0]} [{page.partition('#')[0]}]({page})"

@@ -1,4 +1,4 @@
-"""The one way into `checks`, `studies` and `tools`: `python -m PACKAGE NAME`, the list without a name."""
+"""Command line of `checks`, `studies` and `tools`: `python -m PACKAGE NAME`; without a name it lists all."""
 
 import argparse
 import ast
@@ -22,7 +22,7 @@ def summary(module: str) -> str:
 
 
 def run(package: str, modules: Mapping[str, str]) -> int:
-    """Call `main` of the module that the command line names; list all of them if it names none.
+    """Call `main` of the module that the command line names; list all modules without a name.
 
     Args:
         package: Name of the package that has the table.
@@ -36,16 +36,16 @@ def run(package: str, modules: Mapping[str, str]) -> int:
         sys.argv = [f"python -m {package} {name}", *rest]
         return import_module(f"{package}.{modules[name]}").main() or 0
     width = max(map(len, modules))
-    lines = [f"  {each:{width}}  {summary(f'{package}.{module}')}" for each, module in modules.items()]
-    is_asked = name in ("", "-h", "--help")
+    lines = [f"  {command:{width}}  {summary(f'{package}.{module}')}" for command, module in modules.items()]
+    is_help = name in ("", "-h", "--help")
     print(f"usage: python -m {package} NAME [--help | OPTIONS]\n", *lines, sep="\n")
-    if not is_asked:
+    if not is_help:
         print(f"\n{name}: no such name in {package}; expected one of those above", file=sys.stderr)
-    return 0 if is_asked else 2
+    return 0 if is_help else 2
 
 
 def command_line(description: str | None) -> argparse.ArgumentParser:
-    """Return a parser of what follows the name, with the docstring of its module as the description."""
+    """Return a parser of the arguments after the name, with the module's docstring as the description."""
     return argparse.ArgumentParser(
         sys.argv[0], description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )

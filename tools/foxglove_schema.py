@@ -15,17 +15,17 @@ from tools.command_table import command_line
 
 
 def published() -> FileDescriptorSet:
-    """Return the definition; the dependencies of a file come before it."""
-    found = FileDescriptorSet()
+    """Return the definition; the dependencies of a file stand before it."""
+    definition = FileDescriptorSet()
 
     def add(file: FileDescriptor) -> None:
-        if file.name not in {each.name for each in found.file}:
+        if file.name not in {entry.name for entry in definition.file}:
             for part in file.dependencies:
                 add(part)
-            file.CopyToProto(found.file.add())
+            file.CopyToProto(definition.file.add())
 
     add(SceneUpdate.DESCRIPTOR.file)
-    return found
+    return definition
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""The shipped playpens on one sheet."""
+"""Picture of the shipped playpens on one sheet."""
 
 from io import BytesIO
 from pathlib import Path
@@ -15,7 +15,7 @@ _LONGER_SIDE = 3.3
 
 
 def draw(target: Path) -> None:
-    """Draw them as `khep-twin playpen draw` does, smaller."""
+    """Draw the playpens as `khep-twin playpen draw` does, smaller."""
     pictures: list[Image.Image] = []
     for name in playpen.names():
         figure = drawing.draw(Playpen.load(name), longer_side=_LONGER_SIDE)

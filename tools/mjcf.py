@@ -1,6 +1,6 @@
 """The shipped playpens as MJCF with a picture each, for viewers without khep_twin: the folder mjcf.
 
-    python -m tools mjcf                            all of it anew; `python -m tools mjcf`
+    python -m tools mjcf                            rewrites all of it
     python -m tools mjcf FOLDER --without-pictures
 
 The pictures need OpenGL: EGL or libOSMesa.
@@ -50,11 +50,11 @@ def main() -> None:
     options.folder.mkdir(exist_ok=True)
     table = ""
     for name in playpen.names():
-        found = at_spots(Playpen.load(name), 0)
-        write_atomic(options.folder / f"{name}.xml", to_mjcf(found).encode("utf-8"))
+        placed_playpen = at_spots(Playpen.load(name), 0)
+        write_atomic(options.folder / f"{name}.xml", to_mjcf(placed_playpen).encode("utf-8"))
         picture = options.folder / f"{name}.png"
         if not options.without_pictures:
-            write_atomic(picture, small(render(found, picture)))
+            write_atomic(picture, small(render(placed_playpen, picture)))
         table += f"| [{name}]({name}.xml) | ![Scene of {name}]({name}.png) |\n"
     write_atomic(options.folder / "README.md", (INTRODUCTION + table).encode("utf-8"))
     print(f"mjcf     {options.folder}")

@@ -1,4 +1,4 @@
-"""Pictures of the docs that are made by commands or files shown beside them, in full colour.
+"""Pictures of the docs, drawn by the commands or files that the pages show, in full colour.
 
     MUJOCO_GL=egl python -m tools pictures
 
@@ -97,8 +97,8 @@ def draw_shadow() -> None:
     _type("run", "--playpen", "workshop", *fault, "--seconds", "60", "--log", "robot.mcap")
     settings, playpen, parent = ShadowSettings(), Playpen.load("workshop"), Path("robot.mcap")
     shadow, log = Shadow(playpen, settings), ShadowLog(Path("shadow.mcap"), playpen, settings, parent=parent)
-    for heard in read_recording(parent).chunks:
-        for update in shadow.feed(*heard):
+    for chunk in read_recording(parent).chunks:
+        for update in shadow.feed(*chunk):
             log.write(update)
     log.close()
     _type("view", "shadow.mcap", "--at", "40", "--png", "shadow.png")
@@ -106,17 +106,17 @@ def draw_shadow() -> None:
 
 
 def draw_import() -> None:
-    """Draw the scan of docs/import.md, the right way up, and the playpen that is made of it."""
+    """Draw the scan of docs/import.md, the right way up, and the playpen that is imported from it."""
     exec(_first_block("import.md", "python"), {})
     scan = loadmat("scan.mat")["btmap1"][::-1]
     _type("playpen", "import", "scan.mat", "-o", "scan.toml")
     _type("playpen", "draw", "scan.toml", "-o", "map.png")
     drawn = tutorial.shrunk(Path("map.png"), 620)
-    both = Image.new("RGB", (scan.shape[1] + 20 + drawn.width, drawn.height), "white")
+    sheet = Image.new("RGB", (scan.shape[1] + 20 + drawn.width, drawn.height), "white")
     picture = Image.fromarray(np.where(scan == 1, 255, 0).astype(np.uint8))
-    both.paste(picture.convert("RGB"), (0, max((drawn.height - picture.height) // 2 - 20, 0)))
-    both.paste(drawn, (picture.width + 20, 0))
-    _keep(both, "import")
+    sheet.paste(picture.convert("RGB"), (0, max((drawn.height - picture.height) // 2 - 20, 0)))
+    sheet.paste(drawn, (picture.width + 20, 0))
+    _keep(sheet, "import")
 
 
 def draw_gripper() -> None:
@@ -130,14 +130,14 @@ def draw_gripper() -> None:
         while gripper.barrier() == 0:
             pass
         robot.set_speed(0, 0)
-        shots = [_seen(world)]
+        shots = [_render_robot(world)]
         gripper.close()
         gripper.wait()
         gripper.lift()
         robot.sleep(0.6)
-        shots.append(_seen(world))
+        shots.append(_render_robot(world))
         gripper.wait()
-        shots.append(_seen(world))
+        shots.append(_render_robot(world))
     width, height = shots[0].size
     strip = Image.new("RGB", (3 * width + 20, height), "white")
     for index, shot in enumerate(shots):
@@ -159,7 +159,7 @@ def _first_block(page: str, language: str) -> str:
     return next(block.text for block in tutorial.blocks(text) if block.language == language)
 
 
-def _seen(world: World) -> Image.Image:
+def _render_robot(world: World) -> Image.Image:
     """Render the first robot of a world from nearby."""
     model, data = copy.copy(world.model), copy.copy(world.data)
     model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.3, 0.6
@@ -176,8 +176,8 @@ def _seen(world: World) -> Image.Image:
 
 
 def _type(*words: str) -> None:
-    done = CliRunner().invoke(app, list(words), prog_name="khep-twin")
-    assert done.exit_code == 0, f"{words}\n{done.output}{done.exception or ''}"
+    result = CliRunner().invoke(app, list(words), prog_name="khep-twin")
+    assert result.exit_code == 0, f"{words}\n{result.output}{result.exception or ''}"
 
 
 def _keep(picture: Image.Image, name: str) -> None:
@@ -186,7 +186,7 @@ def _keep(picture: Image.Image, name: str) -> None:
 
 
 def main() -> None:
-    """Draw all pictures anew."""
+    """Redraw all pictures."""
     command_line(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         library_picture.draw(tutorial.PICTURES / "library.png")

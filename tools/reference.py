@@ -35,7 +35,7 @@ ROOTS = (
     "khep_twin.lab.conformance",
     "khep_twin.lab.dataset",
 )
-"""Packages that give their public names at the root."""
+"""Packages that export their public names at the root."""
 
 MODULES = (
     "khep_twin.host.commands",
@@ -45,7 +45,7 @@ MODULES = (
     "khep_twin.errors",
     "khep_twin.units",
 )
-"""Public modules besides."""
+"""Further public modules."""
 
 
 def write(folder: Path) -> None:
@@ -66,7 +66,7 @@ def write(folder: Path) -> None:
 
 
 def main() -> None:
-    """Write the pages where the command line says."""
+    """Write the pages into the folder of the command line."""
     parser = command_line(__doc__)
     parser.add_argument("folder", nargs="?", type=Path, default="docs/reference")
     folder = parser.parse_args().folder

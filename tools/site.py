@@ -1,8 +1,8 @@
-"""The site's source out of the repository's pages, for mkdocs: `make docs`.
+"""Source of the site from the repository's pages, for mkdocs: `make docs`.
 
     python -m tools site [FOLDER]
 
-The front page is the head of the README with ways in by task, the gallery every picture of the pages, and the
+The front page has the head of the README and links by task. The gallery has every picture of the pages. The
 reference is that of `python -m tools reference`. Links between pages stay as they are; those to the README
 lead to its page.
 """
@@ -64,13 +64,13 @@ TASKS = {
     [real or simulated time](docs/time.md), and check a robot, an emulator or a recording
     [against the protocol](docs/protocol.md#checking-a-robot-an-emulator-or-a-recording).""",
 }
-"""Ways into the pages, by what a reader wants."""
+"""Links into the pages, by the reader's task."""
 
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+\.(?:png|svg))\)")
 
 
 def main() -> None:
-    """Write the source where the command line says."""
+    """Write the source into the folder of the command line."""
     parser = command_line(__doc__)
     parser.add_argument("folder", nargs="?", type=Path, default="out/site-source")
     write(parser.parse_args().folder)
@@ -108,7 +108,7 @@ def _copy(path: Path, to: Path) -> None:
 
 
 def _front(readme: str) -> str:
-    """Return the front page: one sentence, where to go on by task, two commands, one picture."""
+    """Return the front page: one sentence, links by task, two commands, one picture."""
     title, sentence, picture = readme.split("\n\n")[:3]
     (commands, *_) = re.findall(r"```sh\n.*?```", readme, re.DOTALL)
     cards = "".join(f"-   **{task}**\n\n    {text}\n\n" for task, text in TASKS.items())
@@ -123,16 +123,20 @@ def _front(readme: str) -> str:
 
 def _gallery(target: Path) -> str:
     """Return a page of every picture with its description, by the pages that they are on."""
-    seen: set[Path] = set()
+    listed_pictures: set[Path] = set()
     parts = ["# Gallery\n\nAll pictures of the pages, each below a link to its page.\n"]
     for page in sorted(target.rglob("*.md")):
-        text, there = page.read_text(encoding="utf-8"), page.relative_to(target)
+        text, location = page.read_text(encoding="utf-8"), page.relative_to(target)
         title = "Overview" if page.name == "about.md" else text.partition("\n")[0].removeprefix("# ")
-        heading = f"## [{title}]({there})\n"
+        heading = f"## [{title}]({location})\n"
         for words, link in PICTURE.findall(text):
             picture = (page.parent / link).resolve()
-            if page.name not in ("index.md", "gallery.md") and picture not in seen and picture.exists():
-                seen.add(picture)
+            if (
+                page.name not in ("index.md", "gallery.md")
+                and picture not in listed_pictures
+                and picture.exists()
+            ):
+                listed_pictures.add(picture)
                 parts += [heading] * (heading not in parts)
                 parts.append(f"![{words}]({picture.relative_to(target.resolve())})<br>{words}\n")
     return "\n".join(parts)

@@ -1,4 +1,4 @@
-"""Changes of the site's HTML that Markdown has no words for, a hook of mkdocs: `make docs`."""
+"""Hook of mkdocs with changes of the site's HTML that Markdown cannot express: `make docs`."""
 
 import re
 
@@ -12,7 +12,7 @@ LONGEST_WORD = 24
 
 def on_page_content(html: str, **_: object) -> str:
     """Keep options whole, let long names break between their words, and link pictures to their full size."""
-    html = CODE.sub(lambda found: f"<code>{_broken(found[1])}</code>", html)
+    html = CODE.sub(lambda match: f"<code>{_broken(match[1])}</code>", html)
     return PICTURE.sub(r'<a href="\1">\g<0></a>', html)
 
 

@@ -1,13 +1,13 @@
-"""The tutorial executed as a reader would: its blocks, in order, in one folder.
+"""Execution of the tutorial's blocks as by a reader: in order, in one folder.
 
-A block that begins with `# NAME` is a file, other Python blocks are typed at a prompt until `exit()`, blocks
-of `sh` are typed in a terminal, and a block of `text` is the output of the one before. `/dev/ttyUSB0` is a
-served twin.
+A block whose first line is `# NAME` is a file. Other Python blocks are typed at a prompt until `exit()`,
+blocks of `sh` are typed in a terminal, and a block of `text` is the output of the one before. `/dev/ttyUSB0`
+is a served twin.
 
 The numbers of a run depend in their last bits on MuJoCo, numpy and the kind of machine. A comment
-in the page names those of its own numbers; where they are the same, every number is compared.
+in the page names the versions behind its numbers; if they are the same, every number is compared.
 
-    python -m tools tutorial    # remakes the pictures and numbers of the tutorial and the README
+    python -m tools tutorial    # regenerates the pictures and numbers of the tutorial and the README
 """
 
 import ast
@@ -56,15 +56,15 @@ class Block:
     @property
     def file(self) -> str | None:
         """File to save it as."""
-        found = re.match(r"# (\S+\.(?:py|toml))\n", self.text)
-        return found[1] if found else None
+        match = re.match(r"# (\S+\.(?:py|toml))\n", self.text)
+        return match[1] if match else None
 
 
 def blocks(page: str) -> list[Block]:
     """Return all blocks of a page; the lines are those of the fences."""
     return [
-        Block(page[: found.start()].count("\n") + 1, found[1], found[2])
-        for found in re.finditer(r"^```(\w*)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+        Block(page[: match.start()].count("\n") + 1, match[1], match[2])
+        for match in re.finditer(r"^```(\w*)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
     ]
 
 
@@ -75,19 +75,19 @@ def pictures(page: str) -> list[str]:
 
 def made_with() -> str:
     """Return the page's comment on the versions behind its numbers, for this machine."""
-    known = {key: text for key, text in versions().items() if key != "khep_twin"}
-    return f"<!-- Numbers made with: {', '.join(f'{key} {text}' for key, text in known.items())}. -->"
+    dependencies = {key: text for key, text in versions().items() if key != "khep_twin"}
+    return f"<!-- Numbers made with: {', '.join(f'{key} {text}' for key, text in dependencies.items())}. -->"
 
 
 def same_numbers() -> bool:
-    """Return whether this machine has to print exactly the numbers of the page."""
+    """Return whether this machine must print exactly the numbers of the page."""
     return made_with() in PAGE.read_text()
 
 
-def with_shown(page: str, block: Block, shown: str) -> str:
+def replace_block(page: str, block: Block, output: str) -> str:
     """Return the page with another text in one of its blocks."""
     lines = page.splitlines(keepends=True)
-    lines[block.line : block.line + block.text.count("\n")] = shown.splitlines(keepends=True)
+    lines[block.line : block.line + block.text.count("\n")] = output.splitlines(keepends=True)
     return "".join(lines)
 
 
@@ -109,7 +109,7 @@ class Reader:
 
     folder: Path
     exact: bool = False
-    shown: str = ""
+    output: str = ""
     undrawn: list[str] = field(default_factory=list[str])
     _names: dict[str, Any] = field(default_factory=dict[str, Any])
     _servers: list["subprocess.Popen[bytes]"] = field(default_factory=list["subprocess.Popen[bytes]"])
@@ -118,17 +118,19 @@ class Reader:
         """Execute a block.
 
         Raises:
-            AssertionError: It fails, or its output differs from the page.
+            AssertionError: The block fails, or its output differs from the page.
         """
         if block.file:
             (self.folder / block.file).write_text(block.text)
         elif block.language == "python":
-            self.shown = self._prompt(block.text)
+            self.output = self._prompt(block.text)
         elif block.language == "sh":
-            self.shown = "".join(self._command(line) for line in block.text.splitlines())
+            self.output = "".join(self._command(line) for line in block.text.splitlines())
         elif block.language == "text":
-            alike = self.shown == block.text if self.exact else likeness(self.shown) == likeness(block.text)
-            assert alike, f"line {block.line}: shown was\n{self.shown}"
+            is_same = (
+                self.output == block.text if self.exact else likeness(self.output) == likeness(block.text)
+            )
+            assert is_same, f"line {block.line}: shown was\n{self.output}"
         else:
             raise AssertionError(f"line {block.line}: a block of {block.language or 'nothing'}")
 
@@ -141,15 +143,15 @@ class Reader:
     def _prompt(self, text: str) -> str:
         """Type statements at Python's prompt."""
         if text.endswith("exit()\n"):
-            text, after = text.removesuffix("exit()\n"), dict[str, Any]()
+            text, next_names = text.removesuffix("exit()\n"), dict[str, Any]()
         else:
-            after = self._names
-        shown = io.StringIO()
-        with contextlib.redirect_stdout(shown):
+            next_names = self._names
+        buffer = io.StringIO()
+        with contextlib.redirect_stdout(buffer):
             for statement in ast.parse(text).body:
                 exec(compile(ast.Interactive([statement]), "tutorial", "single"), self._names)
-        self._names = after
-        return shown.getvalue()
+        self._names = next_names
+        return buffer.getvalue()
 
     def _command(self, line: str) -> str:
         """Type a line in the terminal."""
@@ -163,22 +165,22 @@ class Reader:
             self._serve(words[1:])
             return ""
         if program == "khep-twin":
-            done = CliRunner().invoke(app, words, prog_name="khep-twin")
-            if "rerun's viewer cannot draw here" in str(done.exception):
+            result = CliRunner().invoke(app, words, prog_name="khep-twin")
+            if "rerun's viewer cannot draw here" in str(result.exception):
                 self.undrawn.append(words[-1])
                 return f"picture  {words[-1]}\n"
-            assert done.exit_code == 0, f"{line}\n{done.output}{done.exception or ''}"
-            return done.stdout
+            assert result.exit_code == 0, f"{line}\n{result.output}{result.exception or ''}"
+            return result.stdout
         assert program == "python", line
-        shown = io.StringIO()
-        before = sys.argv
+        buffer = io.StringIO()
+        saved_argv = sys.argv
         sys.argv = words
         try:
-            with contextlib.redirect_stdout(shown):
+            with contextlib.redirect_stdout(buffer):
                 runpy.run_path(words[0], run_name="__main__")
         finally:
-            sys.argv = before
-        return shown.getvalue()
+            sys.argv = saved_argv
+        return buffer.getvalue()
 
     def _serve(self, words: list[str]) -> None:
         """Serve a twin in another terminal, by the clock `wire`, which does not wait for real time."""
@@ -217,7 +219,7 @@ def make_run(folder: Path) -> list[str]:
 
 
 def draw_pictures() -> None:
-    """Remake the page's pictures by its own commands, and put their output into its blocks."""
+    """Redraw the page's pictures by its commands, and put their output into its blocks."""
     page = PAGE.read_text()
     with tempfile.TemporaryDirectory() as name, reader(Path(name)) as person:
         for block in blocks(page)[1:]:
@@ -226,23 +228,23 @@ def draw_pictures() -> None:
                 person.follow(block)
                 print(f"line {block.line}, {time.monotonic() - begin:.1f} s")
                 continue
-            assert person.shown.count("\n") == block.text.count("\n"), f"line {block.line}: {person.shown}"
-            page = with_shown(page, block, person.shown)
+            assert person.output.count("\n") == block.text.count("\n"), f"line {block.line}: {person.output}"
+            page = replace_block(page, block, person.output)
         for file in pictures(page):
             shrunk(person.folder / file, WIDTH).save(PICTURES / f"tutorial_{file}", optimize=True)
     PAGE.write_text(re.sub(r"<!-- Numbers made with: .*? -->", made_with(), page))
 
 
 def draw_readme() -> None:
-    """Remake the README's pictures of `make run`."""
+    """Redraw the README's pictures of `make run`."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for words in (
             make_run(folder),
             ["view", str(folder / "run.mcap"), "--png", str(folder / "view.png")],
         ):
-            done = CliRunner().invoke(app, words, prog_name="khep-twin")
-            assert done.exit_code == 0, f"{words}\n{done.output}{done.exception or ''}"
+            result = CliRunner().invoke(app, words, prog_name="khep-twin")
+            assert result.exit_code == 0, f"{words}\n{result.output}{result.exception or ''}"
         (PICTURES / "run.png").write_bytes((folder / "run.png").read_bytes())
         shrunk(folder / "view.png", 1280).save(PICTURES / "view.png", optimize=True)
 
@@ -255,7 +257,7 @@ def shrunk(file: Path, width: int) -> Image.Image:
 
 
 def main() -> None:
-    """Make numbers and pictures anew."""
+    """Regenerate numbers and pictures."""
     command_line(__doc__).parse_args()
     draw_readme()
     draw_pictures()

@@ -45,50 +45,50 @@ def locked(version: str) -> dict[str, tuple[str, set[str]]]:
 
 
 def wheels(version: str, pins: dict[str, str]) -> dict[str, tuple[str, str]]:
-    """Return file name and hash of the wheel that pip finds for each pin, by package name."""
-    asked = dict(pins)
+    """Return file name and hash of the wheel that pip selects for each pin, by package name."""
+    pending = dict(pins)
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder, "report.json")
         command = [sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--dry-run"]
         command += ["--no-deps", "--only-binary", ":all:", "--python-version", version, "--target", folder]
         command += ["--ignore-installed", "--report", str(report), "-r", str(Path(folder, "pins.txt"))]
         command += [word for platform in PLATFORMS for word in ("--platform", platform)]
-        while asked:
-            lines = [f"{name}=={pin}\n" for name, pin in asked.items()]
+        while pending:
+            lines = [f"{name}=={pin}\n" for name, pin in pending.items()]
             Path(folder, "pins.txt").write_text("".join(lines))
-            done = subprocess.run(command, capture_output=True, text=True)
-            if done.returncode == 0:
+            process = subprocess.run(command, capture_output=True, text=True)
+            if process.returncode == 0:
                 break
-            missing = MISSING.search(done.stderr)
+            missing = MISSING.search(process.stderr)
             if missing is None:
-                sys.exit(f"pip failed:\n{done.stderr}")
-            del asked[missing[1]]
+                sys.exit(f"pip failed:\n{process.stderr}")
+            del pending[missing[1]]
         else:
             return {}
         items = json.loads(report.read_text())["install"]
-    found: dict[str, tuple[str, str]] = {}
+    wheel_by_name: dict[str, tuple[str, str]] = {}
     for item in items:
         url, hashes = item["download_info"]["url"], item["download_info"]["archive_info"]["hashes"]
-        found[canonicalize_name(item["metadata"]["name"])] = (
+        wheel_by_name[canonicalize_name(item["metadata"]["name"])] = (
             url.rpartition("/")[2],
             f"sha256:{hashes['sha256']}",
         )
-    return found
+    return wheel_by_name
 
 
 def main() -> int:
     """Print a table for each version; return 1 if a package has none."""
     parser = command_line(__doc__)
     parser.add_argument("versions", nargs="*", default=VERSIONS, metavar="VERSION")
-    without = 0
+    n_missing = 0
     for version in parser.parse_args().versions:
         packages = locked(version)
-        found = wheels(version, {name: pin for name, (pin, _) in packages.items()})
-        there = 0
+        wheel_by_name = wheels(version, {name: pin for name, (pin, _) in packages.items()})
+        n_locked = 0
         for name, (pin, hashes) in sorted(packages.items()):
-            file, digest = found.get(name, ("", ""))
-            there += digest in hashes
+            file, digest = wheel_by_name.get(name, ("", ""))
+            n_locked += digest in hashes
             print(f"{version}  {name:26} {pin:18} {file if digest in hashes else 'NO LOCKED WHEEL'}")
-        print(f"Python {version}: {there} of {len(packages)} locked packages have a wheel")
-        without += len(packages) - there
-    return min(without, 1)
+        print(f"Python {version}: {n_locked} of {len(packages)} locked packages have a wheel")
+        n_missing += len(packages) - n_locked
+    return min(n_missing, 1)

@@ -76,7 +76,7 @@ class Faults:
 
         Args:
             kind: Kind of the fault, for example "stall".
-            where: Place of it, for example the name of a process.
+            place: Place of it, for example the name of a process.
             max_rate: Highest probability of this kind for any seed.
         """
         key = kind, place

@@ -25,7 +25,7 @@ def _set_position_again(left: int, right: int) -> HostCommand[None]:
 
 def _resynchronize_early(line: Line) -> list[str]:
     """Ask again without waiting for replies that may still come."""
-    line._unanswered.clear()
+    line._unanswered_letters.clear()
     return []
 
 

@@ -25,17 +25,19 @@ def parse_options(
     description: str, *, generations: int, episodes: int, seconds: float, check_starts: int
 ) -> argparse.Namespace:
     """Return the options of the command line; the arguments are their defaults."""
-    wish = argparse.ArgumentParser(description=description)
-    wish.add_argument("--generations", type=int, default=generations)
-    wish.add_argument("--population", type=int, default=20)
-    wish.add_argument("--episodes", type=int, default=episodes, help="episodes of a genome")
-    wish.add_argument("--seconds", type=float, default=seconds, help="duration of an episode")
-    wish.add_argument("--check-starts", type=int, default=check_starts, help="evaluation episodes in MuJoCo")
-    wish.add_argument("--seed", type=int, default=0)
-    wish.add_argument("--picture", type=Path, help="draw curve and paths to NAME.png and NAME_way.png")
-    options = wish.parse_args()
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--generations", type=int, default=generations)
+    parser.add_argument("--population", type=int, default=20)
+    parser.add_argument("--episodes", type=int, default=episodes, help="episodes of a genome")
+    parser.add_argument("--seconds", type=float, default=seconds, help="duration of an episode")
+    parser.add_argument(
+        "--check-starts", type=int, default=check_starts, help="evaluation episodes in MuJoCo"
+    )
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--picture", type=Path, help="draw curve and paths to NAME.png and NAME_way.png")
+    options = parser.parse_args()
     if options.picture is not None and (reason := unusable(options.picture)):
-        wish.error(f"{options.picture}: cannot be written: {reason}")
+        parser.error(f"{options.picture}: cannot be written: {reason}")
     return options
 
 

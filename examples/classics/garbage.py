@@ -1,12 +1,12 @@
-"""Garbage collecting with the gripper, after Nolfi (1997): five cylinders are put out of the arena.
+"""Garbage collecting with the gripper, after Nolfi (1997): a robot puts five cylinders out of the arena.
 
     .venv/bin/python examples/classics/garbage.py --picture garbage.png
 
-His networks evolved; this controller is written by hand, as a host on khep:// in lock-step: the robot's own
-commands at 9600 baud, so that it runs on a robot as it is. His built-in procedures are its own, too: lower,
-close and lift when an object is between the fingers; reach over the wall, which is lower than the arm, and
-open. It tells cylinders from walls by motion: it turns on the spot until the front sensors lose what they
-see, to either side, and a wall stays in sight longer. Each trial has five cylinders and another seed.
+His networks evolved; this controller is written by hand, as a host on khep:// in lock-step. It uses the
+robot's commands at 9600 baud, so it also drives a real robot. It has the built-in procedures of his work:
+lower, close and lift when an object is between the fingers; reach over the wall, which is lower than the arm,
+and open. It distinguishes cylinders from walls by motion. It turns on the spot until the front sensors lose
+the object, to either side; a wall stays in sight longer. Each trial has five cylinders and another seed.
 """
 
 import argparse
@@ -21,18 +21,18 @@ from khep_twin.files import unusable
 from khep_twin.host import turn_pulses
 from khep_twin.randomness import stream
 
-wish = argparse.ArgumentParser(description="Clear an arena of cylinders.")
-wish.add_argument("--trials", type=int, default=10)
-wish.add_argument("--seconds", type=float, default=500.0, help="longest duration of a trial")
-wish.add_argument("--seed", type=int, default=0, help="seed of the first trial")
-wish.add_argument("--picture", type=Path, help="draw the first trial's path to this PNG, SVG or PDF file")
-options = wish.parse_args()
+parser = argparse.ArgumentParser(description="Clear an arena of cylinders.")
+parser.add_argument("--trials", type=int, default=10)
+parser.add_argument("--seconds", type=float, default=500.0, help="longest duration of a trial")
+parser.add_argument("--seed", type=int, default=0, help="seed of the first trial")
+parser.add_argument("--picture", type=Path, help="draw the first trial's path to this PNG, SVG or PDF file")
+options = parser.parse_args()
 if options.picture is not None and (reason := unusable(options.picture)):
-    wish.error(f"{options.picture}: cannot be written: {reason}")
+    parser.error(f"{options.picture}: cannot be written: {reason}")
 
 ARENA = Playpen.load("garbage")
 SIDES_MM = ARENA.arena.width_mm, ARENA.arena.height_mm
-SEEN, LOST = 200, 60
+DETECTION, LOST = 200, 60
 """Counts from which an object is examined, and below which it is out of sight."""
 WALL_DEG = 92
 """Angle over which most walls are in sight and cylinders are not (72 to 87 degrees in a trial)."""
@@ -58,9 +58,9 @@ class Collector:
         self.gripper.wait()
 
     def cycle(self) -> None:
-        """Drive on, or deal with what is in sight."""
+        """Drive ahead, or handle an object in sight."""
         counts = self.robot.proximity()[:6]
-        if max(counts) < SEEN:
+        if max(counts) < DETECTION:
             self.robot.set_speed(8, 8)
             return
         self.face(counts)
@@ -74,7 +74,7 @@ class Collector:
         self.turn(self.rng.uniform(60, 150) * self.rng.choice((-1, 1)))
 
     def face(self, counts: tuple[int, ...]) -> None:
-        """Turn to the side of the largest count until a front sensor has it."""
+        """Turn to the side of the largest count until a front sensor reads it."""
         side = 1 if int(np.argmax(counts)) <= 2 else -1
         end = self.robot.time + 6
         self.robot.set_speed(-3 * side, 3 * side)
@@ -83,7 +83,7 @@ class Collector:
         self.robot.set_speed(0, 0)
 
     def width_deg(self) -> float:
-        """Return the angle over which the front sensors see what is ahead, and face its middle."""
+        """Return the angle over which the front sensors detect the object ahead, and face its middle."""
         left = self.turn_until_lost(1)
         self.turn(-left)
         right = self.turn_until_lost(-1)
@@ -91,7 +91,7 @@ class Collector:
         return left + right
 
     def turn_until_lost(self, side: int) -> float:
-        """Turn until the front sensors see nothing, or by 80 degrees; return the angle [deg]."""
+        """Turn until the front sensors detect nothing, or by 80 degrees; return the angle [deg]."""
         self.robot.set_position(0, 0)
         self.robot.set_speed(-3 * side, 3 * side)
         turned = 0.0
@@ -101,7 +101,7 @@ class Collector:
         return 90 * abs(self.robot.position().right) / turn_pulses(np.pi / 2)
 
     def pick_up(self) -> None:
-        """Approach, and close the fingers around what darkens the light barrier."""
+        """Approach, and close the fingers around an object that darkens the light barrier."""
         end = self.robot.time + 2
         self.robot.set_speed(2, 2)
         while max(self.robot.proximity()[2:4]) < 350 and self.robot.time < end:

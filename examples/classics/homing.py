@@ -3,15 +3,17 @@
     .venv/bin/python examples/classics/homing.py --picture homing.png
 
 As in their work: an arena of 400 x 450 mm with a charger of 80 mm under a light tower in a corner; a charge
-of 20 s, renewed at once on the charger, where the fitness is 0; a life of at most 150 actions; five recurrent
-hidden neurons from eight proximity sensors, two light receivers, a floor sensor and the charge; a fitness of
-V (1 - i) for each action, as a part of 150 actions; a population of 100 and 240 generations. The robot has
-no floor sensor: the floor is told from its position, as the charge from the time.
+of 20 s, renewed immediately on the charger, where the fitness is 0; an episode ("life") of at most 150
+actions; five recurrent hidden neurons from eight proximity sensors, two light receivers, a floor sensor and
+the charge; a fitness of V (1 - i) for each action, as a part of 150 actions; a population of 100 and 240
+generations. The robot has no floor sensor: that input is computed from its position, as the charge is from
+the time.
 
-V is the mean of both speeds, forwards; published is that of their absolute values, which a robot that spins
-on the spot earns, too. An action takes 400 ms, so a charge lasts for 50. Roulette selection, crossover (0.1),
-mutations (0.2, up to 0.5) and full speed (80 mm/s) are assumed. Lives are in the plane; those of the last
-generation's twenty best are repeated in MuJoCo, and the best of these is evaluated there in new lives.
+V is the mean of both speeds, forwards. The published one uses their absolute values, which would also reward
+a robot that spins on the spot. An action takes 400 ms, so a charge lasts for 50. Roulette selection,
+crossover (0.1), mutations (0.2, up to 0.5) and full speed (80 mm/s) are assumed. Episodes run in the plane.
+The twenty best of the last generation are evaluated again in MuJoCo, and the best of these there in new
+episodes.
 """
 
 import argparse
@@ -30,15 +32,15 @@ from khep_twin.files import unusable
 from khep_twin.randomness import stream
 from khep_twin.units import COUNTS_LIMIT
 
-wish = argparse.ArgumentParser(description="Evolve homing to a charger.")
-wish.add_argument("--generations", type=int, default=240)
-wish.add_argument("--population", type=int, default=100)
-wish.add_argument("--check-lives", type=int, default=50, help="lives of the best in MuJoCo")
-wish.add_argument("--seed", type=int, default=0)
-wish.add_argument("--picture", type=Path, help="draw curve and path to NAME.png and NAME_way.png")
-options = wish.parse_args()
+parser = argparse.ArgumentParser(description="Evolve homing to a charger.")
+parser.add_argument("--generations", type=int, default=240)
+parser.add_argument("--population", type=int, default=100)
+parser.add_argument("--check-lives", type=int, default=50, help="episodes of the best in MuJoCo")
+parser.add_argument("--seed", type=int, default=0)
+parser.add_argument("--picture", type=Path, help="draw curve and path to NAME.png and NAME_way.png")
+options = parser.parse_args()
 if options.picture is not None and (reason := unusable(options.picture)):
-    wish.error(f"{options.picture}: cannot be written: {reason}")
+    parser.error(f"{options.picture}: cannot be written: {reason}")
 
 ACTIONS, CHARGE, ACTION_NS = 150, 50, 400_000_000
 N_HIDDEN, N_INPUTS, TOP_SPEED_PULSES, CHARGER = 5, 8 + 2 + 1 + 1, 10, 0.08
@@ -47,8 +49,8 @@ N_GENES = N_FIRST + 2 * (N_HIDDEN + 1)
 RECEIVERS = [AMBIENT[Sensor.LEFT_45], AMBIENT[Sensor.RIGHT_45]]
 
 
-class Lives(NamedTuple):
-    """Fitness (n,), actions lived (n,), poses (actions, n, 3) and charge left at each return of n robots."""
+class EpisodeResults(NamedTuple):
+    """Results of n episodes: fitness (n,), actions (n,), poses (actions, n, 3), charge left at returns."""
 
     fitness: np.ndarray
     actions: np.ndarray
@@ -56,8 +58,8 @@ class Lives(NamedTuple):
     returns: list[float]
 
 
-def live(setup: EpisodeSetup, genomes: np.ndarray, first_seed: int) -> Lives:
-    """Run a life of each genome from a random start, all side by side."""
+def run_episodes(setup: EpisodeSetup, genomes: np.ndarray, first_seed: int) -> EpisodeResults:
+    """Run an episode of each genome from a random start, all in step."""
     count = len(genomes)
     first = genomes[:, :N_FIRST].reshape(count, N_HIDDEN, -1)
     second = genomes[:, N_FIRST:].reshape(count, 2, -1)
@@ -85,8 +87,8 @@ def live(setup: EpisodeSetup, genomes: np.ndarray, first_seed: int) -> Lives:
         charge = np.where(alive & home, CHARGE, charge)
         near = boards[:, PROXIMITY] / COUNTS_LIMIT
         light = (dark - boards[:, RECEIVERS]) / (dark - floor)
-        told = np.column_stack((near, light, home, charge / CHARGE, one, hidden))
-        hidden = sigmoid(np.einsum("nhi,ni->nh", first, told))
+        inputs = np.column_stack((near, light, home, charge / CHARGE, one, hidden))
+        hidden = sigmoid(np.einsum("nhi,ni->nh", first, inputs))
         out = sigmoid(np.einsum("noh,nh->no", second, np.column_stack((hidden, one))))
         speeds = TOP_SPEED_PULSES * (2 * out - 1)
         forwards = np.maximum(speeds.mean(axis=1), 0) / TOP_SPEED_PULSES
@@ -96,7 +98,7 @@ def live(setup: EpisodeSetup, genomes: np.ndarray, first_seed: int) -> Lives:
             episode.step(setup.steps_per_period)
         actions += alive
         charge -= alive
-    return Lives(fitness / ACTIONS, actions, np.array(poses), returns)
+    return EpisodeResults(fitness / ACTIONS, actions, np.array(poses), returns)
 
 
 def sigmoid(sums: np.ndarray) -> np.ndarray:
@@ -127,18 +129,19 @@ curve = []
 for generation in range(options.generations):
     if generation:
         genomes = offspring(genomes, curve[-1])
-    lives = live(plane, genomes, generation * len(genomes))
-    curve.append(lives.fitness)
+    results = run_episodes(plane, genomes, generation * len(genomes))
+    curve.append(results.fitness)
     print(
-        f"generation {generation:3}  best {lives.fitness.max():.3f}  mean {lives.fitness.mean():.3f}  "
-        f"{(lives.actions == ACTIONS).sum():3} live for {ACTIONS} actions  {time.monotonic() - began:5.0f} s",
+        f"generation {generation:3}  best {results.fitness.max():.3f}  mean {results.fitness.mean():.3f}  "
+        f"{(results.actions == ACTIONS).sum():3} live for {ACTIONS} actions  "
+        f"{time.monotonic() - began:5.0f} s",
         flush=True,
     )
 
 elite = genomes[np.argsort(-curve[-1], kind="stable")[:20]]
-judged = live(mujoco, elite.repeat(5, axis=0), 0).fitness.reshape(-1, 5)
+judged = run_episodes(mujoco, elite.repeat(5, axis=0), 0).fitness.reshape(-1, 5)
 best = elite[judged.mean(axis=1).argmax()]
-checked = live(mujoco, np.tile(best, (options.check_lives, 1)), 1000)
+checked = run_episodes(mujoco, np.tile(best, (options.check_lives, 1)), 1000)
 print(
     f"in MuJoCo, {options.check_lives} new lives of the best: fitness {checked.fitness.mean():.3f}; "
     f"{(checked.actions == ACTIONS).mean():.0%} live for {ACTIONS} actions"

@@ -4,7 +4,7 @@
     .venv/bin/python examples/classics/phototaxis.py --picture phototaxis.png
 
 The network connects proximity and light directly to both motors, with feedback of the motors' last values.
-CMA-ES searches its weights in the plane, from weights of 0. An episode begins anywhere; its fitness is the
+CMA-ES searches its weights in the plane, from weights of 0. An episode starts anywhere. Its fitness is the
 time left when the robot arrives within 60 mm of the bright lamp, as a part of the episode, and a fifth of
 exp(-d / 100 mm) for the smallest distance d. The final mean of the search is then compared in MuJoCo, from
 other starts, with Braitenberg's vehicle 2b that also avoids obstacles, and with the ROM's vehicle, which is
@@ -43,9 +43,15 @@ def vehicle() -> np.ndarray:
     """Return the genes of vehicle 2b, crossed excitation by light, that turns away from obstacles."""
     motors = np.zeros((2, 1 + 8 + 8))  # bias, proximity, light
     motors[:, 0] = 0.3
-    for motor, own, other in ((0, 0, 3), (1, 3, 0)):  # first sensors of the motor's own and other side
-        motors[motor, 1 + own : 4 + own], motors[motor, 1 + other : 4 + other] = 0.5, -1.0
-        motors[motor, 9 + other : 12 + other] = 1 / 3
+    for motor, same_side, other_side in (
+        (0, 0, 3),
+        (1, 3, 0),
+    ):  # first sensors of the motor's same_side and other_side side
+        motors[motor, 1 + same_side : 4 + same_side], motors[motor, 1 + other_side : 4 + other_side] = (
+            0.5,
+            -1.0,
+        )
+        motors[motor, 9 + other_side : 12 + other_side] = 1 / 3
     return motors.ravel()
 
 
@@ -61,8 +67,8 @@ def distances_mm(
 
 def arrivals(distances: np.ndarray) -> np.ndarray:
     """Return the times of the arrivals [s] (episodes,), infinity for none."""
-    there = distances < ARRIVED_MM
-    return np.where(there.any(axis=1), there.argmax(axis=1) * SAMPLE_S, np.inf)
+    is_near = distances < ARRIVED_MM
+    return np.where(is_near.any(axis=1), is_near.argmax(axis=1) * SAMPLE_S, np.inf)
 
 
 def judge(genomes: np.ndarray, generation: int) -> np.ndarray:
@@ -97,9 +103,9 @@ for name, driver, genes in (
 if options.picture:
     draw_curve(curve, "time left at arrival, and nearness", options.picture)
     tracks = []
-    for each, arrival in list(zip(poses, times, strict=True))[:6]:
-        until = round(min(arrival, options.seconds) / SAMPLE_S) + 1
-        tracks.append(DrawnPath("", np.arange(until) * SAMPLE_S, each[:until, :2]))
-    title = "The evolved network from six starts, until it arrives"
+    for episode_poses, arrival in list(zip(poses, times, strict=True))[:6]:
+        n_samples = round(min(arrival, options.seconds) / SAMPLE_S) + 1
+        tracks.append(DrawnPath("", np.arange(n_samples) * SAMPLE_S, episode_poses[:n_samples, :2]))
+    title = "The evolved network from six starts, n_samples it arrives"
     path_file = options.picture.with_name(f"{options.picture.stem}_way.png")
     save(draw(ARENA, tracks, title=title, longer_side=5), path_file)

@@ -30,7 +30,7 @@ def trajectories(
         sample_s: Time between two poses [s], whole control periods.
         first_seed: Seed of the first episode; each further one has the next.
     """
-    each = np.broadcast_to(genes, (len(starts), np.shape(genes)[-1]))
+    episode_genes = np.broadcast_to(genes, (len(starts), np.shape(genes)[-1]))
     seeds = range(first_seed, first_seed + len(starts))
-    found = rollout(setup, driver, seeds, seconds, genes=each, starts=starts, paths_every=sample_s)
-    return found.paths * (1000, 1000, 1)
+    results = rollout(setup, driver, seeds, seconds, genes=episode_genes, starts=starts, paths_every=sample_s)
+    return results.paths * (1000, 1000, 1)

@@ -4,7 +4,7 @@
 
 The light of three receivers on each side excites (2) or inhibits (3) the motor of the same side (a) or of the
 other side (b). Each vehicle starts about 350 mm from a lamp on a post, looking roughly at it, many times;
-episodes run in MuJoCo at the robot's own step. The picture has the paths of all four from two starts.
+episodes run in MuJoCo at the default time step. The picture has the paths of all four from two starts.
 """
 
 import argparse
@@ -18,14 +18,14 @@ from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.files import unusable
 from khep_twin.randomness import stream
 
-wish = argparse.ArgumentParser(description="Drive Braitenberg's vehicles 2a, 2b, 3a and 3b near a lamp.")
-wish.add_argument("--starts", type=int, default=40, help="episodes of each vehicle")
-wish.add_argument("--seconds", type=float, default=7.0, help="duration of an episode")
-wish.add_argument("--seed", type=int, default=0)
-wish.add_argument("--picture", type=Path, help="draw the paths to this PNG, SVG or PDF file")
-options = wish.parse_args()
+parser = argparse.ArgumentParser(description="Drive Braitenberg's vehicles 2a, 2b, 3a and 3b near a lamp.")
+parser.add_argument("--starts", type=int, default=40, help="episodes of each vehicle")
+parser.add_argument("--seconds", type=float, default=7.0, help="duration of an episode")
+parser.add_argument("--seed", type=int, default=0)
+parser.add_argument("--picture", type=Path, help="draw the paths to this PNG, SVG or PDF file")
+options = parser.parse_args()
 if options.picture is not None and (reason := unusable(options.picture)):
-    wish.error(f"{options.picture}: cannot be written: {reason}")
+    parser.error(f"{options.picture}: cannot be written: {reason}")
 
 LAMP_MM = np.array((700.0, 550.0))
 ARENA = playpen.parse(
@@ -67,7 +67,7 @@ def weights(base: float, same_side: float, other_side: float) -> np.ndarray:
 
     Args:
         base: Sum of each motor in the dark.
-        same_side: Weight of the mean light of the motor's own side, three receivers.
+        same_side: Weight of the mean light of the motor's side, three receivers.
         other_side: Weight of the mean light of the other side.
     """
     motors = np.zeros((2, 1 + 8 + 8))  # bias, proximity, light

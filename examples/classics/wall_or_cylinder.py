@@ -77,6 +77,6 @@ print(
 if options.picture:
     draw_curve(curve, "part of the time near the cylinder", options.picture)
     times = np.arange(poses.shape[1]) * 0.1
-    tracks = [DrawnPath("", times, each[:, :2]) for each in poses[: min(3, len(poses))]]
+    tracks = [DrawnPath("", times, path[:, :2]) for path in poses[: min(3, len(poses))]]
     path_file = options.picture.with_name(f"{options.picture.stem}_way.png")
     save(draw(ARENA, tracks, title="The evolved network from three starts", longer_side=4.5), path_file)

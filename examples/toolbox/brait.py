@@ -6,7 +6,7 @@ KHEP_PORT_2=khep://obstacles python brait.py          a twin in this process
 It drives until Ctrl-C.
 """
 
-# The toolbox's names come all at once, as in Matlab.
+# All names of the toolbox are imported together, as in Matlab.
 # ruff: noqa: F403, F405
 
 from numpy import array

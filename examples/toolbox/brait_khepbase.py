@@ -2,11 +2,11 @@
 
 KHEP_PORT_2=khep://obstacles python brait_khepbase.py
 
-Where there is no screen, khepbase.png is written anew each time. The manual reads the light twice, where it
-says it reads proximity; here it does what it says.
+Without a screen, khepbase.png is rewritten each time. The manual's program reads the light twice, although
+its comment names proximity; this one reads both.
 """
 
-# The toolbox's names come all at once, as in Matlab.
+# All names of the toolbox are imported together, as in Matlab.
 # ruff: noqa: F403, F405
 
 from numpy import array

@@ -6,7 +6,7 @@ khep-twin run simsamp1.py:simsamp1 --cycles 500        the same as an experiment
 It goes ahead until a sensor sees something near, then turns. docs/toolbox.md makes it a program for a robot.
 """
 
-# The toolbox's names come all at once, as in Matlab.
+# All names of the toolbox are imported together, as in Matlab.
 # ruff: noqa: F403, F405
 
 from khep_twin.toolbox import *

@@ -6,7 +6,7 @@ khep-twin run simsamp2.py:simsamp2 --cycles 300        as an experiment
 It goes ahead until a sensor sees something near, then turns.
 """
 
-# The toolbox's names come all at once, as in Matlab.
+# All names of the toolbox are imported together, as in Matlab.
 # ruff: noqa: F403, F405
 
 from khep_twin.toolbox import *

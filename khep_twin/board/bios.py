@@ -59,8 +59,8 @@ def _help(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
             )
         )
     name = arguments[0]
-    text = context.commands.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
-    return ToolResult(_format_lines(f"{name}  {text}") if text else refusal("No such item"))
+    description = context.commands.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
+    return ToolResult(_format_lines(f"{name}  {description}") if description else refusal("No such item"))
 
 
 def _list(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
@@ -106,10 +106,10 @@ def _run(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
 
 
 def _serial(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
-    speeds = {str(baud): baud for baud in BAUD_RATES}
-    if len(arguments) != 1 or arguments[0] not in speeds:
-        return ToolResult(refusal(f"Baud rate not possible, right is one of {' '.join(speeds)}"))
-    return ToolResult(_format_lines(f"serial {arguments[0]}"), baud=speeds[arguments[0]])
+    baud_rates = {str(baud): baud for baud in BAUD_RATES}
+    if len(arguments) != 1 or arguments[0] not in baud_rates:
+        return ToolResult(refusal(f"Baud rate not possible, right is one of {' '.join(baud_rates)}"))
+    return ToolResult(_format_lines(f"serial {arguments[0]}"), baud=baud_rates[arguments[0]])
 
 
 def _sfill(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:

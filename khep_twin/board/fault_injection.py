@@ -107,8 +107,8 @@ def _parse_fraction(device: str, side: str, part: str) -> _Values:
     return {**_parse_side(device, side), "part": _parse_number(part, 0, 1)}
 
 
-def _parse_dead(which: str) -> _Values:
-    return _parse_side(MOTOR, which) if which in _SIDES else _parse_sensor(which)
+def _parse_dead(sensor_or_side: str) -> _Values:
+    return _parse_side(MOTOR, sensor_or_side) if sensor_or_side in _SIDES else _parse_sensor(sensor_or_side)
 
 
 def _parse_nothing() -> _Values:
@@ -180,11 +180,11 @@ class Injector:
     def __init__(
         self,
         faults: Iterable[Fault],
-        rng: Callable[[str], np.random.Generator],
+        make_rng: Callable[[str], np.random.Generator],
         log_event: Callable[[str], None],
     ) -> None:
         self._faults = tuple(faults)
-        self._rng = {fault.text: rng(fault.text) for fault in self._faults}
+        self._rngs = {fault.text: make_rng(fault.text) for fault in self._faults}
         self._log_event = log_event
         timed = (fault for fault in self._faults if fault.device or fault.kind == _BROWN_OUT or fault.has_end)
         self._timed = tuple(dict.fromkeys(timed))
@@ -199,7 +199,7 @@ class Injector:
 
     def state(self) -> InjectorState:
         """Return the state."""
-        streams = {text: position(rng) for text, rng in self._rng.items()}
+        streams = {text: position(rng) for text, rng in self._rngs.items()}
         waiting, active = (tuple(fault.text for fault in faults) for faults in (self._waiting, self.active))
         return InjectorState(streams, waiting, active)
 
@@ -209,44 +209,44 @@ class Injector:
         Raises:
             ValueError: A fault in it is not injected here.
         """
-        if unknown := [text for text in state.streams if text not in self._rng]:
-            raise ValueError(f"fault {unknown[0]!r}; {choices(unknown[0], self._rng)}")
+        if unknown := [text for text in state.streams if text not in self._rngs]:
+            raise ValueError(f"fault {unknown[0]!r}; {choices(unknown[0], self._rngs)}")
         for text, stream in state.streams.items():
-            resume(self._rng[text], stream)
-        known_texts, waiting = state.streams.keys(), set(state.waiting)
-        waiting |= {fault.text for fault in self._waiting if fault.text not in known_texts}
-        self._waiting = [fault for fault in self._timed if fault.text in waiting]
-        active = {fault.text for fault in self.active if fault.text not in known_texts} | set(state.active)
-        self.active = [fault for fault in self._timed if fault.text in active]
+            resume(self._rngs[text], stream)
+        known_texts, waiting_texts = state.streams.keys(), set(state.waiting)
+        waiting_texts |= {fault.text for fault in self._waiting if fault.text not in known_texts}
+        self._waiting = [fault for fault in self._timed if fault.text in waiting_texts]
+        active_texts = {fault.text for fault in self.active if fault.text not in known_texts} | set(state.active)
+        self.active = [fault for fault in self._timed if fault.text in active_texts]
 
-    def reseed(self, rng: Callable[[str], np.random.Generator]) -> None:
+    def reseed(self, make_rng: Callable[[str], np.random.Generator]) -> None:
         """Replace the random streams."""
-        self._rng = {text: rng(text) for text in self._rng}
+        self._rngs = {text: make_rng(text) for text in self._rngs}
 
     def transmit(self, data: bytes, time_ns: int) -> bytes:
         """Return the bytes after transmission over a bad cable."""
         if not self._faults:
             return data
-        for fault in self._present("drop", time_ns):
-            hits = self._draw(fault, len(data))
-            if hits.any():
-                self._log_event(f"fault {fault.text}: {int(hits.sum())} of {data!r} dropped")
-                data = bytes(byte for byte, lost in zip(data, hits, strict=True) if not lost)
-        for fault in self._present("garble", time_ns):
-            hits = self._draw(fault, len(data))
-            if hits.any():
-                bits = self._rng[fault.text].integers(0, 8, len(data)).tolist()
-                self._log_event(f"fault {fault.text}: {int(hits.sum())} of {data!r} garbled")
+        for fault in self._active_faults("drop", time_ns):
+            is_hit = self._draw(fault, len(data))
+            if is_hit.any():
+                self._log_event(f"fault {fault.text}: {int(is_hit.sum())} of {data!r} dropped")
+                data = bytes(byte for byte, lost in zip(data, is_hit, strict=True) if not lost)
+        for fault in self._active_faults("garble", time_ns):
+            is_hit = self._draw(fault, len(data))
+            if is_hit.any():
+                bits = self._rngs[fault.text].integers(0, 8, len(data)).tolist()
+                self._log_event(f"fault {fault.text}: {int(is_hit.sum())} of {data!r} garbled")
                 data = bytes(
                     byte ^ (1 << bit if wrong else 0)
-                    for byte, bit, wrong in zip(data, bits, hits, strict=True)
+                    for byte, bit, wrong in zip(data, bits, is_hit, strict=True)
                 )
         return data
 
     def delay_ns(self, time_ns: int) -> int:
         """Return the delay of a reply [ns]."""
         delay_ns = 0
-        for fault in self._present("late", time_ns):
+        for fault in self._active_faults("late", time_ns):
             if self._draw(fault, 1).any():
                 self._log_event(f"fault {fault.text}: a reply is late")
                 delay_ns += fault.delay_ns
@@ -273,9 +273,9 @@ class Injector:
         starts = (fault.start_ns for fault in self._waiting if fault.kind == _BROWN_OUT)
         return min(starts, default=None)
 
-    def _present(self, kind: str, time_ns: int) -> list[Fault]:
+    def _active_faults(self, kind: str, time_ns: int) -> list[Fault]:
         faults = (fault for fault in self._faults if fault.kind == kind)
         return [fault for fault in faults if fault.start_ns <= time_ns < fault.end_ns]
 
     def _draw(self, fault: Fault, count: int) -> NDArray[np.bool_]:
-        return self._rng[fault.text].random(count) < fault.probability
+        return self._rngs[fault.text].random(count) < fault.probability

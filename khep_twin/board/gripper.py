@@ -34,7 +34,7 @@ ARM_SPEED = 320
 FINGER_SPEED = 512
 """Speed of the fingers [positions/256 per 10 ms]: from open to closed in a second (assumed)."""
 
-_ORDERS = {"B": 0, "D": 1, "E": 1, "F": 0, "G": 0, "H": 1, "J": 0}
+_ARGUMENT_COUNTS = {"B": 0, "D": 1, "E": 1, "F": 0, "G": 0, "H": 1, "J": 0}
 
 
 class Register(IntEnum):
@@ -61,15 +61,15 @@ class GripperElectronics:
         self.registers = np.zeros(len(Register), np.int64)
         self.registers[[Register.ARM_POSITION, Register.FINGER_POSITION]] = ARM_UP, FINGERS_OPEN
         self.registers[Register.RESISTIVITY] = 255
-        self._view = self.registers.data
+        self._register_view = self.registers.data
         self.reset()
 
     def receive(self, message: bytes) -> bytes:
         """Execute an order; return its reply."""
-        order = parse_turret_order(message, _ORDERS)
+        order = parse_turret_order(message, _ARGUMENT_COUNTS)
         if isinstance(order, Malformed):
             return order.reply
-        view = self._view
+        view = self._register_view
         values: tuple[int, ...] = ()
         match order.letter, order.arguments:
             case "B", ():
@@ -97,12 +97,12 @@ class GripperElectronics:
 
     def reset(self) -> None:
         """Stop arm and fingers at their present positions."""
-        view = self._view
+        view = self._register_view
         for position in (Register.ARM_POSITION, Register.FINGER_POSITION):
             target, setpoint = position - 2, position - 1
             view[target] = view[position]
             view[setpoint] = view[position] * FRACTION
 
     def _approach(self, setpoint: Register, target: Register, speed: int) -> None:
-        view = self._view
+        view = self._register_view
         view[setpoint] += clip(view[target] * FRACTION - view[setpoint], speed)

@@ -32,7 +32,7 @@ BOARD_HEIGHT = 0.008
 N_RAYS = 3
 """Number of the light barrier's rays in assets/gripper.xml."""
 
-_SLACK = 0.0005
+_FREE_TOLERANCE = 0.0005
 """Distance from the right finger within which a ray counts as unobstructed [m]."""
 
 
@@ -46,35 +46,35 @@ class GripperBody:
     def __init__(self, context: TurretContext) -> None:
         model, prefix = context.model, context.prefix
         self._data = context.data
-        self._view = context.registers.data
-        self._shoulder, self._slide = (
+        self._register_view = context.registers.data
+        self._shoulder_qpos, self._slide_qpos = (
             int(model.joint(prefix + name).qposadr[0]) for name in ("shoulder", "left_slide")
         )
         self._arm_motor, self._finger_motor = (
             model.actuator(prefix + name).id for name in ("shoulder_motor", "finger_motor")
         )
-        self._rays = [int(model.sensor(f"{prefix}beam_{ray}").adr[0]) for ray in range(N_RAYS)]
-        self._pads = [model.geom(prefix + name).id for name in ("left_pad", "right_pad")]
+        self._beam_addresses = [int(model.sensor(f"{prefix}beam_{ray}").adr[0]) for ray in range(N_RAYS)]
+        self._pad_geoms = [model.geom(prefix + name).id for name in ("left_pad", "right_pad")]
         self._conductances: NDArray[np.float64] = model.geom_user[:, 1]
         self.drive()
 
     def sense(self) -> None:
         """Read positions, light barrier and resistivity into the registers."""
-        qpos, view = self._data.qpos, self._view
-        elevation_deg = math.degrees(qpos[self._shoulder])
-        half_gap = float(qpos[self._slide])
+        qpos, view = self._data.qpos, self._register_view
+        elevation_deg = math.degrees(qpos[self._shoulder_qpos])
+        half_gap = float(qpos[self._slide_qpos])
         view[Register.ARM_POSITION] = round((ARM_LEVEL_DEG - elevation_deg) / ARM_DEGREES_PER_UNIT)
         position = (half_gap - GAP_CLOSED) / (GAP_OPEN - GAP_CLOSED) * FINGERS_OPEN
         view[Register.FINGER_POSITION] = min(max(round(position), 0), FINGERS_OPEN)
-        gap = 2 * half_gap + FINGER_THICKNESS - _SLACK
-        n_dark = sum(0 <= self._data.sensordata[ray] < gap for ray in self._rays)
+        gap = 2 * half_gap + FINGER_THICKNESS - _FREE_TOLERANCE
+        n_dark = sum(0 <= self._data.sensordata[ray] < gap for ray in self._beam_addresses)
         view[Register.BARRIER] = n_dark * 255 // N_RAYS
         view[Register.RESISTIVITY] = resistivity(self._conductance())
 
     def drive(self) -> None:
         """Drive arm and fingers to the setpoints."""
-        arm = self._view[Register.ARM_SETPOINT] / FRACTION
-        fingers = self._view[Register.FINGER_SETPOINT] / FRACTION
+        arm = self._register_view[Register.ARM_SETPOINT] / FRACTION
+        fingers = self._register_view[Register.FINGER_SETPOINT] / FRACTION
         elevation_deg = ARM_LEVEL_DEG - ARM_DEGREES_PER_UNIT * arm
         self._data.ctrl[self._arm_motor] = math.radians(elevation_deg)
         self._data.ctrl[self._finger_motor] = GAP_CLOSED + (GAP_OPEN - GAP_CLOSED) * fingers / FINGERS_OPEN
@@ -85,7 +85,7 @@ class GripperBody:
         if not len(pairs):
             return 0.0
         left, right = (
-            {int(geom) for geom in pairs[(pairs == pad).any(axis=1)].ravel()} - {pad} for pad in self._pads
+            {int(geom) for geom in pairs[(pairs == pad).any(axis=1)].ravel()} - {pad} for pad in self._pad_geoms
         )
         return max((float(self._conductances[geom]) for geom in left & right), default=0.0)
 

@@ -41,10 +41,10 @@ LIGHT_LIMIT = 65535
 TICK_MS = TICK_NS // 1_000_000
 """Control period, in which scans are counted [ms]."""
 
-_LENGTHS = {"Q": 8, "R": 16}
+_REPLY_PIXELS = {"Q": 8, "R": 16}
 """Numbers of pixels in the replies to these orders."""
 
-_ORDERS = {"B": 0, "L": 0, "M": 0, "N": 0, "O": 0, "P": 0, "Q": 1, "R": 1, "S": 0, "T": 0, "U": 1}
+_ARGUMENT_COUNTS = {"B": 0, "L": 0, "M": 0, "N": 0, "O": 0, "P": 0, "Q": 1, "R": 1, "S": 0, "T": 0, "U": 1}
 
 
 class K213Register(IntEnum):
@@ -70,12 +70,12 @@ class K213Electronics:
 
     def __init__(self) -> None:
         self.registers = np.zeros(PIXELS.stop, np.int64)
-        self._view = self.registers.data
+        self._register_view = self.registers.data
         self.reset()
 
     def receive(self, message: bytes) -> bytes:
         """Execute an order; return its reply."""
-        order = parse_turret_order(message, _ORDERS)
+        order = parse_turret_order(message, _ARGUMENT_COUNTS)
         if isinstance(order, Malformed):
             return order.reply
         pixels: list[int] = self.registers[PIXELS].tolist()
@@ -83,7 +83,7 @@ class K213Electronics:
             case "B", ():
                 values = [VERSION, REVISION]
             case "L", ():
-                values = divmod(self._view[K213Register.LIGHT], 256)
+                values = divmod(self._register_view[K213Register.LIGHT], 256)
             case "M", ():
                 values = [left // 16 * 16 + right // 16 for left, right in _pairs(pixels)]
             case "N", ():
@@ -92,14 +92,14 @@ class K213Electronics:
                 values = [pixels.index(max(pixels))]
             case "P", ():
                 values = [pixels.index(min(pixels))]
-            case ("Q" | "R") as letter, (start,) if 0 <= start <= K213_PIXELS - _LENGTHS[letter]:
-                values = pixels[start : start + _LENGTHS[letter]]
+            case ("Q" | "R") as letter, (start,) if 0 <= start <= K213_PIXELS - _REPLY_PIXELS[letter]:
+                values = pixels[start : start + _REPLY_PIXELS[letter]]
             case "S", ():
                 values = pixels[::2]
             case "T", ():
                 values = pixels[::4]
             case "U", (period,) if 0 <= period < len(K213_PERIODS_MS):
-                self._view[K213Register.PERIOD] = period
+                self._register_view[K213Register.PERIOD] = period
                 self._start_scan()
                 values = []
             case _:
@@ -108,7 +108,7 @@ class K213Electronics:
 
     def tick(self) -> None:
         """Continue the scan; start the next one at its end."""
-        view = self._view
+        view = self._register_view
         view[K213Register.LEFT] -= 1
         if view[K213Register.LEFT] <= 0:
             view[K213Register.SCANS] += 1
@@ -116,12 +116,12 @@ class K213Electronics:
 
     def reset(self) -> None:
         """Scan in automatic mode, first in the next control period."""
-        self._view[K213Register.PERIOD] = self._view[K213Register.SCAN] = 0
-        self._view[K213Register.LEFT] = 1
+        self._register_view[K213Register.PERIOD] = self._register_view[K213Register.SCAN] = 0
+        self._register_view[K213Register.LEFT] = 1
 
     def _start_scan(self) -> None:
         """Start a scan."""
-        view = self._view
+        view = self._register_view
         # A snapshot from outside may hold any number.
         fixed_ms = K213_PERIODS_MS[view[K213Register.PERIOD] % len(K213_PERIODS_MS)]
         period_ms = fixed_ms or min(max(view[K213Register.LIGHT], SHORTEST_MS), LONGEST_MS)

@@ -173,8 +173,8 @@ def tick(registers: Registers, left_pulses: int, right_pulses: int) -> None:
         left_pulses: Count of the left encoder since power-up [pulses].
         right_pulses: Count of the right encoder since power-up [pulses].
     """
-    _control(registers, LEFT, left_pulses)
-    _control(registers, RIGHT, right_pulses)
+    _control_wheel(registers, LEFT, left_pulses)
+    _control_wheel(registers, RIGHT, right_pulses)
 
 
 @compilable
@@ -197,10 +197,10 @@ def measure(registers: Registers, supply: int, current_ma: int) -> None:
 def wander(registers: Registers) -> None:
     """Run one step of the ROM's Braitenberg demonstration: speed = proximity x weights / 400 + 10."""
     for side in range(2):
-        drive = 0
+        weighted_sum = 0
         for sensor in range(N_SENSORS):
-            drive += DEMO_WEIGHTS[sensor][side] * registers[_PROXIMITY + sensor]
-        set_speed(registers, side * RIGHT, divide(drive, DEMO_DIVISOR) + DEMO_SPEED_PULSES)
+            weighted_sum += DEMO_WEIGHTS[sensor][side] * registers[_PROXIMITY + sensor]
+        set_speed(registers, side * RIGHT, divide(weighted_sum, DEMO_DIVISOR) + DEMO_SPEED_PULSES)
 
 
 @compilable
@@ -267,7 +267,7 @@ def wrap(value: int) -> int:
 
 
 @compilable
-def _control(registers: Registers, wheel: int, pulses: int) -> None:
+def _control_wheel(registers: Registers, wheel: int, pulses: int) -> None:
     """Run one wheel's control period."""
     speed = pulses - registers[wheel + _ENCODER]
     position = wrap(registers[wheel + _POSITION] + speed)
@@ -291,14 +291,14 @@ def _control(registers: Registers, wheel: int, pulses: int) -> None:
 
 
 @compilable
-def _regulate(registers: Registers, wheel: int, gains: int, scale: int, error: int) -> None:
+def _regulate(registers: Registers, wheel: int, first_gain: int, scale: int, error: int) -> None:
     """Apply the PID law; the error sum is limited to its effect on the full duty (anti-windup)."""
-    kp, ki, kd = registers[gains], registers[gains + 1], registers[gains + 2]
+    kp, ki, kd = registers[first_gain], registers[first_gain + 1], registers[first_gain + 2]
     error_sum = clip(registers[wheel + _ERROR_SUM] + error, divide(DUTY_LIMIT * scale, max(ki, 1)))
-    drive = kp * error + ki * error_sum + kd * (error - registers[wheel + _ERROR])
+    control_sum = kp * error + ki * error_sum + kd * (error - registers[wheel + _ERROR])
     registers[wheel + _ERROR] = error
     registers[wheel + _ERROR_SUM] = error_sum
-    registers[wheel + _DUTY] = clip(divide(drive, scale), DUTY_LIMIT)
+    registers[wheel + _DUTY] = clip(divide(control_sum, scale), DUTY_LIMIT)
 
 
 @compilable

@@ -110,8 +110,8 @@ def parse(line: bytes, argument_counts: Mapping[str, int]) -> Request:
         line: Line to parse.
         argument_counts: Number of arguments of each command except T.
     """
-    text = line.strip(_BLANKS)
-    letter_field, *fields = text.split(b",")
+    content = line.strip(_BLANKS)
+    letter_field, *fields = content.split(b",")
     letter = letter_field.strip(_BLANKS).decode("latin-1")
     if len(line) > LINE_LIMIT:
         return Malformed(PROTOCOL_ERROR if letter in argument_counts or letter == "T" else COMMAND_NOT_FOUND)
@@ -119,7 +119,7 @@ def parse(line: bytes, argument_counts: Mapping[str, int]) -> Request:
         return _parse_turret_message(fields)
     if letter in argument_counts:
         return _parse_order(letter, fields, argument_counts[letter])
-    words = text.split()
+    words = content.split()
     if words and _TOOL.fullmatch(words[0]):
         return Tool(words[0], tuple(words[1:]))
     return Malformed(COMMAND_NOT_FOUND)
@@ -149,9 +149,9 @@ def turret_reply(turret: int, letter: str, *values: int | str) -> bytes:
     return reply("T", turret, letter.lower(), *values)
 
 
-def refusal(text: str) -> bytes:
+def refusal(reason: str) -> bytes:
     """Return the reply to a valid command that cannot be executed, e.g. b"z,Protocol error"."""
-    return b"z," + text.encode("ascii") + END
+    return b"z," + reason.encode("ascii") + END
 
 
 def _parse_order(letter: str, fields: Sequence[bytes], count: int) -> Command | Malformed:

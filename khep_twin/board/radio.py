@@ -32,13 +32,13 @@ CAPACITY = 4
 NUMBER_LIMIT = 255
 """Largest number of a radio (assumed: a byte)."""
 
-ENTRY = 2 + RADIO_BYTES
+ENTRY_SIZE = 2 + RADIO_BYTES
 """Registers of a received message: sender, length and bytes."""
 
 BUSY = refusal("Radio is sending")
 """Reply to S while a message is sent (assumed)."""
 
-_ORDERS = {"B": 0, "F": 0, "R": 0, "S": ENTRY}
+_ARGUMENT_COUNTS = {"B": 0, "F": 0, "R": 0, "S": ENTRY_SIZE}
 
 
 class RadioPhase(IntEnum):
@@ -67,7 +67,7 @@ class RadioRegister(IntEnum):
     BUFFER = DATA + RADIO_BYTES  # first of the received messages' registers, the oldest first
 
 
-N_REGISTERS = RadioRegister.BUFFER + CAPACITY * ENTRY
+N_REGISTERS = RadioRegister.BUFFER + CAPACITY * ENTRY_SIZE
 """Number of registers."""
 
 _BYTES = [f"byte_{number}" for number in range(RADIO_BYTES)]
@@ -89,11 +89,11 @@ class RadioElectronics:
 
     def __init__(self) -> None:
         self.registers = np.zeros(N_REGISTERS, np.int64)
-        self._view = self.registers.data
+        self._register_view = self.registers.data
 
     def receive(self, message: bytes) -> bytes:
         """Execute an order; return its reply."""
-        order = parse_turret_order(message, _ORDERS)
+        order = parse_turret_order(message, _ARGUMENT_COUNTS)
         if isinstance(order, Malformed):
             return order.reply
         match order.letter, order.arguments:
@@ -104,22 +104,22 @@ class RadioElectronics:
             case "R", ():
                 return self._reply("R", *self._pop_message())
             case _:
-                to, length, *data = order.arguments
-                return self._send(to, length, data)
+                receiver, length, *data = order.arguments
+                return self._send(receiver, length, data)
 
     def tick(self) -> None:
         """Enable the body: only a turret with power sends and receives."""
-        self._view[RadioRegister.IS_ON] = 1
+        self._register_view[RadioRegister.IS_ON] = 1
 
     def reset(self) -> None:
         """Drop the message that is sent and all received ones."""
-        transmissions = self._view[RadioRegister.TRANSMISSIONS]
+        transmissions = self._register_view[RadioRegister.TRANSMISSIONS]
         self.registers[:] = 0
         # The random draws of a robot continue after its reset.
-        self._view[RadioRegister.TRANSMISSIONS] = transmissions
+        self._register_view[RadioRegister.TRANSMISSIONS] = transmissions
 
     def _status(self) -> RadioStatus:
-        view = self._view
+        view = self._register_view
         flags = (
             (RadioStatus.READY, view[RadioRegister.PHASE] == RadioPhase.IDLE),
             (RadioStatus.RECEIVED, view[RadioRegister.RECEIVED] > 0),
@@ -130,26 +130,26 @@ class RadioElectronics:
 
     def _pop_message(self) -> list[int]:
         """Remove the oldest received message and return its registers; zeros without one."""
-        view, buffer = self._view, self.registers[RadioRegister.BUFFER :]
-        oldest: list[int] = buffer[:ENTRY].tolist()
-        buffer[:-ENTRY] = buffer[ENTRY:].copy()
-        buffer[-ENTRY:] = 0
+        view, buffer = self._register_view, self.registers[RadioRegister.BUFFER :]
+        oldest: list[int] = buffer[:ENTRY_SIZE].tolist()
+        buffer[:-ENTRY_SIZE] = buffer[ENTRY_SIZE:].copy()
+        buffer[-ENTRY_SIZE:] = 0
         view[RadioRegister.RECEIVED] = max(view[RadioRegister.RECEIVED] - 1, 0)
         view[RadioRegister.HAS_OVERRUN] = 0
         return oldest
 
-    def _send(self, to: int, length: int, data: list[int]) -> bytes:
+    def _send(self, receiver: int, length: int, data: list[int]) -> bytes:
         are_bytes_valid = all(0 <= byte <= 255 for byte in data)
-        if not (RADIO_ALL <= to <= NUMBER_LIMIT and 0 <= length <= RADIO_BYTES and are_bytes_valid):
+        if not (RADIO_ALL <= receiver <= NUMBER_LIMIT and 0 <= length <= RADIO_BYTES and are_bytes_valid):
             return PROTOCOL_ERROR
-        view = self._view
+        view = self._register_view
         if view[RadioRegister.PHASE] != RadioPhase.IDLE:
             return BUSY
         view[RadioRegister.PHASE] = RadioPhase.WAITING
         view[RadioRegister.TRIES] = TRANSMISSIONS
         view[RadioRegister.HAS_FAILED] = 0
         padded = data[:length] + [0] * (RADIO_BYTES - length)
-        self.registers[RadioRegister.TO : RadioRegister.BUFFER] = [to, length, *padded]
+        self.registers[RadioRegister.TO : RadioRegister.BUFFER] = [receiver, length, *padded]
         return self._reply("S")
 
     def _reply(self, letter: str, *values: int) -> bytes:

@@ -158,17 +158,17 @@ class SerialLine:
 
     def read(self, time_ns: int, limit: int | None = None) -> bytes:
         """Remove and return the bytes that have arrived by `time_ns`, at most `limit`."""
-        count = self.count_arrived(time_ns)
-        count = count if limit is None else min(count, limit)
-        data = bytes(self._bytes[:count])
-        del self._bytes[:count], self._arrivals[:count]
+        n_bytes = self.count_arrived(time_ns)
+        n_bytes = n_bytes if limit is None else min(n_bytes, limit)
+        data = bytes(self._bytes[:n_bytes])
+        del self._bytes[:n_bytes], self._arrivals[:n_bytes]
         self.next_ns = self._arrivals[0] if self._arrivals else None
         return data
 
     def flush(self, time_ns: int) -> None:
         """Drop the bytes that have not arrived by `time_ns`; the line is free then."""
-        count = self.count_arrived(time_ns)
-        del self._bytes[count:], self._arrivals[count:]
+        n_arrived = self.count_arrived(time_ns)
+        del self._bytes[n_arrived:], self._arrivals[n_arrived:]
         self.next_ns = self._arrivals[0] if self._arrivals else None
         self._free_ns = min(self._free_ns, time_ns)
 
@@ -187,6 +187,6 @@ class Uart:
         self.tx = SerialLine(baud)
 
     @property
-    def room(self) -> int:
+    def free_capacity(self) -> int:
         """Number of bytes that the host may send before flow control stops it; 0 if it has sent more."""
         return max(QUEUE_LIMIT - len(self.rx), 0)

@@ -160,8 +160,7 @@ class LogOptions:
         bool,
         typer.Option(
             "--ignore-log-errors",
-            help="Continue without the log if it can no longer be written, as on a full disk; the exit code "
-            "is then 3.",
+            help="Continue without the log if it can no longer be written (full disk), with exit code 3.",
         ),
     ] = False
     force: Force = False

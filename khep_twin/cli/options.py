@@ -57,8 +57,7 @@ Force = Annotated[
     bool,
     typer.Option(
         "--force",
-        help="Replace existing files. Otherwise the command refuses (exit code 2), except for empty "
-        "files and unchanged drawings.",
+        help="Replace existing files; default: exit code 2, unless empty or unchanged drawings.",
     ),
 ]
 Viewer = Annotated[

@@ -10,7 +10,7 @@ from functools import cache
 
 from khep_twin.board.rom import ROMS
 from khep_twin.host.host_command import HostCommand as HostCommand
-from khep_twin.host.host_command import fields, numbers, order
+from khep_twin.host.host_command import split_reply, query, order
 from khep_twin.host.results import (
     MotionStatus,
     MotorMode,
@@ -31,46 +31,46 @@ def mode_codes(bios: str) -> tuple[int, int, int]:
 @cache
 def versions() -> HostCommand[Versions]:
     """Return command B: versions of the BIOS and of the protocol."""
-    return HostCommand("B", lambda reply: Versions(*fields("b", 2, reply)), repeatable=True)
+    return HostCommand("B", lambda reply: Versions(*split_reply("b", 2, reply)), repeatable=True)
 
 
 @cache
 def speed() -> HostCommand[Speeds]:
     """Return command E: measured speeds [pulses/10 ms]."""
-    return numbers("E", 2, Speeds._make)
+    return query("E", 2, Speeds._make)
 
 
 @cache
 def position() -> HostCommand[Positions]:
     """Return command H: position counters [pulses]."""
-    return numbers("H", 2, Positions._make)
+    return query("H", 2, Positions._make)
 
 
 @cache
 def proximity() -> HostCommand[SensorCounts]:
     """Return command N: eight proximity counts."""
-    return numbers("N", N_SENSORS, SensorCounts._make)
+    return query("N", N_SENSORS, SensorCounts._make)
 
 
 @cache
 def ambient() -> HostCommand[SensorCounts]:
     """Return command O: eight ambient counts."""
-    return numbers("O", N_SENSORS, SensorCounts._make)
+    return query("O", N_SENSORS, SensorCounts._make)
 
 
 def converter(channel: int) -> HostCommand[int]:
     """Return command I: one channel of the analogue-to-digital converter [counts]."""
-    return numbers("I", 1, lambda values: values[0], channel)
+    return query("I", 1, lambda values: values[0], channel)
 
 
 def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> HostCommand[MotionStatus]:
     """Return command K: motion control; `codes` as `mode_codes` returns them."""
 
     def read(values: Sequence[int]) -> MotionStatus:
-        left, right = (_wheel(*values[start : start + 3], codes=codes) for start in (0, 3))
+        left, right = (_wheel_status(*values[start : start + 3], codes=codes) for start in (0, 3))
         return MotionStatus(left, right)
 
-    return numbers("K", 6, read)
+    return query("K", 6, read)
 
 
 def set_speed(left: int, right: int) -> HostCommand[None]:
@@ -117,7 +117,7 @@ def set_led(led: int, action: int) -> HostCommand[None]:
 
 def read_bus(address: int) -> HostCommand[int]:
     """Return command R: read a byte of the extension bus; not repeatable, as reads may have effects."""
-    return numbers("R", 1, lambda values: values[0], address, repeatable=False)
+    return query("R", 1, lambda values: values[0], address, repeatable=False)
 
 
 def write_bus(data: int, address: int) -> HostCommand[None]:
@@ -137,7 +137,7 @@ def turret(number: int, message: str) -> HostCommand[str]:
     return HostCommand(f"T,{number},{message}", read)
 
 
-def _wheel(on_target: int, mode: int, error: int, *, codes: tuple[int, int, int]) -> WheelStatus:
+def _wheel_status(on_target: int, mode: int, error: int, *, codes: tuple[int, int, int]) -> WheelStatus:
     if mode not in codes:
         raise ValueError(f"expected a mode of {', '.join(map(str, sorted(codes)))}")
     return WheelStatus(bool(on_target), MotorMode(codes.index(mode)), error)

@@ -14,7 +14,7 @@ from khep_twin.errors import PortTimeout
 from khep_twin.host.turret import HostTurret
 from khep_twin.units import ARM_DOWN, ARM_UP, GRIPPER_NUMBER
 
-_PAUSE = 0.1
+_POLL_INTERVAL_S = 0.1
 """Time between two reads of the positions [s]."""
 
 
@@ -75,4 +75,4 @@ class Gripper(HostTurret):
             if not self._robot.time <= end:
                 raise PortTimeout(f"{self._robot.name}: the gripper still moves after {timeout} s")
             last_positions = positions
-            self._robot.sleep(_PAUSE)
+            self._robot.sleep(_POLL_INTERVAL_S)

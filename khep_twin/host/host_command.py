@@ -31,30 +31,30 @@ def order(letter: str, *arguments: int, repeatable: bool = False) -> HostCommand
     """Return a command whose reply is only its letter."""
 
     def read(reply: str) -> None:
-        fields(letter.lower(), 0, reply)
+        split_reply(letter.lower(), 0, reply)
 
-    return HostCommand(_request(letter, arguments), read, repeatable)
+    return HostCommand(_format_request(letter, arguments), read, repeatable)
 
 
-def numbers(
-    letter: str, count: int, make: Callable[[Sequence[int]], T], *arguments: int, repeatable: bool = True
+def query(
+    letter: str, count: int, convert: Callable[[Sequence[int]], T], *arguments: int, repeatable: bool = True
 ) -> HostCommand[T]:
     """Return a command whose reply is its letter and `count` integers."""
 
     def read(reply: str) -> T:
-        values = fields(letter.lower(), count, reply)
+        values = split_reply(letter.lower(), count, reply)
         if not all(map(_INTEGER.fullmatch, values)):
             raise ValueError("expected integers")
-        return make([int(value) for value in values])
+        return convert([int(value) for value in values])
 
-    return HostCommand(_request(letter, arguments), read, repeatable)
+    return HostCommand(_format_request(letter, arguments), read, repeatable)
 
 
-def _request(letter: str, arguments: Sequence[int]) -> str:
+def _format_request(letter: str, arguments: Sequence[int]) -> str:
     return ",".join([letter, *map(str, arguments)])
 
 
-def fields(letter: str, count: int, reply: str) -> list[str]:
+def split_reply(letter: str, count: int, reply: str) -> list[str]:
     """Return the values of a reply.
 
     Raises:

@@ -12,7 +12,7 @@ from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand
 from khep_twin.host.line import KHEPERA, Dialect, Line
 
-A = TypeVar("A")
+Value = TypeVar("A")
 
 
 class HostRobot:
@@ -94,8 +94,8 @@ class HostRobot:
         Returns:
             The previous listener.
         """
-        previous, self._line.listener = self._line.listener, listener
-        return previous
+        previous_listener, self._line.listener = self._line.listener, listener
+        return previous_listener
 
     @property
     def time(self) -> float:
@@ -119,5 +119,5 @@ class HostRobot:
         """
         return self._line.ask(request)
 
-    def _do(self, command: HostCommand[A]) -> A:
-        return self._line.carry_out([command])[0]
+    def _run(self, command: HostCommand[Value]) -> Value:
+        return self._line.execute([command])[0]

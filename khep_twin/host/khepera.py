@@ -33,10 +33,10 @@ B = TypeVar("B")
 C = TypeVar("C")
 D = TypeVar("D")
 
-BURST = 7
+BURST_LENGTH = 7
 """Number of commands that are sent before the first reply, as in public host programs."""
 
-_PAUSE = 0.05
+_POLL_INTERVAL_S = 0.05
 """Time between two reads of the wheels in a move [s]."""
 
 
@@ -73,27 +73,27 @@ class Khepera(HostRobot):
 
     def set_speed(self, left: int, right: int) -> None:
         """Drive the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127 (command D)."""
-        self._do(commands.set_speed(left, right))
+        self._run(commands.set_speed(left, right))
 
     def set_target(self, left: int, right: int) -> None:
         """Move the wheels to these positions [pulses of 0.08 mm]; return immediately (command C)."""
-        self._do(commands.set_target(left, right))
+        self._run(commands.set_target(left, right))
 
     def set_duty(self, left: int, right: int) -> None:
         """Drive the motors with a fixed duty, -255 to 255, uncontrolled (command P)."""
-        self._do(commands.set_duty(left, right))
+        self._run(commands.set_duty(left, right))
 
     def set_position(self, left: int, right: int) -> None:
         """Set the position counters [pulses] (command G)."""
-        self._do(commands.set_position(left, right))
+        self._run(commands.set_position(left, right))
 
     def speed(self) -> Speeds:
         """Return the measured speed of the left and right wheel [pulses/10 ms] (command E)."""
-        return self._do(commands.speed())
+        return self._run(commands.speed())
 
     def position(self) -> Positions:
         """Return the position counters of the left and right wheel [pulses] (command H)."""
-        return self._do(commands.position())
+        return self._run(commands.position())
 
     def status(self) -> MotionStatus:
         """Return the motion control status of the left and right wheel (command K).
@@ -102,21 +102,21 @@ class Khepera(HostRobot):
         """
         if self._mode_codes is None:
             self._mode_codes = commands.mode_codes(self.versions().bios)
-        return self._do(commands.status(self._mode_codes))
+        return self._run(commands.status(self._mode_codes))
 
     def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
         """Set the gains of the speed controller; 3800, 800, 100 after a reset (command A)."""
-        self._do(commands.configure_speed_controller(kp, ki, kd))
+        self._run(commands.configure_speed_controller(kp, ki, kd))
 
     def configure_position_controller(self, kp: int, ki: int, kd: int) -> None:
         """Set the gains of the position controller; 3000, 20, 4000 after a reset (command F)."""
-        self._do(commands.configure_position_controller(kp, ki, kd))
+        self._run(commands.configure_position_controller(kp, ki, kd))
 
     def configure_profile(
         self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
     ) -> None:
         """Set the profile of `set_target`: speed [pulses/10 ms], acceleration [3.125 mm/s^2] (command J)."""
-        self._do(commands.configure_profile(left_speed, left_acceleration, right_speed, right_acceleration))
+        self._run(commands.configure_profile(left_speed, left_acceleration, right_speed, right_acceleration))
 
     # Blocking moves ------------------------------------------------------------------------------------
 
@@ -149,17 +149,17 @@ class Khepera(HostRobot):
         end = self.time + timeout
         while not (status := self.status()).on_target:
             named_wheels = zip(("left", "right"), status, strict=True)
-            moving = [(name, wheel) for name, wheel in named_wheels if not wheel.on_target]
-            for name, wheel in moving:
+            moving_wheels = [(name, wheel) for name, wheel in named_wheels if not wheel.on_target]
+            for name, wheel in moving_wheels:
                 if wheel.mode != MotorMode.POSITION:
                     raise MoveError(
                         f"{self.name}: the {name} wheel goes to no target but is in {wheel.mode.name} mode; "
                         "expected set_target before"
                     )
             if not self.time <= end:
-                names = " and ".join(name for name, _ in moving)
+                names = " and ".join(name for name, _ in moving_wheels)
                 raise MoveError(f"{self.name}: not on target after {timeout:g} s ({names} wheel)")
-            self.sleep(_PAUSE)
+            self.sleep(_POLL_INTERVAL_S)
 
     # Sensors, LEDs and other commands ------------------------------------------------------------------
 
@@ -168,35 +168,35 @@ class Khepera(HostRobot):
 
         Left 90, 45, 10, right 10, 45, 90, back right, back left.
         """
-        return self._do(commands.proximity())
+        return self._run(commands.proximity())
 
     def ambient(self) -> SensorCounts:
         """Return eight ambient counts as ordered in `proximity`, 500 (dark) to 50 (bright) (command O)."""
-        return self._do(commands.ambient())
+        return self._run(commands.ambient())
 
     def converter(self, channel: int) -> int:
         """Return one channel of the 10-bit analogue-to-digital converter, 1024 = 4.09 V (command I)."""
-        return self._do(commands.converter(channel))
+        return self._run(commands.converter(channel))
 
     def versions(self) -> Versions:
         """Return the versions of BIOS and protocol, e.g. ("5.02", "5.01") (command B)."""
-        return self._do(commands.versions())
+        return self._run(commands.versions())
 
     def set_led(self, led: int, action: int) -> None:
         """Switch LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle (command L)."""
-        self._do(commands.set_led(led, action))
+        self._run(commands.set_led(led, action))
 
     def read_bus(self, address: int) -> int:
         """Return a byte of the extension bus, addresses 0 to 63 (command R)."""
-        return self._do(commands.read_bus(address))
+        return self._run(commands.read_bus(address))
 
     def write_bus(self, data: int, address: int) -> None:
         """Write a byte to the extension bus (command W)."""
-        self._do(commands.write_bus(data, address))
+        self._run(commands.write_bus(data, address))
 
     def turret(self, number: int, message: str) -> str:
         """Send a message, for example "D,0", to a turret; return its answer without "t,1," (command T)."""
-        return self._do(commands.turret(number, message))
+        return self._run(commands.turret(number, message))
 
     @overload
     def burst(self, first: HostCommand[A], /) -> tuple[A]: ...
@@ -219,8 +219,8 @@ class Khepera(HostRobot):
         a whole, if all its commands are repeatable; after an error some may have been executed.
         """
         values: list[object] = []
-        for start in range(0, len(host_commands), BURST):
-            values += self._line.carry_out(host_commands[start : start + BURST])
+        for start in range(0, len(host_commands), BURST_LENGTH):
+            values += self._line.execute(host_commands[start : start + BURST_LENGTH])
         return tuple(values)
 
     def _drive_by(self, left: int, right: int, timeout: float) -> Positions:

@@ -21,7 +21,7 @@ import serial
 
 from khep_twin.errors import MoveError
 from khep_twin.files.paths import StrPath
-from khep_twin.host.host_command import HostCommand, fields, numbers, order
+from khep_twin.host.host_command import HostCommand, split_reply, query, order
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.khepera4_results import Battery, Distances, InfraredCounts, Vector3, Wheels
 from khep_twin.host.line import KHEPERA4
@@ -35,7 +35,7 @@ _BODY = BODIES["khepera4"]
 PULSE_LENGTH = math.tau * _BODY.wheel_radius / _BODY.pulses_per_turn
 """Travel of a wheel per encoder pulse [m]."""
 
-SPEED = PULSE_LENGTH / 0.01
+SPEED_UNIT = PULSE_LENGTH / 0.01
 """Unit of speeds [m/s]: one pulse in 10 ms (manual)."""
 
 WHEEL_BASE = _BODY.wheel_base
@@ -44,10 +44,10 @@ WHEEL_BASE = _BODY.wheel_base
 N_PACKETS = 10
 """Values of an accelerometer or a gyroscope in a reply."""
 
-_ACCELERATION, _RATE = GRAVITY / 16_384, math.radians(0.066)
+_ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / 16_384, math.radians(0.066)
 """Units of the accelerometer [m/s^2] and of the gyroscope [rad/s] (library)."""
 
-_PAUSE, _ARRIVED_PULSES = 0.05, 200
+_POLL_INTERVAL_S, _ARRIVAL_PULSES = 0.05, 200
 """Time between two reads of the wheels in a move [s]; distance from the target at which stopped wheels count
 as arrived: ten times the server's margin, as they roll past it (1.4 mm)."""
 
@@ -91,8 +91,8 @@ class Khepera4(HostRobot):
 
     def set_speed(self, left: float, right: float) -> None:
         """Drive the wheels at these speeds [m/s], about 0.8 at most, steady above 0.003 (command D)."""
-        pulses = _pulses("speed", SPEED, (left, right))
-        self._do(order("D", *pulses, repeatable=not any(pulses)))
+        pulses = _to_pulses("speed", SPEED_UNIT, (left, right))
+        self._run(order("D", *pulses, repeatable=not any(pulses)))
 
     def stop(self) -> None:
         """Stop the wheels, and the vehicle of `wander`."""
@@ -101,27 +101,27 @@ class Khepera4(HostRobot):
 
     def set_target(self, left: float, right: float) -> None:
         """Move the wheels to these positions [m] along the profile; return immediately (command F)."""
-        self._send_to(*_pulses("position", PULSE_LENGTH, (left, right)))
+        self._send_target(*_to_pulses("position", PULSE_LENGTH, (left, right)))
 
     def set_duty(self, left: int, right: int) -> None:
         """Drive the motors with a fixed duty, -2940 to 2940, uncontrolled (command L)."""
-        self._do(order("L", left, right))
+        self._run(order("L", left, right))
 
     def reset_position(self) -> None:
         """Set the positions of the wheels to 0 (command I)."""
-        self._do(order("I"))
+        self._run(order("I"))
 
     def speed(self) -> Wheels:
         """Return the measured speeds of the wheels [m/s] (command E)."""
-        return self._do(numbers("E", 2, lambda pulses: Wheels._make(n * SPEED for n in pulses)))
+        return self._run(query("E", 2, lambda pulses: Wheels._make(n * SPEED_UNIT for n in pulses)))
 
     def position(self) -> Wheels:
         """Return the positions of the wheels [m] (command R)."""
-        return self._do(numbers("R", 2, lambda pulses: Wheels._make(n * PULSE_LENGTH for n in pulses)))
+        return self._run(query("R", 2, lambda pulses: Wheels._make(n * PULSE_LENGTH for n in pulses)))
 
     def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
         """Set the gains of the speed controller, 0 to 255; 10, 5, 1 at the server's start (command H)."""
-        self._do(order("H", kp, ki, kd, repeatable=True))
+        self._run(order("H", kp, ki, kd, repeatable=True))
 
     def configure_profile(
         self,
@@ -141,15 +141,15 @@ class Khepera4(HostRobot):
             speed_pulses: Speed between the ramps [pulses/10 ms].
         """
         profile = step_pulses, divider, least_accelerating_pulses, least_decelerating_pulses, speed_pulses
-        self._do(order("J", *profile, repeatable=True))
+        self._run(order("J", *profile, repeatable=True))
 
     def set_margin(self, margin: float) -> None:
         """Set the distance at which a target counts as reached [m]; 20 pulses at the start (command P)."""
-        self._do(order("P", *_pulses("margin", PULSE_LENGTH, [margin]), repeatable=True))
+        self._run(order("P", *_to_pulses("margin", PULSE_LENGTH, [margin]), repeatable=True))
 
     def reset_motors(self) -> None:
         """Set gains, profile and margin as at the server's start, and leave the motors idle (command M)."""
-        self._do(order("M", repeatable=True))
+        self._run(order("M", repeatable=True))
 
     # Blocking moves ------------------------------------------------------------------------------------
 
@@ -178,36 +178,36 @@ class Khepera4(HostRobot):
         """
         end, last_positions = self.time + timeout, ()
         while True:
-            positions = self._do(numbers("R", 2, tuple))
-            errors = [abs(target - now) for target, now in zip(self._target, positions, strict=True)]
-            if positions == last_positions and max(errors) <= _ARRIVED_PULSES:
+            positions = self._run(query("R", 2, tuple))
+            errors = [abs(target - position) for target, position in zip(self._target, positions, strict=True)]
+            if positions == last_positions and max(errors) <= _ARRIVAL_PULSES:
                 return
             if not self.time <= end:
                 raise MoveError(f"{self.name}: not on target after {timeout:g} s")
             last_positions = positions
-            self.sleep(_PAUSE)
+            self.sleep(_POLL_INTERVAL_S)
 
     def wander(self) -> None:
         """Let the server's vehicle drive and avoid obstacles, until `stop_wandering` (command A)."""
-        self._do(order("A", 0))
+        self._run(order("A", 0))
 
     def stop_wandering(self) -> None:
         """Stop the server's vehicle, if it drives (command A)."""
-        self._do(HostCommand("A,2", lambda reply: fields("a", 0, reply), repeatable=True))
+        self._run(HostCommand("A,2", lambda reply: split_reply("a", 0, reply), repeatable=True))
 
     # Sensors, LEDs and other commands ------------------------------------------------------------------
 
     def proximity(self) -> InfraredCounts:
         """Return twelve proximity counts, 0 to 1023 (command N)."""
-        return self._do(numbers("N", 12, InfraredCounts._make))
+        return self._run(query("N", 12, InfraredCounts._make))
 
     def ambient(self) -> InfraredCounts:
         """Return twelve ambient counts, about 980 in the dark and 0 in bright light (command O)."""
-        return self._do(numbers("O", 12, InfraredCounts._make))
+        return self._run(query("O", 12, InfraredCounts._make))
 
     def ultrasonic(self) -> Distances:
         """Return five distances [m]: 0 below 0.25, inf without an echo, None if disabled (command G)."""
-        return self._do(numbers("G", 5, lambda values: Distances.of(tuple(values))))
+        return self._run(query("G", 5, lambda values: Distances.from_cm(tuple(values))))
 
     def enable_ultrasonic(self, sensors: Iterable[int] = range(5)) -> None:
         """Enable these ultrasonic sensors, 0 left to 4 right, and disable the others (command U).
@@ -217,24 +217,24 @@ class Khepera4(HostRobot):
         enabled = {*sensors}
         if not enabled <= {*range(5)}:
             raise ValueError(f"sensors = {sorted(enabled)}; expected some of 0 to 4")
-        self._do(order("U", sum(1 << sensor for sensor in enabled), repeatable=True))
+        self._run(order("U", sum(1 << sensor for sensor in enabled), repeatable=True))
 
     def accelerations(self) -> tuple[Vector3, ...]:
         """Return the last ten values of the accelerometer, 10 ms apart, newest first [m/s^2] (command T).
 
         At rest x and y are 0 and z is -9.81.
         """
-        return self._do(numbers("T", 3 * N_PACKETS, lambda values: _vectors(values, _ACCELERATION)))
+        return self._run(query("T", 3 * N_PACKETS, lambda values: _vectors(values, _ACCELERATION_UNIT)))
 
     def turn_rates(self) -> tuple[Vector3, ...]:
         """Return the last ten values of the gyroscope, newest first [rad/s]; z to the left (command S)."""
-        return self._do(numbers("S", 3 * N_PACKETS, lambda values: _vectors(values, _RATE)))
+        return self._run(query("S", 3 * N_PACKETS, lambda values: _vectors(values, _TURN_RATE_UNIT)))
 
     def battery(self) -> Battery:
         """Return the state of the battery (command V, once for each value)."""
-        values = [self._do(_battery_value(kind)) for kind in range(7)]
-        voltage, current, average, charge_mah, temperature, percent, charger = values
-        amperes = current / 1000, average / 1000
+        values = [self._run(_battery_value(kind)) for kind in range(7)]
+        voltage, current, average_current, charge_mah, temperature, percent, charger = values
+        amperes = current / 1000, average_current / 1000
         return Battery(voltage / 1000, *amperes, charge_mah, temperature, percent / 100, bool(charger))
 
     def set_leds(self, left: Colour, right: Colour, back: Colour) -> None:
@@ -242,25 +242,25 @@ class Khepera4(HostRobot):
         values = [*left, *right, *back]
         if len(values) != 9 or not all(0 <= value < 64 for value in values):
             raise ValueError(f"colours {left}, {right}, {back}; expected three numbers from 0 to 63 each")
-        self._do(order("K", *values, repeatable=True))
+        self._run(order("K", *values, repeatable=True))
 
     def revision(self) -> str:
         """Return the revision of the microcontroller's firmware, for example "B0" (command B)."""
-        return self._do(HostCommand("B", lambda reply: "".join(fields("b", 2, reply)), repeatable=True))
+        return self._run(HostCommand("B", lambda reply: "".join(split_reply("b", 2, reply)), repeatable=True))
 
     def reset(self) -> None:
         """Reset the microcontroller: motors, LEDs and positions (command Z)."""
-        self._do(order("Z"))
+        self._run(order("Z"))
 
-    def _send_to(self, left_pulses: int, right_pulses: int) -> None:
+    def _send_target(self, left_pulses: int, right_pulses: int) -> None:
         self._target = left_pulses, right_pulses
-        self._do(order("F", left_pulses, right_pulses))
+        self._run(order("F", left_pulses, right_pulses))
 
     def _drive_by(self, left: float, right: float, timeout: float) -> Wheels:
         """Move the wheels by distances [m], and wait."""
-        distances = _pulses("distance", PULSE_LENGTH, (left, right))
-        positions = self._do(numbers("R", 2, tuple))
-        self._send_to(positions[0] + distances[0], positions[1] + distances[1])
+        distances = _to_pulses("distance", PULSE_LENGTH, (left, right))
+        positions = self._run(query("R", 2, tuple))
+        self._send_target(positions[0] + distances[0], positions[1] + distances[1])
         try:
             self.wait_for_target(timeout)
         except MoveError as error:
@@ -269,7 +269,7 @@ class Khepera4(HostRobot):
         return self.position()
 
 
-def _pulses(name: str, unit: float, values: Sequence[float]) -> list[int]:
+def _to_pulses(name: str, unit: float, values: Sequence[float]) -> list[int]:
     return [round(finite(name, value) / unit) for value in values]
 
 
@@ -280,4 +280,4 @@ def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:
 
 
 def _battery_value(kind: int) -> HostCommand[float]:
-    return HostCommand(f"V,{kind}", lambda reply: float(fields("v", 1, reply)[0]), repeatable=True)
+    return HostCommand(f"V,{kind}", lambda reply: float(split_reply("v", 1, reply)[0]), repeatable=True)

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple, Self
 
-_SPECIAL_CM = {1000: math.inf, 2000: None}
+_SPECIAL_DISTANCES = {1000: math.inf, 2000: None}
 """Distances of ultrasonic readings without an echo, and of disabled sensors."""
 
 
@@ -41,9 +41,9 @@ class Distances(NamedTuple):
     right: float | None
 
     @classmethod
-    def of(cls, values_cm: tuple[int, ...]) -> Self:
+    def from_cm(cls, values_cm: tuple[int, ...]) -> Self:
         """Return the distances of readings [cm]."""
-        return cls._make(_SPECIAL_CM.get(value, value / 100) for value in values_cm)
+        return cls._make(_SPECIAL_DISTANCES.get(value, value / 100) for value in values_cm)
 
 
 class Vector3(NamedTuple):

@@ -51,12 +51,12 @@ class Dialect(NamedTuple):
         moving: Prefixes of requests that move the robot.
     """
 
-    robot: str
-    host: str
-    versions: re.Pattern[str]
-    probes: str
-    stops: tuple[str, ...]
-    moving: tuple[str, ...]
+    robot_name: str
+    host_class: str
+    versions_reply: re.Pattern[str]
+    probe_letters: str
+    stop_requests: tuple[str, ...]
+    moving_prefixes: tuple[str, ...]
 
 
 KHEPERA = Dialect(
@@ -104,21 +104,21 @@ class Line:
         self._retries = retries
         self._dialect = dialect
         self._versions_reply = ""
-        self._unanswered: set[str] = set()
+        self._unanswered_letters: set[str] = set()
         self.listener: Callable[[str, str], None] | None = None
         self._lock = threading.RLock()
-        self._is_held = False
+        self._refuses_motion = False
         self._stop_done = threading.Event()
         self.name: str = url if isinstance(url, str) else str(url.name)
-        speed = SPEEDS[0] if baudrate == "auto" else baudrate
+        first_baudrate = SPEEDS[0] if baudrate == "auto" else baudrate
         # The stubs of pyserial declare the members of all ports only for `Serial`.
-        port = open_port(url, speed, timeout) if isinstance(url, str) else cast(serial.Serial, url)
+        port = open_port(url, first_baudrate, timeout) if isinstance(url, str) else cast(serial.Serial, url)
         self.port = port
         # The model of a twin in this process is known before the first exchange.
         model = getattr(port, "robot_model", None)
-        if model is not None and (other := KHEPERA4 if model == "khepera4" else KHEPERA) is not dialect:
+        if model is not None and (twin_dialect := KHEPERA4 if model == "khepera4" else KHEPERA) is not dialect:
             port.close()
-            raise PortError(f"{self.name}: the robot is {other.robot}{self._expected_host(other)}")
+            raise PortError(f"{self.name}: the robot is {twin_dialect.robot_name}{self._expected_host(twin_dialect)}")
         if baudrate == "auto":
             try:
                 find_speed(self.port, self.name, lambda: self.time)
@@ -142,7 +142,7 @@ class Line:
         else:
             time.sleep(duration)
 
-    def carry_out(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
+    def execute(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
         """Send commands in one burst and return the values of their replies.
 
         Raises:
@@ -153,7 +153,7 @@ class Line:
         """
         self._yield_to_stop()
         with self._lock:
-            return self._carry_out(commands)
+            return self._execute(commands)
 
     def ask(self, request: str) -> str:
         """Send any line, once, and return the reply, or a tool's first line: `HostRobot.ask`."""
@@ -170,7 +170,7 @@ class Line:
                 pass
         return replies[0]
 
-    def _carry_out(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
+    def _execute(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
         requests = [command.request for command in commands]
         tries = 1 + (self._retries if all([command.repeatable for command in commands]) else 0)
         first_error: PortTimeout | ProtocolError | None = None
@@ -190,9 +190,9 @@ class Line:
                         raise first_error from None
                     continue
                 for other in {KHEPERA, KHEPERA4} - {self._dialect}:
-                    if other.versions.fullmatch(self._versions_reply):
+                    if other.versions_reply.fullmatch(self._versions_reply):
                         raise ProtocolError(
-                            f"{first_error}; {other.robot} answers so{self._expected_host(other)}"
+                            f"{first_error}; {other.robot_name} answers so{self._expected_host(other)}"
                         ) from None
             # Late replies are valid if they are complete.
             with suppress(ProtocolError):
@@ -201,20 +201,20 @@ class Line:
                 raise first_error from None
 
     def _expected_host(self, other: Dialect) -> str:
-        return f"; expected {self._dialect.robot}, or khep_twin.host.{other.host} for this one"
+        return f"; expected {self._dialect.robot_name}, or khep_twin.host.{other.host_class} for this one"
 
     def _yield_to_stop(self) -> None:
         """Wait for a pending stop, as a lock alone could be taken by the same thread for ever."""
-        if self._is_held:
+        if self._refuses_motion:
             self._stop_done.wait(STOP_WAIT)
 
     def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
         """Send lines and append each reply when it arrives."""
-        if self._is_held and (moves := [request for request in requests if self._moves(request)]):
+        if self._refuses_motion and (moves := [request for request in requests if self._moves(request)]):
             raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
-        if self._unanswered and self._resynchronize() is None:
+        if self._unanswered_letters and self._resynchronize() is None:
             raise self._timeout_error(requests[0], b"")
-        self._unanswered.update([request[:1] for request in requests])
+        self._unanswered_letters.update([request[:1] for request in requests])
         self._write("\n".join([*requests, ""]).encode("ascii"), requests[0])
         for request in requests:
             line = self._read_line(request)
@@ -223,7 +223,7 @@ class Line:
             replies.append(_text(line))
             if self.listener is not None:
                 self.listener(request, replies[-1])
-        self._unanswered.clear()
+        self._unanswered_letters.clear()
 
     def _read(self, commands: Sequence[HostCommand[Value]], replies: Sequence[str]) -> list[Value]:
         if len(replies) != len(commands):
@@ -240,11 +240,11 @@ class Line:
 
     def _resynchronize(self) -> list[str] | None:
         """Send a probe to resynchronize the line; return the lines before its reply, None without a reply."""
-        probes = self._dialect.probes
-        probe = next((letter for letter in probes if letter not in self._unanswered), probes[0])
+        probes = self._dialect.probe_letters
+        probe = next((letter for letter in probes if letter not in self._unanswered_letters), probes[0])
         # If replies to several probes are pending, the line is synchronized only when it is silent.
-        is_repeated = probe in self._unanswered and self.port.timeout is not None
-        self._unanswered.add(probe)
+        is_repeated = probe in self._unanswered_letters and self.port.timeout is not None
+        self._unanswered_letters.add(probe)
         # The leading line feed ends an interrupted command.
         self._write(f"\n{probe}\n".encode("ascii"), probe)
         lines: list[str] = []
@@ -264,7 +264,7 @@ class Line:
         else:
             late_replies = None
         if late_replies is not None:
-            self._unanswered.clear()
+            self._unanswered_letters.clear()
         return late_replies
 
     def _write(self, data: bytes, request: str) -> None:
@@ -300,7 +300,7 @@ class Line:
         Raises:
             PortError: The motors could not be stopped.
         """
-        self._is_held = True
+        self._refuses_motion = True
         try:
             with self._lock:
                 timeout = self.port.timeout
@@ -346,7 +346,7 @@ class Line:
         wait = STOP_WAIT / 2
         if self.port.timeout is None or not 0 < self.port.timeout <= wait:
             self._set_timeout(wait)
-        for request in self._dialect.stops:
+        for request in self._dialect.stop_requests:
             if not (self._confirms_stop(request, wait) or self._confirms_stop(request, wait)):
                 raise PortTimeout(f"{self.name}: no reply to {request!r} within {STOP_WAIT} s")
 
@@ -354,7 +354,7 @@ class Line:
         """Send a request that stops the motors; return whether the robot confirms it."""
         reply = request[0].lower()
         self._write(f"\n{request}\n".encode("ascii"), request)
-        if request[0] in self._unanswered:  # a pending reply to a speed command looks the same
+        if request[0] in self._unanswered_letters:  # a pending reply to a speed command looks the same
             return bool(late_replies := self._resynchronize()) and late_replies[-1] == reply
         end = self.time + wait
         line = b"\n"
@@ -366,14 +366,14 @@ class Line:
 
     def _moves(self, request: str) -> bool:
         """Return whether a request may move the robot."""
-        return request not in self._dialect.stops and request.lstrip().startswith(self._dialect.moving)
+        return request not in self._dialect.stop_requests and request.lstrip().startswith(self._dialect.moving_prefixes)
 
     def _set_timeout(self, timeout: float | None) -> None:
         # pyserial renegotiates the settings of a network port for it.
         try:
             self.port.timeout = timeout
         except PORT_FAILURES as error:
-            raise self._port_error(self._dialect.stops[-1], error) from error
+            raise self._port_error(self._dialect.stop_requests[-1], error) from error
 
     def _close(self) -> None:
         self._unregister()

@@ -22,7 +22,7 @@ class Connection:
     def has_room(self) -> bool:
         """True if the robot's line accepts more bytes of the host."""
         uart = self._robot.uart
-        return uart.rx.next_ns is None or uart.room > 0
+        return uart.rx.next_ns is None or uart.free_capacity > 0
 
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors to wait for."""
@@ -61,7 +61,7 @@ class Connection:
         if self._baud != robot.firmware.baud:
             self._baud = robot.firmware.baud
             port.set_baud(self._baud)
-        received = port.receive(uart.room, is_answered)
+        received = port.receive(uart.free_capacity, is_answered)
         if received is NOTHING:
             return 0
         time_ns = 0 if now is None else now()

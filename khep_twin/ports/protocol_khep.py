@@ -162,7 +162,7 @@ class Serial(SerialBase):
         limit_ns = self._write_timeout_ns
         deadline_ns = None if limit_ns is None else self.time_ns + limit_ns
         while rest:
-            if room := self._uart.room:
+            if room := self._uart.free_capacity:
                 self.twin.robot.send(rest[:room])
                 rest = rest[room:]
                 continue

@@ -12,7 +12,7 @@ A broadcast message is neither acknowledged nor repeated (manual of the radio ba
 
 import math
 
-from khep_twin.board.radio import CAPACITY, ENTRY, NAMES, REVISION, VERSION, RadioElectronics, RadioPhase
+from khep_twin.board.radio import CAPACITY, ENTRY_SIZE, NAMES, REVISION, VERSION, RadioElectronics, RadioPhase
 from khep_twin.board.radio import RadioRegister as Register
 from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.sensing.noise import philox
@@ -88,9 +88,9 @@ class RadioBody:
             if not 0 <= received < CAPACITY:
                 view[Register.HAS_OVERRUN] = 1
                 continue
-            entry = Register.BUFFER + received * ENTRY
+            entry = Register.BUFFER + received * ENTRY_SIZE
             view[entry] = peer.number
-            self._registers[entry + 1 : entry + ENTRY] = peer._registers[_MESSAGE]
+            self._registers[entry + 1 : entry + ENTRY_SIZE] = peer._registers[_MESSAGE]
             view[Register.RECEIVED] = received + 1
             peer._view[Register.IS_HEARD] = 1
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from khep_twin.board.radio import CAPACITY, ENTRY, NAMES, RadioElectronics, RadioPhase, RadioRegister
+from khep_twin.board.radio import CAPACITY, ENTRY_SIZE, NAMES, RadioElectronics, RadioPhase, RadioRegister
 
 NONE = ",0" * 16
 
@@ -18,9 +18,9 @@ def order(to: int, length: int, *data: int) -> bytes:
 
 def hear(radio: RadioElectronics, sender: int, *data: int) -> None:
     """Puts a message into the buffer, as the body does."""
-    start = RadioRegister.BUFFER + ENTRY * int(radio.registers[RadioRegister.RECEIVED])
+    start = RadioRegister.BUFFER + ENTRY_SIZE * int(radio.registers[RadioRegister.RECEIVED])
     entry = [sender, len(data), *data, *[0] * (16 - len(data))]
-    radio.registers[start : start + ENTRY] = entry
+    radio.registers[start : start + ENTRY_SIZE] = entry
     radio.registers[RadioRegister.RECEIVED] += 1
 
 
@@ -109,5 +109,5 @@ def test_a_reset_drops_all_but_the_number_of_the_draws(radio: RadioElectronics) 
 
 def test_every_register_has_a_name_of_its_own(radio: RadioElectronics) -> None:
     assert len(set(NAMES)) == len(NAMES) == len(radio.registers)
-    assert NAMES[RadioRegister.BUFFER + ENTRY] == "received_1_sender"
+    assert NAMES[RadioRegister.BUFFER + ENTRY_SIZE] == "received_1_sender"
     assert NAMES[RadioRegister.LENGTH] == "length"

@@ -62,4 +62,4 @@ def test_what_is_taken_back_frees_the_line() -> None:
 def test_the_queue_to_the_robot_is_bounded() -> None:
     uart = Uart(9600)
     uart.rx.send(bytes(QUEUE_LIMIT), 0)
-    assert uart.room == 0
+    assert uart.free_capacity == 0

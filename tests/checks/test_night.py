@@ -85,7 +85,7 @@ def test_a_finding_ends_its_part_and_is_tried_again(
 def test_an_output_without_a_count_is_a_finding(tmp_path: Path) -> None:
     status, state = run(part("print('all good')"), tmp_path, cores=1)
     assert status == 1
-    assert "tells no count" in state.findings[0].finding
+    assert "has no count" in state.findings[0].finding
 
 
 def test_a_part_that_measures_times_runs_alone(tmp_path: Path) -> None:
@@ -142,7 +142,10 @@ OUTPUTS = {
     "kills-run": ("run killed 20 times, all recovered, 20 as a whole", 20),
     "worker-kills": ("100 workers killed in a sweep of 200 tasks", 100),
     "determinism": ("100000 steps, single: a\n100000 steps, together by 2 threads: b\nthe same\n", 200000),
-    "signals": ("run: 20 signals, ended\n100 signals, 0 with faults, 1 amid Python's own start", 100),
+    "signals": (
+        "run: 20 signals, ended\n100 signals, 0 with faults, 1 during the start of the interpreter",
+        100,
+    ),
     "branches": ("20 logs from 0 on, 0 findings", 20),
     "edges": ("100 playpens from 300 on: 0 broke", 100),
     "recordings": ("50 logs, 0 reports with findings", 50),

@@ -87,10 +87,10 @@ def ended(process: "subprocess.Popen[str]", *numbers: signal.Signals) -> tuple[i
 
 
 def script(text: str) -> list[str]:
-    """A command that does as its text says, with signals answered."""
+    """A command that does as its text says, with signals handled."""
     head = """
         import os, signal, sys, time
-        from khep_twin.signals import answered, asked_by, clear_at_end, stopping, undisturbed
+        from khep_twin.signals import handle_signals, first_signal, clear_at_end, stopping, undisturbed
         def here():
             print("here", flush=True)
     """
@@ -133,7 +133,7 @@ def test_a_second_signal_ends_a_run_whose_controller_never_returns(
 def test_an_interruption_that_a_library_makes_an_error_of_is_still_one(cause: str, tmp_path: Path) -> None:
     text = f"""
         try:
-            with answered():
+            with handle_signals():
                 try:
                     here()
                     time.sleep(1000)
@@ -141,7 +141,7 @@ def test_an_interruption_that_a_library_makes_an_error_of_is_still_one(cause: st
                     raised = {cause}
                 raise ValueError("an error of the library's own") from raised
         except KeyboardInterrupt:
-            print("ended by", asked_by(), file=sys.stderr)
+            print("ended by", first_signal(), file=sys.stderr)
     """
     assert ended(started(script(text), tmp_path), signal.SIGTERM) == (0, "ended by 15\n")
 
@@ -149,7 +149,7 @@ def test_an_interruption_that_a_library_makes_an_error_of_is_still_one(cause: st
 def test_what_does_not_end_is_ended_without_a_second_signal(tmp_path: Path) -> None:
     text = """
         clear = lambda: open("cleared", "w").close()
-        with answered(), stopping("waiting for nothing"):
+        with handle_signals(), stopping("waiting for nothing"):
             clear_at_end(clear)
             here()
             while True:
@@ -169,13 +169,13 @@ def test_what_does_not_end_is_ended_without_a_second_signal(tmp_path: Path) -> N
 @pytest.mark.long
 def test_what_comes_to_its_end_by_itself_is_not_interrupted(tmp_path: Path) -> None:
     text = """
-        with answered():
+        with handle_signals():
             with stopping() as stop:
                 here()
                 while not stop():
                     time.sleep(0.01)
             time.sleep(4)
-            print("whole", asked_by(), file=sys.stderr)
+            print("whole", first_signal(), file=sys.stderr)
     """
     assert ended(started(script(text), tmp_path), signal.SIGHUP) == (0, "whole 1\n")
 
@@ -206,11 +206,11 @@ def test_a_module_is_imported_whole_before_it_is_interrupted(tmp_path: Path) -> 
     text = """
         sys.path.insert(0, "")
         try:
-            with answered():
+            with handle_signals():
                 import slow
                 time.sleep(1000)
         except KeyboardInterrupt:
-            sys.exit(128 + asked_by())
+            sys.exit(128 + first_signal())
     """
     code, errors = ended(started(script(text), tmp_path), signal.SIGHUP)
     assert code == 129, errors
@@ -220,10 +220,10 @@ def test_a_module_is_imported_whole_before_it_is_interrupted(tmp_path: Path) -> 
 def test_what_is_not_to_be_disturbed_is_done_before_it_is_interrupted(tmp_path: Path) -> None:
     text = """
         try:
-            with answered(), undisturbed():
+            with handle_signals(), undisturbed():
                 with undisturbed():
                     here()
-                    while not asked_by():
+                    while not first_signal():
                         time.sleep(0.01)
                 open("done", "w").close()
         except KeyboardInterrupt:
@@ -235,12 +235,12 @@ def test_what_is_not_to_be_disturbed_is_done_before_it_is_interrupted(tmp_path: 
 
 def test_a_hang_up_that_nohup_ignores_stays_ignored(tmp_path: Path) -> None:
     text = """
-        with answered(), stopping() as stop:
+        with handle_signals(), stopping() as stop:
             os.kill(os.getpid(), signal.SIGHUP)
             here()
             while not stop():
                 time.sleep(0.01)
-        print(asked_by(), file=sys.stderr)
+        print(first_signal(), file=sys.stderr)
     """
     process = started(script(text), tmp_path, hang_up=signal.SIG_IGN)
     assert ended(process, signal.SIGTERM) == (0, "15\n")
@@ -250,7 +250,7 @@ def test_a_signal_to_a_fork_is_the_forks_alone(tmp_path: Path) -> None:
     text = """
         import warnings
         warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside another thread, from 3.12 on
-        with answered(), stopping() as stop:
+        with handle_signals(), stopping() as stop:
             if not (child := os.fork()):
                 time.sleep(1000)
             os.kill(child, signal.SIGTERM)
@@ -258,7 +258,7 @@ def test_a_signal_to_a_fork_is_the_forks_alone(tmp_path: Path) -> None:
             here()
             while not stop():
                 time.sleep(0.01)
-        print(asked_by(), file=sys.stderr)
+        print(first_signal(), file=sys.stderr)
     """
     assert ended(started(script(text), tmp_path), signal.SIGINT) == (0, "-15 False\n2\n")
 

@@ -83,7 +83,7 @@ def test_sensors_have_names_and_units(robot: Khepera4) -> None:
     distances = robot.ultrasonic()
     assert distances.front is not None
     assert distances[:2] == (None, None) == distances[3:]
-    assert Distances.of((0, 25, 250, 1000, 2000)) == (0, 0.25, 2.5, math.inf, None)
+    assert Distances.from_cm((0, 25, 250, 1000, 2000)) == (0, 0.25, 2.5, math.inf, None)
 
 
 def test_a_battery_has_its_voltage_and_charge(robot: Khepera4) -> None:

@@ -161,7 +161,7 @@ def test_a_stopped_twin_does_not_hold_up_its_host() -> None:
 
 def test_a_read_is_asked_again_and_an_order_is_not(fake: FakeRobot) -> None:
     with Khepera(fake.url) as robot:
-        fake.before = b"\x80\x81n,1,2"
+        fake.prefix = b"\x80\x81n,1,2"
         assert robot.proximity().back_left == 1023
         assert fake.requests == ["N", "B", "N"]
         fake.requests.clear()
@@ -174,7 +174,7 @@ def test_a_read_is_asked_again_and_an_order_is_not(fake: FakeRobot) -> None:
 
 def test_an_order_whose_answer_comes_behind_noise_is_done(fake: FakeRobot) -> None:
     with Khepera(fake.url) as robot:
-        fake.before = b"Command not found\r\nrubbish\r\n"
+        fake.prefix = b"Command not found\r\nrubbish\r\n"
         robot.set_target(100, 100)
         assert fake.requests == ["C,100,100", "B"]
         assert robot.position() == (12, -5)

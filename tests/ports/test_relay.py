@@ -22,7 +22,7 @@ from khep_twin.ports import relay as relaying
 from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.relay import Device
-from stand_ins.echoes import looped_back
+from stand_ins.echoes import loopback
 
 
 def test_both_directions_are_passed_on_and_logged_as_a_twins_are(tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
 
 # pyserial names its threads as Python did before 3.10.
 def test_bytes_at_a_slow_speed_that_a_host_has_left_hold_the_next_one_back_for_a_moment() -> None:
-    with looped_back() as device, served("--relay", device) as (_, path):
+    with loopback() as device, served("--relay", device) as (_, path):
         with serial.Serial(path, 300, stopbits=2, timeout=20) as port:
             port.write(b"\n\r" + b"x" * 2000)
             assert port.read(10)  # the line is at its speed

@@ -31,7 +31,7 @@ class Driven:
     def __init__(
         self, seed: int, counters: bool = False, particles: int = 300, has_others: bool = False
     ) -> None:
-        setup = setup_of("workshop", lit=False)
+        setup = setup_of("workshop", has_lamps=False)
         self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3), has_lamps=False)
         start = draw_particles(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
         start.planes.has_other_robots = has_others

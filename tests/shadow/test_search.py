@@ -29,7 +29,7 @@ class Turning:
     """A robot that turns at the crate, its filter and the search."""
 
     def __init__(self) -> None:
-        setup, rng = setup_of("workshop", lit=False), stream(0, "filter")
+        setup, rng = setup_of("workshop", has_lamps=False), stream(0, "filter")
         self.robot, self._rng = planes_at(AT_THE_CRATE, has_lamps=False), stream(0, "robot")
         start = draw_particles(setup, [metric(AT_THE_CRATE)], PUBLISHED, 500, rng)
         self.filter, self.search = ParticleFilter(setup, start, rng, 500), Search(setup, rng)

@@ -16,7 +16,7 @@ from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
 from khep_twin.shadow.recording import LineChunk, read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.update import Update
-from studies.twin_runs import Followed, Recording, follow, told_playpen
+from studies.twin_runs import ShadowRun, Recording, follow, playpen_at_known_start
 
 STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 4, 9, 12, 20
 SETTINGS = ShadowSettings(particles=300)
@@ -34,14 +34,14 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def followed(log: Path) -> Followed:
+def followed(log: Path) -> ShadowRun:
     """The shadow of that robot, beside the truth."""
     return follow(log, "workshop", SETTINGS)
 
 
-def updates(lines: Iterable[LineChunk], settings: ShadowSettings, followed: Followed) -> Iterator[Update]:
+def updates(lines: Iterable[LineChunk], settings: ShadowSettings, followed: ShadowRun) -> Iterator[Update]:
     """Feed a new shadow."""
-    shadow = Shadow(told_playpen("workshop", followed.truth), settings)
+    shadow = Shadow(playpen_at_known_start("workshop", followed.truth), settings)
     for chunk in lines:
         yield from shadow.feed(*chunk)
 
@@ -82,7 +82,7 @@ def make_shadow(**settings: object) -> Shadow:
     return Shadow(Playpen.load("workshop"), ShadowSettings(**{"particles": 50, **settings}))  # type: ignore
 
 
-def test_a_robot_is_followed_within_millimetres_and_better_than_by_dead_reckoning(followed: Followed) -> None:
+def test_a_robot_is_followed_within_millimetres_and_better_than_by_dead_reckoning(followed: ShadowRun) -> None:
     errors, reckoned = followed.errors(followed.poses), followed.errors(followed.reckoned)
     assert np.median(errors[:, 0]) < 8
     assert errors[:, 0].max() < 40
@@ -93,7 +93,7 @@ def test_a_robot_is_followed_within_millimetres_and_better_than_by_dead_reckonin
     assert len(errors) > 5 * LENGTH_S
 
 
-def test_a_stuck_sensor_and_a_restart_are_named_until_they_are_over(followed: Followed) -> None:
+def test_a_stuck_sensor_and_a_restart_are_named_until_they_are_over(followed: ShadowRun) -> None:
     stuck, restart = followed.alarms
     assert (stuck.fault, restart.fault) == (f"stuck sensor {STUCK}", "restart")
     assert SINCE_S * SECOND < stuck.raised_ns < (SINCE_S + 4) * SECOND
@@ -102,7 +102,7 @@ def test_a_stuck_sensor_and_a_restart_are_named_until_they_are_over(followed: Fo
     assert restart.raised_ns < restart.ended_ns < LENGTH_S * SECOND
 
 
-def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path, followed: Followed) -> None:
+def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path, followed: ShadowRun) -> None:
     lines = early(log)
     one, two = (list(updates(lines, SETTINGS, followed)) for _ in range(2))
     assert bits(one) == bits(two)
@@ -112,7 +112,7 @@ def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path,
     assert other[-1].estimate.pose != one[-1].estimate.pose
 
 
-def test_bytes_may_come_in_any_pieces(log: Path, followed: Followed) -> None:
+def test_bytes_may_come_in_any_pieces(log: Path, followed: ShadowRun) -> None:
     lines = early(log)[:60]
     pieces = [
         LineChunk(chunk.time_ns, chunk.to_robot, chunk.data[i : i + 3])
@@ -244,8 +244,8 @@ def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() 
     assert follower.last.time_ns == times_ns[-1] > 7 * SECOND
 
 
-def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Followed) -> None:
-    shadow = Shadow(told_playpen("workshop", followed.truth), SETTINGS)
+def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: ShadowRun) -> None:
+    shadow = Shadow(playpen_at_known_start("workshop", followed.truth), SETTINGS)
     before = shadow.learned
     assert before.wheels == pytest.approx(np.ones(3), abs=0.01)
     assert before.gains == pytest.approx(np.ones(8), abs=0.1)

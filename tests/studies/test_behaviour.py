@@ -11,7 +11,7 @@ from studies import behaviour
 from studies.behaviour import judge, pooled, text
 from studies.behaviour_controllers import avoider, networks, threshold_stop
 from studies.behaviour_trials import Trial, heading_for, stopping_difference, trials, turning_difference
-from studies.one_object import CYLINDER, LAMP, PERIOD_S, WALL, Controller, Thing, TwinWorld, run
+from studies.one_object import CYLINDER, LAMP, PERIOD_S, WALL, Controller, Target, TwinWorld, run
 from studies.sampled_world import Kinematics, SampledWorld, Samples, along_axes, table_readings
 
 BEARINGS = np.radians(np.arange(-180, 180, 4))
@@ -35,8 +35,8 @@ def synthetic(noise: float = 0.0) -> Samples:
 FORWARD = Controller("forward", lambda proximity, ambient, memory: np.full((len(proximity), 2), 5.0))
 
 
-def world(thing: Thing, noise_seed: int | None = None, noise: float = 0.0) -> SampledWorld:
-    return SampledWorld(thing, table_readings(thing, synthetic(noise), noise_seed), Kinematics())
+def world(target: Target, noise_seed: int | None = None, noise: float = 0.0) -> SampledWorld:
+    return SampledWorld(target, table_readings(target, synthetic(noise), noise_seed), Kinematics())
 
 
 def test_a_table_is_read_at_and_between_its_samples_in_whatever_order_they_come() -> None:
@@ -66,9 +66,9 @@ def test_a_table_is_smoothed_and_its_noise_drawn_again_is_as_large() -> None:
     assert drawn.std() == pytest.approx(30, rel=0.4)
 
 
-@pytest.mark.parametrize("thing", [WALL, CYLINDER, LAMP], ids=lambda thing: thing.name)
-def test_starts_are_as_far_off_and_as_far_aside_as_wanted(thing: Thing) -> None:
-    distances, bearings = thing.place(heading_for(thing, 40, np.array([-30, 0, 150])))
+@pytest.mark.parametrize("target", [WALL, CYLINDER, LAMP], ids=lambda target: target.name)
+def test_starts_are_as_far_off_and_as_far_aside_as_wanted(target: Target) -> None:
+    distances, bearings = target.place(heading_for(target, 40, np.array([-30, 0, 150])))
     np.testing.assert_allclose(distances, 0.04)
     np.testing.assert_allclose(np.degrees(bearings), [30, 0, -150])
 
@@ -82,7 +82,7 @@ def test_kinematics_drive_the_arcs_of_their_table() -> None:
     # A quarter turn to the left around a centre at radius r ends r ahead and r to the left.
     ratio = (1 - motion.base / 2 / 0.2) / (1 + motion.base / 2 / 0.2)
     seconds = math.pi / 2 * (0.2 + motion.base / 2) / motion.speed
-    end = motion.moved(np.zeros((1, 3)), np.array([[ratio, 1.0]]), seconds)
+    end = motion.move(np.zeros((1, 3)), np.array([[ratio, 1.0]]), seconds)
     np.testing.assert_allclose(end, [[0.2, 0.2, math.pi / 2]])
 
 
@@ -165,15 +165,15 @@ def test_twin_and_table_are_compared_beside_a_floor_the_same_each_time() -> None
 
 def test_every_trial_has_starts_outside_its_object_and_whole_periods() -> None:
     for trial in trials():
-        assert trial.thing.place(trial.starts)[0].min() > 0
+        assert trial.target.place(trial.starts)[0].min() > 0
         assert trial.seconds / PERIOD_S == pytest.approx(round(trial.seconds / PERIOD_S))
         assert trial.measures
 
 
 def test_the_twins_world_has_the_object_where_the_table_has_it() -> None:
-    for thing in (WALL, CYLINDER):
-        twin = TwinWorld(thing)
-        twin.begin(heading_for(thing, 8, np.array([0.0, 90.0])))
+    for target in (WALL, CYLINDER):
+        twin = TwinWorld(target)
+        twin.begin(heading_for(target, 8, np.array([0.0, 90.0])))
         (front, aside), ambient = twin.read()
         assert front[2] > 900
         assert aside[5] > 700  # on its right

@@ -11,7 +11,7 @@ import pytest
 from khep_twin.board.kernel import PROXIMITY
 from khep_twin.world import World
 from studies import fidelity, fidelity_light, fidelity_manual, fidelity_motion
-from studies.fidelity_comparison import Comparison, Outcome, read_at_rest, noise_variance, short
+from studies.fidelity_comparison import Comparison, Outcome, noise_variance, read_at_rest, short
 from studies.one_object import WALL, scene
 
 QUICK = (fidelity_manual.figure_13, fidelity_manual.khepera2_facing, fidelity_light.figure_9)

@@ -35,4 +35,4 @@ def test_squares_find_the_wheels_of_a_twin(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(umbmark, "RUNS", 2)
     with home_test.twin(home_test.open_arena(tmp_path), 1) as robot:
         result = umbmark.umbmark(robot)
-    assert (result.wheels, result.base) == pytest.approx(umbmark.drawn(1), abs=1e-3)
+    assert (result.wheels, result.base) == pytest.approx(umbmark.draw_wheels(1), abs=1e-3)

@@ -11,8 +11,8 @@ from khep_twin.playpen import Cylinder, Playpen
 from khep_twin.randomness import stream
 from khep_twin.units import BITS_PER_BYTE
 from khep_twin.world import World
-from stand_ins.hidden_changes import Added, Gone, Lifted, Moved, apply, hide_added, with_added
-from stand_ins.hosts import FIRST_KEPT_SEED, KEPT, hosts_of
+from stand_ins.hidden_changes import Added, Lifted, Moved, Removed, apply, hide_added, with_added
+from stand_ins.hosts import FIRST_TEST_SEED, TEST_HOSTS, hosts_of
 from stand_ins.line_times import PACKET_NS, STALL_EVERY_NS, STALL_NS, LineTimes
 from stand_ins.recordings import Truth, record
 
@@ -25,8 +25,8 @@ def looking(playpen: Playpen) -> World:
 
 
 def test_a_seed_for_tuning_has_no_host_that_is_kept_apart() -> None:
-    assert not set(KEPT) & set(hosts_of(FIRST_KEPT_SEED - 1))
-    assert set(KEPT) < set(hosts_of(FIRST_KEPT_SEED))
+    assert not set(TEST_HOSTS) & set(hosts_of(FIRST_TEST_SEED - 1))
+    assert set(TEST_HOSTS) < set(hosts_of(FIRST_TEST_SEED))
 
 
 def test_a_busy_relay_passes_on_together_what_has_come() -> None:
@@ -96,8 +96,8 @@ def test_a_recording_has_what_a_relay_of_a_robot_has(tmp_path: Path) -> None:
         n_bytes = len(command.text) + 1 + len(reply.text) + 1
         assert reply.time_ns - command.time_ns == pytest.approx(n_bytes * BITS_PER_BYTE / 9600 * 1e9, abs=10)
     assert truth.times_ns[:3].tolist() == [0, 20_000_000, 40_000_000]
-    assert np.hypot(*(truth.start - truth.told)[:2]) <= 0.010
-    assert abs(truth.start - truth.told)[2] <= np.radians(5)
+    assert np.hypot(*(truth.start - truth.twin_start)[:2]) <= 0.010
+    assert abs(truth.start - truth.twin_start)[2] <= np.radians(5)
 
 
 def test_a_log_by_pyserial_alone_has_replies_when_they_are_read(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_slow_host_asks_two_and_a_half_times_a_second(tmp_path: Path) -> None:
 
 
 def test_a_change_is_noticeable_from_the_first_reply_on_that_it_changes(tmp_path: Path) -> None:
-    def noticed(faults: list[str], *changes: Lifted | Gone | Added) -> tuple[int, int]:
+    def noticed(faults: list[str], *changes: Lifted | Removed | Added) -> tuple[int, int]:
         truth = record(
             tmp_path / "run.mcap",
             PLAYPEN,
@@ -139,7 +139,7 @@ def test_a_change_is_noticeable_from_the_first_reply_on_that_it_changes(tmp_path
     reset_ns, heard_ns = noticed(["brown-out@1"])
     assert 0 < heard_ns - reset_ns < 400_000_000
     # It never comes near this one.
-    assert noticed([], Gone(1.0, "cylinder2"))[1] == -1
+    assert noticed([], Removed(1.0, "cylinder2"))[1] == -1
 
 
 def test_the_end_of_a_fault_is_noticeable_where_a_robot_that_keeps_it_replies_otherwise(
@@ -156,12 +156,12 @@ def test_the_end_of_a_fault_is_noticeable_where_a_robot_that_keeps_it_replies_ot
     "change",
     [
         Moved(0.0, "block0", (-120.0, 0.0), 30.0),
-        Gone(0.0, "cylinder0"),
+        Removed(0.0, "cylinder0"),
         Added(0.0, CAN.model_copy(update={"x_mm": 410.0, "y_mm": 150.0})),
     ],
     ids=lambda change: type(change).__name__,
 )
-def test_a_changed_world_is_that_of_the_changed_playpen(change: Moved | Gone | Added) -> None:
+def test_a_changed_world_is_that_of_the_changed_playpen(change: Moved | Removed | Added) -> None:
     """The robot drives for two seconds, and all its counts are those of a scene compiled like that."""
     dark_playpen = PLAYPEN.model_copy(update={"lamps": ()})
     world = looking(with_added(dark_playpen, [change]))

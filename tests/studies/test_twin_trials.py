@@ -11,15 +11,15 @@ from khep_twin.log.shadow_channels import PoseState
 from khep_twin.shadow.actions import ProximityReply
 from khep_twin.shadow.persistence import MIN_NOVELTY
 from khep_twin.shadow.shadow import ShadowSettings
-from stand_ins.hosts import TUNED
+from stand_ins.hosts import TUNING_HOSTS
 from stand_ins.recordings import Truth
 from studies import fault_recordings, pose_trials, twin_trials
 from studies.fault_bounds import gap, posterior
 from studies.fault_oracle import Explanation, new_parts
-from studies.fault_trials import judge, add_similar_names
+from studies.fault_trials import add_similar_names, judge
 from studies.healthy_trials import ALL, healthy_cells, healthy_recordings, inside, run_healthy
-from studies.reliability import Claim, binned, claims, draw
-from studies.twin_runs import Followed, Raised, Recording, Suspected
+from studies.reliability import Claim, bin_claims, claims, draw
+from studies.twin_runs import AlarmRecord, Recording, ShadowRun, SuspicionRecord
 
 SECOND = 1_000_000_000
 
@@ -83,9 +83,9 @@ def truth() -> Truth:
     return Truth(times, none, none, none, np.array(["dead:2"]), changed_ns, ended_ns, noticeable_ns, ended_ns)
 
 
-def raised(fault: str, raised_s: float, ended_s: float = -1, reading: float = 0) -> Raised:
+def raised(fault: str, raised_s: float, ended_s: float = -1, reading: float = 0) -> AlarmRecord:
     ended_ns = -1 if ended_s < 0 else round(ended_s * SECOND)
-    return Raised(fault, round(raised_s * SECOND), ended_ns, (reading,) * 8)
+    return AlarmRecord(fault, round(raised_s * SECOND), ended_ns, (reading,) * 8)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def raised(fault: str, raised_s: float, ended_s: float = -1, reading: float = 0)
     ids=["right", "early", "late", "before", "lasting", "other", "both", "none"],
 )
 def test_a_fault_is_named_if_a_right_name_comes_in_time(
-    alarms: list[Raised], named: bool, delay_s: float | None, wrong: tuple[str, ...], end_s: float | None
+    alarms: list[AlarmRecord], named: bool, delay_s: float | None, wrong: tuple[str, ...], end_s: float | None
 ) -> None:
     judgement = judge(("dead sensor 2",), truth(), 30 * SECOND, alarms)
     assert (judgement.named, judgement.wrong) == (named, wrong)
@@ -126,7 +126,7 @@ def test_a_stuck_sensor_may_be_called_dead_while_it_reads_0(reading: float, name
 
 def test_an_alarm_of_a_fault_that_looks_alike_is_a_pair_in_time_and_false_later() -> None:
     alarms = [raised("slipping wheel left", 14, 31), raised("weak motor left", 40)]
-    suspected = [Suspected(("weak motor left", "slipping wheel left"), 13 * SECOND, 0.96, (0.0,) * 8)]
+    suspected = [SuspicionRecord(("weak motor left", "slipping wheel left"), 13 * SECOND, 0.96, (0.0,) * 8)]
     judgement = judge(("weak motor left",), truth(), 30 * SECOND, alarms, suspected)
     assert (judgement.named, judgement.paired) == (False, True)
     assert not judge(("weak motor left",), truth(), 30 * SECOND, [], suspected).paired
@@ -192,12 +192,12 @@ def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:
     alarm = raised("dead sensor 2", 13)._replace(sureness=0.97)
     names = ("dead sensor 2",)
     suspected = [
-        Suspected(names, round(at_s * SECOND), probability, ())
+        SuspicionRecord(names, round(at_s * SECOND), probability, ())
         for at_s, probability in ((11, 0.5), (13, 0.66))
     ]
     all_claims = claims([alarm], suspected, lambda fault, time_ns, _: time_ns > 12 * SECOND)
     assert all_claims == [Claim(0.97, True, True), Claim(0.5, False, False), Claim(0.66, False, True)]
-    low, _, high = binned([*all_claims, *[Claim(0.98, True, False)] * 3])
+    low, _, high = bin_claims([*all_claims, *[Claim(0.98, True, False)] * 3])
     assert (low.alarms, low.suspicions, low.true) == (0, 1, 0)
     assert (high.low, high.alarms, high.true) == (0.95, 4, 0.25)
     assert high.interval[0] < 0.25 < high.interval[1]
@@ -206,11 +206,11 @@ def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:
 
 
 def test_healthy_recordings_meet_all_playpens_with_all_hosts_and_starts() -> None:
-    for hosts in (TUNED, TUNED[:2], TUNED[:1]):
+    for hosts in (TUNING_HOSTS, TUNING_HOSTS[:2], TUNING_HOSTS[:1]):
         runs = 2 * len(ALL) * len(hosts)
         recordings = healthy_recordings(ALL, hosts, 0, runs, 10, "exact")
         assert (
-            len({(recording.playpen, recording.host, recording.own_start) for recording in recordings})
+            len({(recording.playpen, recording.host, recording.default_start) for recording in recordings})
             == runs
         )
 
@@ -222,7 +222,7 @@ def test_truth_is_inside_a_region_as_often_as_in_a_gaussian() -> None:
     times = np.zeros(len(off), np.int64)
     states = np.full(len(off), str(PoseState.FOLLOWED))
     actual = np.tile((0, 0, 2 * np.pi), (len(off), 1))
-    followed = Followed(truth(), times, off, actual, off, covariances, states, off, [], [], np.zeros(1))
+    followed = ShadowRun(truth(), times, off, actual, off, covariances, states, off, [], [], np.zeros(1))
     assert inside(followed).mean(axis=0) == pytest.approx(0.95, abs=0.005)
 
 

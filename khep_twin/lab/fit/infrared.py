@@ -18,7 +18,7 @@ from khep_twin.units import BODY_RADIUS, SENSOR_HEIGHT
 OBJECT_HEIGHT = 0.05
 """Height of walls and cylinders [m]: a playpen's default (unknown for the measured ones)."""
 
-_TOUCHING = 1e-4
+_MIN_DISTANCE = 1e-4
 """Smallest distance of a surface [m]."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
@@ -58,10 +58,10 @@ class View:
             radius: Radius of an upright cylinder [m]; 0 for a wall.
             body_radius: Radius of the robot [m].
         """
-        reach, (x, y) = body_radius + distances + radius, sensor
+        radii, (x, y) = body_radius + distances + radius, sensor
         if not radius:
-            return cls(_wrap(bearings - heading), reach - x * np.cos(bearings) - y * np.sin(bearings))
-        forward, left = reach * np.cos(bearings) - x, reach * np.sin(bearings) - y
+            return cls(_wrap(bearings - heading), radii - x * np.cos(bearings) - y * np.sin(bearings))
+        forward, left = radii * np.cos(bearings) - x, radii * np.sin(bearings) - y
         return cls(_wrap(np.arctan2(left, forward) - heading), np.hypot(forward, left), radius)
 
     def light(self, offset: float, lobe_exponent: float) -> Floats:
@@ -75,17 +75,17 @@ class View:
         cosines = np.maximum(np.cos(azimuths), 0)
         integer_part = int(lobe_exponent)
         lobe = cosines**integer_part * (1 - (lobe_exponent - integer_part) * (1 - cosines)) * (cosines > 0)
-        top, mirrored = OBJECT_HEIGHT - SENSOR_HEIGHT, -OBJECT_HEIGHT - SENSOR_HEIGHT
-        elevation_share = _share_below(top / lengths) - _share_below(mirrored / lengths)
+        top_height, mirror_height = OBJECT_HEIGHT - SENSOR_HEIGHT, -OBJECT_HEIGHT - SENSOR_HEIGHT
+        elevation_share = _share_below(top_height / lengths) - _share_below(mirror_height / lengths)
         return (weights / lengths**2 * lobe * elevation_share).sum(axis=1) / lobes.norm(lobe_exponent)
 
     def _wall(self, offset: float) -> tuple[Floats, Floats, Floats]:
         """Return lengths and azimuths of rays to points of the wall, and their quadrature weights."""
-        wall_distances = np.maximum(self.distances + offset * np.cos(self.bearings), _TOUCHING)
+        wall_distances = np.maximum(self.distances + offset * np.cos(self.bearings), _MIN_DISTANCE)
         # Integrate between the ends of the wall or the lobe, over sines of the angle from the perpendicular.
-        edge = np.cos(self.bearings)
-        low = np.where(self.bearings < 0, -edge, -1.0)[:, None]
-        high = np.where(self.bearings < 0, 1.0, edge)[:, None]
+        lobe_limit = np.cos(self.bearings)
+        low = np.where(self.bearings < 0, -lobe_limit, -1.0)[:, None]
+        high = np.where(self.bearings < 0, 1.0, lobe_limit)[:, None]
         sines = (low + high) / 2 + (high - low) / 2 * _NODES
         # For a wall directly behind, the interval is empty and the distance undefined.
         cosines = np.sqrt(np.maximum(1 - sines**2, 1e-12))
@@ -96,15 +96,15 @@ class View:
         """Return lengths, azimuths and quadrature weights for points of the cylinder."""
         x = self.distances * np.cos(self.bearings) + offset
         y = self.distances * np.sin(self.bearings)
-        axis_distances = np.maximum(np.hypot(x, y), self.radius + _TOUCHING)[:, None]
-        axis = np.arctan2(y, x)[:, None]
-        square = _NODES**2
-        incidences = (1 - square) * np.sqrt(4 - square) / 2
-        sines = _NODES * (3 - square) / 2 * self.radius / axis_distances
+        axis_distances = np.maximum(np.hypot(x, y), self.radius + _MIN_DISTANCE)[:, None]
+        axis_azimuths = np.arctan2(y, x)[:, None]
+        node_squares = _NODES**2
+        incidence_cosines = (1 - node_squares) * np.sqrt(4 - node_squares) / 2
+        sines = _NODES * (3 - node_squares) / 2 * self.radius / axis_distances
         cosines = np.sqrt(1 - sines**2)
-        lengths = axis_distances * cosines - self.radius * incidences
-        weights = _WEIGHTS * 1.5 * (1 - square) * incidences * self.radius / (axis_distances * cosines)
-        return lengths, axis + np.arcsin(sines), weights
+        lengths = axis_distances * cosines - self.radius * incidence_cosines
+        weights = _WEIGHTS * 1.5 * (1 - node_squares) * incidence_cosines * self.radius / (axis_distances * cosines)
+        return lengths, axis_azimuths + np.arcsin(sines), weights
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ class Optics:
         )
 
 
-def level(view: View, optics: Optics, reflectance: float = 1.0) -> Floats:
+def unclipped_counts(view: View, optics: Optics, reflectance: float = 1.0) -> Floats:
     """Return the counts of a sensor without noise, not rounded and not clipped (n_places,)."""
     light = view.light(optics.offset_mm * 1e-3, optics.lobe_exponent)
     return optics.gain_counts_mm2 * 1e-6 * reflectance * light - optics.threshold_counts

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.infrared import Optics, View, level
+from khep_twin.lab.fit.infrared import Optics, View, unclipped_counts
 from khep_twin.lab.fit.least_squares import (
     CONFIDENCE,
     Floats,
@@ -101,7 +101,7 @@ class InfraredFit:
     misplacements: tuple[Misplacement, ...]
 
 
-def unclipped(
+def sensor_counts(
     sensor: int, heading_deg: float, optics: Optics, position: tuple[Floats, Floats], radius: float
 ) -> Floats:
     """Return the counts of a sensor in front of an object, without noise and clipping (n,).
@@ -113,7 +113,7 @@ def unclipped(
         position: Distances from the robot's edge [m] and bearings, counter-clockwise [rad], of the object.
         radius: Radius of the cylinder, 0 for a wall [m].
     """
-    return level(View.of(SENSOR_POSITIONS[sensor], math.radians(heading_deg), *position, radius), optics)
+    return unclipped_counts(View.of(SENSOR_POSITIONS[sensor], math.radians(heading_deg), *position, radius), optics)
 
 
 def levels(placement: Placement, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
@@ -121,7 +121,7 @@ def levels(placement: Placement, robot: Calibration, misplacement: Misplacement 
     object_position = placement.object_positions(misplacement)
     optics = [Optics.of(robot.proximity, sensor) for sensor in range(N_SENSORS)]
     columns = [
-        unclipped(sensor, heading_deg, optics[sensor], object_position, placement.radius)
+        sensor_counts(sensor, heading_deg, optics[sensor], object_position, placement.radius)
         for sensor, heading_deg in enumerate(robot.heading_deg)
     ]
     return np.column_stack(columns)
@@ -153,7 +153,7 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
             for test, misplacement in zip(tests, misplacements(x[n_values:]), strict=True)
         ]
         columns = [
-            np.concatenate([unclipped(sensor, row[2], _optics(old, row), *position) for position in objects])
+            np.concatenate([sensor_counts(sensor, row[2], _optics(old, row), *position) for position in objects])
             for sensor, (row, old) in enumerate(zip(rows, initial, strict=True))
         ]
         return np.column_stack(columns)

@@ -123,7 +123,9 @@ def test_what_appears_under_its_name_meanwhile_is_kept(minari: Any, tmp_path: Pa
             target.mkdir()
             (target / "notes").write_text("a year's work")
 
-    with pytest.raises(KhepTwinError, match=r"another file is there by now, .* is .*data-v0\.kept"):
+    with pytest.raises(
+        KhepTwinError, match=r"another file exists by now and is kept; the new one is .*data-v0\.kept"
+    ):
         write()
     assert (target / "notes").read_text() == "a year's work"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data-v0", "data-v0.kept"]
