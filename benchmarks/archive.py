@@ -115,7 +115,7 @@ def _run_program(name: str, command: Sequence[str], text: str = "") -> str:
     env = {**os.environ, "JAX_PLATFORMS": "cpu"}
     process = subprocess.run(command, input=text, capture_output=True, text=True, env=env)
     if process.returncode:
-        error_lines = process.stderr.strip().splitlines() or ["it error_lines nothing"]
+        error_lines = process.stderr.strip().splitlines() or ["it printed nothing"]
         raise KhepTwinError(f"{name} failed: {error_lines[-1]}")
     return process.stdout
 

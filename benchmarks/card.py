@@ -88,7 +88,8 @@ def compare(count: int, seconds: float) -> None:
         print(
             f"  {name:14} same registers {100 * registers:.1f} %, poses {100 * poses:.1f} %, metric "
             f"{100 * (gpu_metric == cpu_metric).mean():.1f} %; "
-            f"apart at most {distances_mm.max():.3g} mm; Spearman {np.corrcoef(*ranks)[0, 1]:.6f}; first ten {'the same' if first else 'others'}; "
+            f"apart at most {distances_mm.max():.3g} mm; Spearman {np.corrcoef(*ranks)[0, 1]:.6f}; "
+            f"first ten {'the same' if first else 'others'}; "
             f"failures {len(results[0].failures)}, {len(results[1].failures)}",
             flush=True,
         )

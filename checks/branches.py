@@ -149,7 +149,7 @@ def make(number: int, path: Path) -> float:
     end_s = float(rng.uniform(2, 23))
     with open_twin(scene, options) as twin:
         # Some worlds change over to compiled code amid the run.
-        twin.world.code.switch_at = int(rng.integers(0, 8000))
+        twin.world.code.switch_step = int(rng.integers(0, 8000))
         twin.record(path)
         with suppress(KhepTwinError):  # a run that has diverged is also a log
             drive(twin.world, number, round(end_s * NS_PER_S))

@@ -80,7 +80,7 @@ def day(hours: float, log: Path, seed: int) -> float:
 
         # Flush as often in simulated time as otherwise in wall time.
         serve.time = SimpleNamespace(monotonic_ns=lambda: world.time_ns)  # pyright: ignore
-        serve.serve(twin, [port], serve.WIRE, stop=stop, notify=print)
+        serve.serve(twin, [port], serve.WIRE_SPEED, stop=stop, notify=print)
         grown = memory() - first
         start_s = time.monotonic()
     took, size = time.monotonic() - start_s, log.stat().st_size / 1e6

@@ -38,7 +38,7 @@ TASK = "ObstacleAvoidance"
 ENVIRONMENTS = 64
 """Environments that are stepped together in training."""
 EVALUATION_SEED = 1_000_000
-"""First seed of the evaluation; training draws its seeds from its own."""
+"""First seed of the evaluation; training draws from other seeds."""
 EPISODES, EPISODES_WHILE_LEARNING = 20, 5
 TOP_SPEED_PULSES = 20
 """Speed of the action 1 [pulses/10 ms]."""

@@ -44,11 +44,10 @@ class TimeSource(Protocol):
 
 
 class Pacer:
-    """Pacer of simulated time by the wall clock, with absolute deadlines.
+    """Pacer of simulated time at `speed` simulated seconds per real second, with absolute deadlines.
 
     Simulated time t is due at `start + (t - origin) / speed`, so rounding errors do not add up. A loop that
-    falls further behind than the tolerance slips: the origin moves, the slip is counted and not caught up.
-    Delays within the tolerance are caught up.
+    falls further behind than the tolerance slips: the origin moves, and the delay is not caught up.
 
     Attributes:
         slips: Number of slips.
@@ -62,23 +61,24 @@ class Pacer:
         self.slips = 0
         self.slipped_ns = 0
         self._tolerance_ns = tolerance_ns
-        self._wall_ns = time.monotonic_ns()
-        self._time_ns = time_ns
+        self._origin_wall_ns = time.monotonic_ns()
+        self._origin_ns = time_ns
 
     def due_ns(self) -> int:
         """Return the simulated time that is due now [ns]."""
-        return self._time_ns + round((time.monotonic_ns() - self._wall_ns) * self.speed)
+        return self._origin_ns + round((time.monotonic_ns() - self._origin_wall_ns) * self.speed)
 
-    def wait(self, time_ns: int) -> float:
+    def wait_s(self, time_ns: int) -> float:
         """Return the wall time until simulated `time_ns` is due [s]; 0 or less when it is overdue."""
-        return ((time_ns - self._time_ns) / self.speed - (time.monotonic_ns() - self._wall_ns)) / NS_PER_S
+        elapsed_ns = time.monotonic_ns() - self._origin_wall_ns
+        return ((time_ns - self._origin_ns) / self.speed - elapsed_ns) / NS_PER_S
 
     def slip(self, time_ns: int) -> int:
         """Record that the loop has reached `time_ns`; return the slip in wall time, 0 if in time [ns]."""
-        late_ns = -round(self.wait(time_ns) * NS_PER_S)
+        late_ns = -round(self.wait_s(time_ns) * NS_PER_S)
         if late_ns <= self._tolerance_ns:
             return 0
-        self._wall_ns += late_ns
+        self._origin_wall_ns += late_ns
         self.slips += 1
         self.slipped_ns += late_ns
         return late_ns

@@ -49,7 +49,7 @@ Expected = str | tuple[object, ...]
 PORT_FAILURES = (OSError, ValueError, OverflowError, KeyError)
 """Exceptions of a pyserial port that fails.
 
-One on the network refuses a setting by a ValueError; a huge speed is an OverflowError, and an unknown value
+A network port refuses a setting by a ValueError; a huge baud rate is an OverflowError, and an unknown value
 in a URL a KeyError.
 """
 
@@ -131,14 +131,14 @@ class KhepTwinError(Exception):
         if file is not None or key is not None or expected != "":
             text = str(message) or f"{key} = {value!r}{'' if isinstance(expected, str) else ': unknown'}"
             expectation = expected if isinstance(expected, str) else tuple(expected)
-            place = None if file is None else str(file)
-            problems = [Problem.of(() if key is None else (key,), text, expectation, value, place)]
+            file_name = None if file is None else str(file)
+            problems = [Problem.of(() if key is None else (key,), text, expectation, value, file_name)]
         self.plain = "\n".join(map(str, problems)) or str(message)
         super().__init__(f"{self.plain}{option}")
         self.problems = tuple(problems)
-        first = self.problems[0] if problems else Problem((), "")
-        self.file, self.line, self.key = first.file, first.line, first.key
-        self.value, self.expected = first.value, first.expected or None
+        first_problem = self.problems[0] if problems else Problem((), "")
+        self.file, self.line, self.key = first_problem.file, first_problem.line, first_problem.key
+        self.value, self.expected = first_problem.value, first_problem.expected or None
 
 
 class PlaypenError(KhepTwinError):
@@ -230,7 +230,7 @@ class DeviceError(KhepTwinError):
 
 
 EXTRAS = {"matplotlib": "pictures", "scipy": "fit"}
-"""Extras whose packages are imported where they are needed, by package."""
+"""Extras whose packages are imported where they are requirements, by package."""
 
 
 class MissingNumbaError(KhepTwinError):
@@ -240,7 +240,7 @@ class MissingNumbaError(KhepTwinError):
         is_off: True if numba is installed but compiles nothing.
 
     Attributes:
-        found: Reason, without the remedy.
+        reason: Reason, without the remedy.
         remedy: Advice to the user.
     """
 
@@ -276,26 +276,26 @@ def pip_install(*words: str) -> str:
 def pip_install_extra(extra: str) -> str:
     """Return the command that installs the packages of an extra, wherever khep_twin came from."""
     lines = metadata.requires("khep-twin") or []
-    needed = [line.partition(";")[0].strip() for line in lines if f"extra == '{extra}'" in line]
-    return pip_install(*needed)
+    requirements = [line.partition(";")[0].strip() for line in lines if f"extra == '{extra}'" in line]
+    return pip_install(*requirements)
 
 
 def pip_install_required(package: str) -> str:
     """Return the command that installs a package that khep_twin requires."""
-    needed = (line for line in metadata.requires("khep-twin") or [] if "extra ==" not in line)
-    return pip_install(*(line.partition(";")[0].strip() for line in needed if line.startswith(package)))
+    requirements = (line for line in metadata.requires("khep-twin") or [] if "extra ==" not in line)
+    return pip_install(*(line.partition(";")[0].strip() for line in requirements if line.startswith(package)))
 
 
-def in_a_line(error: BaseException) -> str:
+def exception_text(error: BaseException) -> str:
     """Return the type and message of an exception of a user's program in one line."""
     try:
         text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
     except Exception as failure:  # `__str__` of a user's exception may fail
         text = f"(its text fails: {type(failure).__name__})"
-    return f"{type(error).__name__}: {text}".removesuffix(": ") + _suggestion(error)
+    return f"{type(error).__name__}: {text}".removesuffix(": ") + _suggest_name(error)
 
 
-def _suggestion(error: BaseException) -> str:
+def _suggest_name(error: BaseException) -> str:
     """Return a hint with the name that was probably meant, which Python adds to tracebacks only."""
     name, candidates = getattr(error, "name", None), set[str]()
     if isinstance(error, AttributeError):
@@ -303,13 +303,13 @@ def _suggestion(error: BaseException) -> str:
     elif isinstance(error, NameError) and error.__traceback__ is not None:
         *_, (frame, _) = walk_tb(error.__traceback__)
         candidates.update(frame.f_locals, frame.f_globals, dir(builtins))
-    near = get_close_matches(name, sorted(candidates), 1, 0.75) if isinstance(name, str) else []
-    return f". Did you mean: {near[0]!r}?" if near else ""
+    matches = get_close_matches(name, sorted(candidates), 1, 0.75) if isinstance(name, str) else []
+    return f". Did you mean: {matches[0]!r}?" if matches else ""
 
 
 def choices(value: object, valid: Iterable[object]) -> str:
     """Return the tail of a message for an invalid value: the nearest choice, then all choices."""
     names = [str(name) for name in valid]
-    near = get_close_matches(str(value), names, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    matches = get_close_matches(str(value), names, n=1)
+    hint = f"did you mean {matches[0]!r}? " if matches else ""
     return f"{hint}(choices: {', '.join(names) or 'none'})"

@@ -128,7 +128,7 @@ class Firmware:
         self._processor = (np.zeros(kernel.N_PROCESSOR, np.int64) if processor is None else processor).data
         self._rom = rom
         self._mode = rom.modes[mode]
-        self._line_reader = LineReader()
+        self._reader = LineReader()
         self.turrets = turrets or {}
         self._turrets_by_number = {kind.number: turret for kind, turret in self.turrets.items()}
         self._processor[kernel.POWERED] = 1
@@ -142,7 +142,7 @@ class Firmware:
     def state(self) -> FirmwareState:
         """Return the state besides the registers."""
         turrets = {kind.name: tuple(turret.registers.tolist()) for kind, turret in self.turrets.items()}
-        return FirmwareState(self.baud, self.reply_baud, self.running, self._line_reader.partial_line, turrets)
+        return FirmwareState(self.baud, self.reply_baud, self.running, self._reader.partial_line, turrets)
 
     def set_state(self, state: FirmwareState) -> None:
         """Restore a state.
@@ -164,18 +164,18 @@ class Firmware:
         for name, registers in state.turrets.items():
             turret_registers[name][:] = registers
         self.baud, self.reply_baud, self.running = state.baud, state.reply_baud, state.running
-        self._line_reader.partial_line = state.partial_line
+        self._reader.partial_line = state.partial_line
 
     def receive(self, data: bytes) -> bytes:
         """Read bytes from the line; return the replies to the commands that they complete."""
         if not self.powered:
             return b""
         self.reply_baud = self.baud
-        return b"".join(self._answer(parse(line)) for line in self._line_reader.feed(data))
+        return b"".join(self._answer(parse(line)) for line in self._reader.feed(data))
 
     def forget_line(self) -> None:
         """Discard the incomplete line."""
-        self._line_reader.clear()
+        self._reader.clear()
 
     def tick(self, left_pulses: int, right_pulses: int) -> None:
         """Run one control period of 10 ms, with the encoders' counts since power-up [pulses]."""
@@ -201,7 +201,7 @@ class Firmware:
 
     def forget(self) -> None:
         """Clear the state besides registers, as a reset does: line, turrets, baud rate and function."""
-        self._line_reader.clear()
+        self._reader.clear()
         for turret in self.turrets.values():
             turret.reset()
         self.baud = self.reply_baud = self._mode.baud
@@ -232,13 +232,13 @@ class Firmware:
                 return self._run_tool(request)
 
     def _run_tool(self, tool: Tool) -> bytes:
-        outcome = bios.run_tool(
+        tool_result = bios.run_tool(
             tool, bios.ToolContext(self._rom, self.running, tuple(self.turrets), DESCRIPTIONS)
         )
-        if outcome.restart:
+        if tool_result.restart:
             return self.reset()
-        self.baud = outcome.baud or self.baud
-        return outcome.reply + self._start_function(outcome.function)
+        self.baud = tool_result.baud or self.baud
+        return tool_result.reply + self._start_function(tool_result.function)
 
     def _start_function(self, function: str) -> bytes:
         """Start a function of the ROM; return its output."""
@@ -306,8 +306,8 @@ class Firmware:
         if not 0 <= channel < N_CONVERTER_CHANNELS:
             return PROTOCOL_ERROR
         # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to 3, 4 and 5.
-        last_sensor = (self.register_view[Board.SCAN] - 1) % N_SENSORS
-        sources = {0: Board.SUPPLY, 1: Board.PROXIMITY + last_sensor, 2: Board.AMBIENT + last_sensor, 6: Board.CURRENT}
+        last = (self.register_view[Board.SCAN] - 1) % N_SENSORS
+        sources = {0: Board.SUPPLY, 1: Board.PROXIMITY + last, 2: Board.AMBIENT + last, 6: Board.CURRENT}
         return reply("I", self.register_view[sources[channel]] if channel in sources else 0)
 
     @_command("J", "configure the speed profile")

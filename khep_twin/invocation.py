@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def command(*words: object, program: str = "khep-twin") -> str:
-    """Return a command line, quoted for the shell, whose program the shell finds.
+    """Return a command line, quoted for the shell.
 
     Args:
         words: Arguments.
@@ -19,17 +19,18 @@ def command(*words: object, program: str = "khep-twin") -> str:
 
 
 def quoted(word: str) -> str:
-    """Return a word as a shell takes it; the bytes of a name that is no text are written in octal."""
+    """Return a word quoted for a shell; the bytes of a file name that is no text are written in octal."""
     try:
         word.encode()
         return shlex.quote(word)
     except UnicodeEncodeError:
-        plain = set(range(32, 127)) - set(b"%'\\")
-        octal = (chr(byte) if byte in plain else f"\\{byte:03o}" for byte in os.fsencode(word))
+        unescaped_bytes = set(range(32, 127)) - set(b"%'\\")
+        octal = (chr(byte) if byte in unescaped_bytes else f"\\{byte:03o}" for byte in os.fsencode(word))
         return f"\"$(printf '{''.join(octal)}')\""
 
 
 def _find_program(name: str) -> str:
+    """Return the name by which a shell finds a program of this installation, or else its path."""
     typed, installed = Path(sys.argv[0]), Path(sys.executable).with_name(name)
     script = typed if typed.name == name and typed.is_file() else installed
     shell_path = shutil.which(name)
@@ -39,5 +40,5 @@ def _find_program(name: str) -> str:
     path, folder = Path(os.path.abspath(script)), Path.cwd()
     if not path.is_relative_to(folder):
         return str(path)
-    below = path.relative_to(folder)
-    return str(below) if below.parent.name else f"./{below}"
+    relative_path = path.relative_to(folder)
+    return str(relative_path) if relative_path.parent.name else f"./{relative_path}"

@@ -26,23 +26,23 @@ from khep_twin.firmware import Firmware
 from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
-from khep_twin.simulation.turret_place import TurretPlace
+from khep_twin.simulation.turret_place import WorldTurretContext
 from khep_twin.simulation.world_state import BoardState, RobotSnapshot
 from khep_twin.units import SENSOR_LABELS
 
 _LEDS = (int(Board.LED_0), int(Board.LED_1))
-_SENSORS, _WHEELS = ", ".join(SENSOR_LABELS), "left, right, setpoint left, setpoint right"
+_SENSOR_LABELS, _WHEEL_LABELS = ", ".join(SENSOR_LABELS), "left, right, setpoint left, setpoint right"
 
 SAMPLED = (
-    SampledRegisters("proximity", f"{_SENSORS} [counts]", PROXIMITY),
-    SampledRegisters("ambient", f"{_SENSORS} [counts]", AMBIENT),
-    SampledRegisters("speed", f"{_WHEELS} [pulses/10 ms]", (*SPEEDS, *SETPOINTS)),
+    SampledRegisters("proximity", f"{_SENSOR_LABELS} [counts]", PROXIMITY),
+    SampledRegisters("ambient", f"{_SENSOR_LABELS} [counts]", AMBIENT),
+    SampledRegisters("speed", f"{_WHEEL_LABELS} [pulses/10 ms]", (*SPEEDS, *SETPOINTS)),
     SampledRegisters("duty", "left, right [-255 to 255]", DUTIES),
     SampledRegisters("leds", "lateral, frontal [1 is lit]", _LEDS),
 )
 """Channels of the board's registers."""
 
-_RECORD_FIELDS = ("registers", "processor", "sensor_states", "strengths", "voltage")
+_CHANGING_FIELDS = ("registers", "processor", "sensor_states", "strengths", "voltage")
 """Fields of a robot's record that change during a run."""
 
 
@@ -51,7 +51,7 @@ class KheperaRobot(Robot):
 
     Args:
         context, index, indices, make_rng, settings: See `Robot`.
-        state: Record of the stepping core.
+        record: Structure with the robot's state in the stepping core.
 
     Attributes:
         registers: State of the board (N_REGISTERS,).
@@ -65,15 +65,15 @@ class KheperaRobot(Robot):
         context: WorldContext,
         index: int,
         indices: RobotIndices,
-        state: NDArray[np.void],
+        record: NDArray[np.void],
         make_rng: Callable[..., np.random.Generator],
         settings: RobotSettings,
     ) -> None:
         entry = context.playpen.robots[index]
         turrets = {kind: kind.make() for kind in find_turrets(entry.turrets)}
-        firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"])
+        firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, record["registers"], record["processor"])
         super().__init__(context, index, indices, firmware, make_rng, settings)
-        self._state = state
+        self._record = record
         self.fit_turrets()
         self.registers = firmware.registers
         self._register_view = firmware.register_view
@@ -85,31 +85,33 @@ class KheperaRobot(Robot):
     def fit_turrets(self) -> None:
         """Create the bodies of its turrets in the present scene."""
         self.turret_bodies = {
-            kind.name: kind.fit(TurretPlace(self._context, self.index, kind, turret.registers, self._state))
+            kind.name: kind.fit(
+                WorldTurretContext(self._context, self.index, kind, turret.registers, self._record)
+            )
             for kind, turret in self.firmware.turrets.items()
             if kind.fit is not None
         }
 
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""
-        recorded: dict[str, Any] = {name: self._state[name].tobytes() for name in _RECORD_FIELDS}
+        record_fields: dict[str, Any] = {name: self._record[name].tobytes() for name in _CHANGING_FIELDS}
         return RobotSnapshot(
             **self.board_state(since_ns)._asdict(),
-            **recorded,
+            **record_fields,
             is_stopped=self._has_stopped,
             leds=tuple(self._shown_leds),
         )
 
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""
-        for name in _RECORD_FIELDS:
-            field, data = self._state[name], getattr(state, name)
-            if len(data) != field.nbytes:
-                raise ValueError(f"{len(data)} bytes of {name}; expected {field.nbytes}")
-            field[:] = np.frombuffer(data, field.dtype)
+        for name in _CHANGING_FIELDS:
+            record_field, data = self._record[name], getattr(state, name)
+            if len(data) != record_field.nbytes:
+                raise ValueError(f"{len(data)} bytes of {name}; expected {record_field.nbytes}")
+            record_field[:] = np.frombuffer(data, record_field.dtype)
         self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
         self._has_stopped = state.is_stopped
-        self._show(state.leds)
+        self._set_led_lights(state.leds)
         self.apply_faults()
 
     def act_after(self, reason: int) -> None:
@@ -117,8 +119,7 @@ class KheperaRobot(Robot):
 
         Args:
             reason: `STEPPED` for faults of conversions, `TICKED` to run the turrets and for other faults,
-            `STOPPED`
-                to complete the stop of a processor with a low supply voltage.
+                `STOPPED` to complete the stop of a processor with a low supply voltage.
         """
         if reason == step.Reason.STEPPED:
             if self.faults.update((SENSOR,), self._context.time_ns):
@@ -129,23 +130,23 @@ class KheperaRobot(Robot):
         elif reason == step.Reason.STOPPED and not self.firmware.powered and not self._has_stopped:
             self._has_stopped = True
             self.stop_processor()
-            text = (
-                f"the supply fell to {self._state['voltage'][0]:.2f} V: the processor stands still, "
+            message = (
+                f"the supply fell to {self._record['voltage'][0]:.2f} V: the processor stands still, "
                 "the motors keep their duty"
             )
-            self._context.on_event(self.index, text)
+            self._context.on_event(self.index, message)
 
     def apply_faults(self) -> None:
         """Apply the active faults to sensors, motors and wheels; without faults, restore them."""
-        sensors, strengths, wheels = self._state["sensor_states"], self._state["strengths"], self._wheels
+        sensors, strengths, wheels = self._record["sensor_states"], self._record["strengths"], self._wheels
         sensors[:] = step.SOUND
         strengths[:] = 1
         if wheels is not None:
             wheels.mend()
         for fault in self.faults.active:
             if fault.device == SENSOR:
-                state = step.DEAD if fault.kind == "dead" else step.STUCK
-                sensors[fault.which] = max(sensors[fault.which], state)
+                sensor_state = step.DEAD if fault.kind == "dead" else step.STUCK
+                sensors[fault.which] = max(sensors[fault.which], sensor_state)
             elif fault.device == MOTOR:
                 strengths[fault.which] = min(strengths[fault.which], fault.part)
             elif wheels is not None and fault.kind == "slip":
@@ -166,7 +167,7 @@ class KheperaRobot(Robot):
 
     def zero_encoders(self) -> None:
         """Set the encoders to the wheels' current angles."""
-        angles = self._context.data.qpos[list(self.indices.wheel_angles)].tolist()
+        angles = self._context.data.qpos[list(self.indices.wheel_qpos)].tolist()
         self.registers[[LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]] = [*map(units.wheel_pulses, angles)]
 
     def _run_turrets(self) -> None:
@@ -179,17 +180,17 @@ class KheperaRobot(Robot):
 
     def _update_faults(self) -> None:
         """Start and end faults in a control period."""
-        time_ns, data, state = self._context.time_ns, self._context.data, self._state
-        changed = self.faults.update((MOTOR, WHEEL, ""), time_ns)
-        if changed:
+        time_ns, data, record = self._context.time_ns, self._context.data, self._record
+        changed_faults = self.faults.update((MOTOR, WHEEL, ""), time_ns)
+        if changed_faults:
             self.apply_faults()
-        for motor in {fault.which for fault in changed if fault.device == MOTOR}:
+        for motor in {fault.which for fault in changed_faults if fault.device == MOTOR}:
             # From the next control period on the stepping core does this.
-            voltage = units.duty_voltage(self.registers[kernel.DUTIES[motor]], state["voltage"][0])
-            if state["strengths"][motor] != 1:
-                speed = data.qvel[self.indices.wheel_speeds[motor]]
-                constant = float(state["motor_constant"])
-                voltage = step.weak_voltage(state["strengths"][motor], voltage, constant, speed)
+            voltage = units.duty_voltage(self.registers[kernel.DUTIES[motor]], record["voltage"][0])
+            if record["strengths"][motor] != 1:
+                speed = data.qvel[self.indices.wheel_dofs[motor]]
+                constant = float(record["motor_constant"])
+                voltage = step.weak_voltage(record["strengths"][motor], voltage, constant, speed)
             data.ctrl[self.indices.motors[motor]] = voltage
-        if any(fault.kind == "brown-out" for fault in changed):
+        if any(fault.kind == "brown-out" for fault in changed_faults):
             self.reset_processor()

@@ -22,7 +22,7 @@ def names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]
     """Return `__getattr__`, `__dir__` and `__all__` of a package with imports under `if TYPE_CHECKING`."""
     module = sys.modules[package]
     with open(str(module.__file__), encoding="utf-8") as file:
-        imports = _imports(file.read())
+        imports = _lazy_imports(file.read())
 
     def load(name: str) -> object:
         if name not in imports:
@@ -38,7 +38,7 @@ def names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]
     return load, lambda: sorted({*vars(module), *imports}), sorted(imports)
 
 
-def _imports(source: str) -> dict[str, tuple[str, str]]:
+def _lazy_imports(source: str) -> dict[str, tuple[str, str]]:
     """Return module and attribute of each name that the source imports for type checkers."""
     blocks = [node.body for node in ast.parse(source).body if isinstance(node, ast.If)]
     # Imports for one operating system stand in a nested `if`.

@@ -23,13 +23,13 @@ Result = TypeVar("Result")
 def one_thread(
     method: Callable[Concatenate[Owner, Arguments], Result],
 ) -> Callable[Concatenate[Owner, Arguments], Result]:
-    """Return a method that raises a `RuntimeError` while another thread runs one of the same object."""
+    """Return a method that raises a `RuntimeError` while another thread runs a method of the same object."""
 
     @wraps(method)
     def guarded(self: Owner, /, *arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
         guard = self.guard
         if not guard.acquire(False):
-            raise entered_twice(self, method.__name__)
+            raise second_thread_error(self, method.__name__)
         try:
             return method(self, *arguments, **options)
         finally:
@@ -38,7 +38,7 @@ def one_thread(
     return guarded
 
 
-def entered_twice(instance: object, method: str) -> RuntimeError:
+def second_thread_error(instance: object, method: str) -> RuntimeError:
     """Return the error of a second thread that calls a method of an object."""
     return RuntimeError(
         f"{method.lstrip('_')}: another thread is inside this {type(instance).__name__}; expected one thread "

@@ -83,7 +83,7 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     )
     obstacles, grounds = _add_arena(spec, playpen), ["floor"]
     if playpen.arena.table:
-        grounds.append(_lower_ground(spec))
+        grounds.append(_add_lower_ground(spec))
     for kind, items in playpen.objects.items():
         for index, item in merge_blocks(playpen.blocks) if kind == "block" else enumerate(items):
             name = _add_object(spec, playpen, f"{kind}{index}", item)
@@ -102,21 +102,21 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
             userdata=[lamp.power_w],
         )
     shells: list[str] = []
-    hands: list[list[str]] = []
+    turret_geoms: list[list[str]] = []
     controls: list[float] = []
     for index, robot in enumerate(playpen.robots):
         prefix = f"khepera{index}/"
         names, robot_controls = add_robot(spec, prefix, robot, grounds)
-        hands.append(names)
+        turret_geoms.append(names)
         controls += robot_controls
         shell = prefix + "shell"
         for obstacle in [*obstacles, *(grounds if len(grounds) > 1 else ()), *shells]:
             add_contact(spec, shell, obstacle, SHELL_FRICTION)
         shells.append(shell)
-    if any(hands):
+    if any(turret_geoms):
         # A gripped object must not slip: 0.01 mm lost in a minute, instead of 31 mm (measured).
         spec.option.noslip_iterations = 5
-    for owner, names in enumerate(hands):
+    for owner, names in enumerate(turret_geoms):
         for name in names:
             for shell in [*shells[:owner], *shells[owner + 1 :]]:
                 add_contact(spec, name, shell, SHELL_FRICTION)
@@ -132,24 +132,24 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
         ValueError: The control tick or the scan is not a whole number of these steps.
     """
     if step_ns not in STEPS_NS:
-        right = ", ".join(f"{step / 1e6:g}" for step in STEPS_NS)
+        steps_text = ", ".join(f"{step / 1e6:g}" for step in STEPS_NS)
         raise ValueError(
             f"a step of {step_ns / 1e6:g} ms does not divide the control tick of {units.TICK_NS / 1e6:g} ms "
-            f"into whole conversions; expected one of {right} ms"
+            f"into whole conversions; expected one of {steps_text} ms"
         )
     step = step_ns * 1e-9
-    coarser = step / spec.option.timestep
+    step_ratio = step / spec.option.timestep
     spec.option.timestep = step
-    for stiff in (*spec.geoms, *spec.pairs):
-        if stiff.solref[0] == SOLREF[0]:
-            stiff.solref = [2.5 * step, 1.0]
+    for contact in (*spec.geoms, *spec.pairs):
+        if contact.solref[0] == SOLREF[0]:
+            contact.solref = [2.5 * step, 1.0]
     for pair in spec.pairs:
-        pair.solreffriction = [pair.solreffriction[0] * coarser, pair.solreffriction[1]]
-        pair.margin *= coarser**2
+        pair.solreffriction = [pair.solreffriction[0] * step_ratio, pair.solreffriction[1]]
+        pair.margin *= step_ratio**2
     conversions, scan = step_ns // units.STEP_NS, units.SCAN_NS * 1e-9
     for sensor in spec.sensors:
-        for channel, kind in enumerate(units.Sensor):
-            if sensor.name.endswith(f"/{kind.key}_rays"):
+        for channel, infrared_sensor in enumerate(units.Sensor):
+            if sensor.name.endswith(f"/{infrared_sensor.key}_rays"):
                 # As in assets/khepera.xml half a step early, so that rounding cannot move it.
                 sensor.interval = [scan, (channel // conversions + 0.5) * step - scan]
 
@@ -183,8 +183,8 @@ def _set_options(spec: mujoco.MjSpec, movable: bool, n_robots: int) -> None:
 def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
     """Add floor, light and walls of the arena; return the walls' names."""
     arena = playpen.arena
-    within = panels_within(arena.corners, arena.stripes)
-    _add_stripes(spec.worldbody, playpen, "wall", within, units.metres(arena.wall_height_mm))
+    wall_panels = panels_within(arena.corners, arena.stripes)
+    _add_stripes(spec.worldbody, playpen, "wall", wall_panels, units.metres(arena.wall_height_mm))
     width, depth = units.metres(arena.width_mm), units.metres(arena.height_mm)
     thickness, height = units.metres(arena.wall_thickness_mm), units.metres(arena.wall_height_mm)
     spec.worldbody.add_light(
@@ -234,7 +234,7 @@ def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
     return list(walls)
 
 
-def _lower_ground(spec: mujoco.MjSpec) -> str:
+def _add_lower_ground(spec: mujoco.MjSpec) -> str:
     """Add the ground below a table; return its name."""
     floor = spec.geom("floor")
     spec.worldbody.add_geom(
@@ -257,7 +257,7 @@ def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | 
     if item.movable:
         body = spec.worldbody.add_body(name=name, **_pose(shape, height))
         body.add_freejoint()
-        geom = body.add_geom(name=name, mass=units.kilograms(item.mass_g), **_form(shape, height))
+        geom = body.add_geom(name=name, mass=units.kilograms(item.mass_g), **_type_and_size(shape, height))
         at_origin = replace(shape, x_mm=0.0, y_mm=0.0)
         if isinstance(at_origin, Rectangle):
             at_origin = replace(at_origin, angle_deg=0.0)
@@ -274,18 +274,18 @@ def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | 
 def _make_ramp(geom: mujoco.MjsGeom, block: Block) -> None:
     """Tilt a block so that its top rises along its length, as a slab that starts below the floor."""
     length, height = units.metres(block.length_mm), units.metres(block.height_mm)
-    heading, slope, half = units.radians(block.angle_deg) / 2, math.atan2(height, length) / 2, _SLAB / 2
+    heading, slope, half_slab = units.radians(block.angle_deg) / 2, math.atan2(height, length) / 2, _SLAB / 2
     # By the heading, and then by the slope about its own left.
     c, s, up, down = math.cos(heading), math.sin(heading), math.cos(slope), -math.sin(slope)
     geom.quat = [c * up, -s * down, c * down, s * up]
-    back = half * math.sin(2 * slope)
+    setback = half_slab * math.sin(2 * slope)
     x, y = units.metres(block.x_mm), units.metres(block.y_mm)
     geom.pos = [
-        x + back * math.cos(2 * heading),
-        y + back * math.sin(2 * heading),
-        height / 2 - half * math.cos(2 * slope),
+        x + setback * math.cos(2 * heading),
+        y + setback * math.sin(2 * heading),
+        height / 2 - half_slab * math.cos(2 * slope),
     ]
-    geom.size = [math.hypot(length, height) / 2, units.metres(block.width_mm) / 2, half]
+    geom.size = [math.hypot(length, height) / 2, units.metres(block.width_mm) / 2, half_slab]
     geom.group = GROUND_GROUP
 
 
@@ -302,18 +302,18 @@ def _add_wall(spec: mujoco.MjSpec, playpen: Playpen, name: str, wall: Wall) -> l
 
 def _add_patch(spec: mujoco.MjSpec, playpen: Playpen, index: int, patch: Patch) -> None:
     # A patch on others lies above them, by less than paint is thick.
-    below = sum(overlap(patch.footprint, other.footprint) for other in playpen.patches[:index])
-    geom = _add_upright(spec, f"patch{index}", patch.footprint, _PATCH_HEIGHT + below * _PATCH_RISE)
+    n_below = sum(overlap(patch.footprint, other.footprint) for other in playpen.patches[:index])
+    geom = _add_upright(spec, f"patch{index}", patch.footprint, _PATCH_HEIGHT + n_below * _PATCH_RISE)
     _paint(geom, playpen, patch, movable=False)
     geom.conaffinity = 0  # visual only
 
 
 def _add_upright(spec: mujoco.MjSpec, name: str, shape: Footprint, height: float) -> mujoco.MjsGeom:
     """Add a fixed geom with a footprint."""
-    return spec.worldbody.add_geom(name=name, **_form(shape, height), **_pose(shape, height))
+    return spec.worldbody.add_geom(name=name, **_type_and_size(shape, height), **_pose(shape, height))
 
 
-def _form(shape: Footprint, height: float) -> dict[str, Any]:
+def _type_and_size(shape: Footprint, height: float) -> dict[str, Any]:
     """Return type and size of a geom with a footprint."""
     if isinstance(shape, Circle):
         size = [units.metres(shape.radius_mm), height / 2, 0]
@@ -325,13 +325,14 @@ def _form(shape: Footprint, height: float) -> dict[str, Any]:
 def _pose(shape: Footprint, height: float) -> dict[str, Any]:
     """Return position and orientation of a geom or a body with a footprint on the floor."""
     half = 0.0 if isinstance(shape, Circle) else units.radians(shape.angle_deg) / 2
-    at = [units.metres(shape.x_mm), units.metres(shape.y_mm), height / 2]
-    return {"pos": at, "quat": [math.cos(half), 0, 0, math.sin(half)]}
+    position = [units.metres(shape.x_mm), units.metres(shape.y_mm), height / 2]
+    return {"pos": position, "quat": [math.cos(half), 0, 0, math.sin(half)]}
 
 
 def _paint(
     geom: mujoco.MjsGeom, playpen: Playpen, part: Arena | Block | Cylinder | Wall | Patch, movable: bool
 ) -> None:
+    """Set colour, reflectance, conductance and contacts of a geom, by the surface of its part."""
     surface = playpen.surface(part.surface)
     reflectance = surface.reflectance if isinstance(part, Patch) else playpen.reflectance(part)
     geom.rgba = _colour(surface)

@@ -103,7 +103,7 @@ class Robot(WiredBoard, ABC):
         model: mujoco.MjModel = context.model
         positions = [model.body_pos[light] for light in indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
-        self._lights = list(zip(positions, hidden, model.site_pos[list(indices.leds)], strict=True))
+        self._led_lights = list(zip(positions, hidden, model.site_pos[list(indices.leds)], strict=True))
         self._shown_leds = [0] * len(indices.leds)
 
     @property
@@ -191,9 +191,10 @@ class Robot(WiredBoard, ABC):
 
     def show_leds(self) -> None:
         """Move the lights of lit LEDs to the LEDs, the others into the body."""
-        self._show(self.lit_leds)
+        self._set_led_lights(self.lit_leds)
 
-    def _show(self, leds: Sequence[int]) -> None:
+    def _set_led_lights(self, leds: Sequence[int]) -> None:
+        """Move each light to its LED if its state is not 0, otherwise into the body."""
         self._shown_leds = list(leds)
-        for is_lit, (position, hidden, led) in zip(self._shown_leds, self._lights, strict=True):
+        for is_lit, (position, hidden, led) in zip(self._shown_leds, self._led_lights, strict=True):
             position[:] = led if is_lit else hidden

@@ -53,7 +53,7 @@ def add_robot(
         Names of the turrets' colliding geoms, and the initial controls of all its motors.
     """
     child = mujoco.MjSpec.from_file(str(ASSETS / robot.body.scene))
-    controls = _take_home(child)
+    controls = _remove_keyframes(child)
     measured = calibration.read(robot.calibration)[0]
     if (measured.ground is not None) != (robot.model == "khepera4"):
         message = f'{robot.calibration}: of another robot than model = "{robot.model}"'
@@ -67,14 +67,14 @@ def add_robot(
     for camera, heading_deg in zip(cameras, measured.heading_deg, strict=False):
         heading = units.radians(heading_deg)
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
-    hands: list[str] = []
+    turret_geoms: list[str] = []
     kinds = find_turrets(robot.turrets)
-    for kind, raised in zip(kinds, mount_heights(kinds), strict=True):
+    for kind, height in zip(kinds, mount_heights(kinds), strict=True):
         if kind.scene is not None:
             turret = mujoco.MjSpec.from_file(str(kind.scene))
-            hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
-            controls += _take_home(turret)
-            frame = child.body("base").add_frame(pos=[0, 0, raised])
+            turret_geoms += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
+            controls += _remove_keyframes(turret)
+            frame = child.body("base").add_frame(pos=[0, 0, height])
             child.attach(turret, prefix=f"{kind.name}/", frame=frame)
     deflection = _static_deflection(child)
     heading = units.radians(robot.heading_deg)
@@ -95,7 +95,7 @@ def add_robot(
         pair = add_contact(spec, prefix + support, ground, 0.0)
         if robot.body.support_solref is not None:
             pair.solref, pair.solimp = robot.body.support_solref, _SPRING_SOLIMP
-    return hands, controls
+    return turret_geoms, controls
 
 
 def add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> mujoco.MjsPair:
@@ -110,7 +110,7 @@ def add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> 
     )
 
 
-def _take_home(part: mujoco.MjSpec) -> list[float]:
+def _remove_keyframes(part: mujoco.MjSpec) -> list[float]:
     """Remove a part's keyframes, which the scene's keyframe replaces; return the controls of its "home"."""
     controls = [0.0] * len(part.actuators)
     for key in list(part.keys):
@@ -124,9 +124,9 @@ def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
     """Set the body of a Khepera II; the file has that of another model."""
     if body is not units.BODIES["khepera2"]:
         return
-    for name, rim in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
+    for name, inset in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
         geom = robot.geom(name)
-        geom.size = [body.radius - rim, *geom.size[1:]]
+        geom.size = [body.radius - inset, *geom.size[1:]]
     for name, side in (("front_support", 1), ("back_support", -1)):
         support = robot.geom(name)
         support.pos = [side * body.support_position, 0, support.pos[2]]
@@ -173,6 +173,6 @@ def _static_deflection(robot: mujoco.MjSpec) -> float:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     base, wheel, support = model.body("base"), model.body("left_wheel"), model.geom("front_support")
-    on_wheels = 1 - abs(data.subtree_com[base.id, 0] / support.pos[0])
-    load = base.subtreemass[0] * units.GRAVITY / 2 * on_wheels
+    wheel_share = 1 - abs(data.subtree_com[base.id, 0] / support.pos[0])
+    load = base.subtreemass[0] * units.GRAVITY / 2 * wheel_share
     return float((1 - _TYRE_SOLIMP[0]) * SOLREF[0] ** 2 * load * wheel.invweight0[0])

@@ -34,33 +34,33 @@ _RANGE = 1.5
 
 def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> Proximity:
     """Return the numbers of a robot's proximity in a scene."""
-    numbers = calibration.proximity
+    proximity = calibration.proximity
     # The robot's own body is not seen; its turrets are.
     geoms = [geom for geom in visible_geoms(model) if model.geom_bodyid[geom] != robot.base]
     brightest = float(model.geom_user[geoms, 0].max(initial=0.0))
-    exponents = numbers.lobe_exponent
-    gains = [gain * 1e-6 for gain in numbers.gain_counts_mm2]
+    exponents = proximity.lobe_exponent
+    gains = [gain * 1e-6 for gain in proximity.gain_counts_mm2]
     return Proximity(
         gain=gains,
         bound=[
             gain * brightest * lobes.width(exponent) / lobes.norm(exponent)
             for gain, exponent in zip(gains, exponents, strict=True)
         ],
-        threshold=list(numbers.threshold_counts),
-        offset=[offset * 1e-3 for offset in numbers.offset_mm],
+        threshold=list(proximity.threshold_counts),
+        offset=[offset * 1e-3 for offset in proximity.offset_mm],
         reach=[
             _RANGE * math.sqrt(gain * brightest / max(threshold, NEGLIGIBLE))
-            for gain, threshold in zip(gains, numbers.threshold_counts, strict=True)
+            for gain, threshold in zip(gains, proximity.threshold_counts, strict=True)
         ],
         exponent=[int(exponent) for exponent in exponents],
         fraction=[exponent - int(exponent) for exponent in exponents],
         norm=[lobes.norm(exponent) for exponent in exponents],
         width=[lobes.width(exponent) / lobes.norm(exponent) for exponent in exponents],
         table=[lobes.table(exponent) for exponent in exponents],
-        limit=numbers.limit_counts,
-        floor=numbers.floor_counts,
-        quantum=numbers.quantum_counts,
-        noise=list(numbers.noise_counts),
-        idle=numbers.idle_counts,
+        limit=proximity.limit_counts,
+        floor=proximity.floor_counts,
+        quantum=proximity.quantum_counts,
+        noise=list(proximity.noise_counts),
+        idle=proximity.idle_counts,
         surfaces=[0.0] * (N_SURFACES * N_COLUMNS),
     )

@@ -1,7 +1,8 @@
 """State of a process's shutdown by a signal, and the thread that watches it.
 
 The main thread handles the signals. A second thread measures the time of the shutdown, interrupts the main
-thread when it is over, and finally ends the process. `signals` has the functions for programs.
+thread when it is over, and finally ends the process. A section is code under `signals.stopping`, which
+finishes normally after a first signal.
 
     running --signal--> noticed --NOTICE_S--> announced --INTERRUPTION_S--> interrupted --EXIT_S--> ended
                            |                      |
@@ -78,7 +79,7 @@ class Shutdown:
         """Restore the initial state, except the number of the signal."""
         self.n_blocking = 0
         self.interrupted = self.watched = self._are_motors_stopped = False
-        self._noticed = self._is_interrupt_due = self._urgent = False
+        self._has_signal = self._is_interrupt_due = self._is_urgent = False
         self._reader = self._writer = None
 
     def begin(self, stack: ExitStack) -> None:
@@ -125,14 +126,14 @@ class Shutdown:
 
     def interrupt(self, frame: FrameType | None) -> None:
         """Raise `Interrupted` in the main thread if it is due and not blocked."""
-        if self._is_interrupt_due and not self.n_blocking and (self._urgent or not _is_importing(frame)):
+        if self._is_interrupt_due and not self.n_blocking and (self._is_urgent or not _is_importing(frame)):
             self._is_interrupt_due = False
             self.interrupted = True
             raise Interrupted
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        if number in SIGNALS and not self._noticed:
-            self._noticed, self.number = True, self.number or number
+        if number in SIGNALS and not self._has_signal:
+            self._has_signal, self.number = True, self.number or number
             self._is_interrupt_due = not self.sections
         self.interrupt(frame)
 
@@ -157,28 +158,29 @@ class Shutdown:
     # The second thread ---------------------------------------------------------------------------------
 
     def _watch(self) -> None:
-        while (first := self._next(None)) != _SHUTDOWN_ENDED:
-            if first is None or first == _SECTION_ENDED:
+        """Report a signal, interrupt the main thread and end the process when their times are over."""
+        while (first_message := self._next_message(None)) != _SHUTDOWN_ENDED:
+            if first_message is None or first_message == _SECTION_ENDED:
                 continue
-            again = self._next(NOTICE_S)
-            self.number = self.number or first  # C code, or another handler, may come first
-            if again is None:
+            next_message = self._next_message(NOTICE_S)
+            self.number = self.number or first_message  # C code, or another handler, may come first
+            if next_message is None:
                 _run_in_threads([self._report_wait, self._stop_motors])
-                again = self._next(INTERRUPTION_S - NOTICE_S)
-            if again == _SECTION_ENDED:  # the awaited section has ended
+                next_message = self._next_message(INTERRUPTION_S - NOTICE_S)
+            if next_message == _SECTION_ENDED:  # the awaited section has ended
                 continue
-            if again == _SHUTDOWN_ENDED:
+            if next_message == _SHUTDOWN_ENDED:
                 return
             _run_in_threads([self._stop_motors])
-            self._urgent = self._is_interrupt_due = True
+            self._is_urgent = self._is_interrupt_due = True
             deadline = time.monotonic() + EXIT_S
-            while (left := deadline - time.monotonic()) > 0:
-                if self._next(left) == _SHUTDOWN_ENDED:
+            while (remaining_s := deadline - time.monotonic()) > 0:
+                if self._next_message(remaining_s) == _SHUTDOWN_ENDED:
                     return
             _run_in_threads([*self.clean_ups.values()], _CLEAN_UP_S)
             os._exit(128 + self.number)
 
-    def _next(self, wait: float | None) -> int | None:
+    def _next_message(self, wait: float | None) -> int | None:
         """Return the next signal or message; None if there is none within `wait` [s]."""
         reader = self._reader
         assert reader is not None
@@ -196,8 +198,8 @@ class Shutdown:
         awaited = self.sections[-1][0] if self.sections else "coming to an end"
         if awaited is not None:
             name = signal.Signals(self.number).name
-            how = f"ends in {INTERRUPTION_S + EXIT_S:.0f} s at most, or at another signal"
-            print(f"khep-twin: {name}: {awaited}; {how}", file=sys.stderr, flush=True)
+            end_text = f"ends in {INTERRUPTION_S + EXIT_S:.0f} s at most, or at another signal"
+            print(f"khep-twin: {name}: {awaited}; {end_text}", file=sys.stderr, flush=True)
 
     def _stop_motors(self) -> None:
         if self.sections and (hold := self.sections[-1][1]) is not None and not self._are_motors_stopped:
@@ -209,8 +211,8 @@ shutdown = Shutdown()
 """Shutdown of this process."""
 
 
-def _run_in_threads(functions: Iterable[Callable[[], object]], wait: float = 0.0) -> None:
-    """Call each function in a separate thread, as any may hang; wait for them for at most `wait` [s]."""
+def _run_in_threads(functions: Iterable[Callable[[], object]], timeout_s: float = 0.0) -> None:
+    """Call each function in a separate thread, as any may hang; wait for them for at most `timeout_s`."""
 
     def call(function: Callable[[], object]) -> None:
         # It may have run already, and a process that ends reports no further errors.
@@ -220,7 +222,7 @@ def _run_in_threads(functions: Iterable[Callable[[], object]], wait: float = 0.0
     threads = [threading.Thread(target=call, args=[function], daemon=True) for function in functions]
     for thread in threads:
         thread.start()
-    deadline = time.monotonic() + wait
+    deadline = time.monotonic() + timeout_s
     for thread in threads:
         thread.join(max(deadline - time.monotonic(), 0))
 

@@ -3,8 +3,8 @@
 `handle_signals` surrounds a whole command. After a first signal a section under `stopping` finishes normally;
 any other code is interrupted by KeyboardInterrupt, once no module is being imported. A second signal, or
 `shutdown.INTERRUPTION_S`, interrupts in any case. A process that still runs `shutdown.EXIT_S` after that is
-ended by a second thread, which first runs the clean-up registered by `clear_at_end`, for example to complete
-a log.
+ended by a second thread, which first runs the clean-up registered by `register_cleanup`, for example to
+complete a log.
 """
 
 import os
@@ -20,7 +20,7 @@ from typing import NoReturn
 from khep_twin.errors import KhepTwinError
 from khep_twin.shutdown import Interrupted, shutdown
 
-_writing = threading.RLock()
+_write_lock = threading.RLock()
 
 
 def first_signal() -> int:
@@ -32,8 +32,7 @@ def first_signal() -> int:
 def handle_signals() -> Generator[None]:
     """Handle signals within this context, and run all registered clean-up at its end.
 
-    An ignored SIGHUP, as by nohup, stays ignored. Outside the main thread, and when nested, this does
-    nothing.
+    An ignored SIGHUP, as by nohup, stays ignored. Outside the main thread, and nested, it does nothing.
     """
     if shutdown.watched or threading.current_thread() is not threading.main_thread():
         yield
@@ -68,11 +67,7 @@ def is_interruption(error: BaseException) -> bool:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process, after all its resources are closed.
-
-    Args:
-        code: Exit code.
-    """
+    """End the process with an exit code, after all its resources are closed."""
     threads = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
     if first_signal() and any(not thread.daemon for thread in threads):
         # Python would wait for threads that are still busy.
@@ -101,27 +96,27 @@ def stopping(
             shutdown.end_section(section)
 
 
-def clear_at_end(clear: Callable[[], object]) -> Callable[[], object]:
+def register_cleanup(cleanup: Callable[[], object]) -> Callable[[], object]:
     """Register clean-up to run before the process ends, for any cause except SIGKILL.
 
     Where signals are not handled, nothing is registered.
 
     Args:
-        clear: Clean-up function, safe to call in any thread and concurrently with its object.
+        cleanup: Clean-up function, safe to call in any thread and concurrently with its object.
 
     Returns:
         Function that cancels the registration.
     """
     key = object()
     if shutdown.watched:
-        shutdown.clean_ups[key] = clear
+        shutdown.clean_ups[key] = cleanup
     return partial(shutdown.clean_ups.pop, key, None)
 
 
 @contextmanager
-def undisturbed() -> Generator[None]:
+def block_signals() -> Generator[None]:
     """Block signals and other threads' writing: half a record would corrupt the records after it."""
-    with _writing:
+    with _write_lock:
         if threading.current_thread() is not threading.main_thread():
             yield
         elif shutdown.watched:
@@ -132,22 +127,22 @@ def undisturbed() -> Generator[None]:
                 shutdown.n_blocking -= 1
                 shutdown.interrupt(None)
         else:
-            with _interrupts_delayed():
+            with _delay_interrupts():
                 yield
 
 
 @contextmanager
-def _interrupts_delayed() -> Generator[None]:
+def _delay_interrupts() -> Generator[None]:
     """Delay Ctrl-C in a program that handles it without `handle_signals`."""
     handler = signal.getsignal(signal.SIGINT)
     if not callable(handler):
         yield
         return
-    signals: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: signals.append((number, frame)))
+    delayed_signals: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: delayed_signals.append((number, frame)))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, handler)
-        if signals:
-            handler(*signals[0])
+        if delayed_signals:
+            handler(*delayed_signals[0])

@@ -24,7 +24,7 @@ class StatusLine:
     """
 
     def __init__(self, terminal: TextIO) -> None:
-        self._terminal = terminal
+        self._find_terminal = terminal
         self._lock = threading.RLock()
         self._line_open = False
         self._visible = False
@@ -37,16 +37,16 @@ class StatusLine:
             if not self._line_open:
                 # A line that wraps could not be erased.
                 width = shutil.get_terminal_size().columns - 1
-                self._terminal.write(f"{_CLEAR}{text[:width]}")
-                self._terminal.flush()
+                self._find_terminal.write(f"{_CLEAR}{text[:width]}")
+                self._find_terminal.flush()
                 self._visible = bool(text)
 
     def write_above(self, stream: TextIO, text: str) -> int:
         """Write output of the program to its stream, above the status line."""
         with self._lock:
             if text and self._visible:
-                self._terminal.write(_CLEAR)
-                self._terminal.flush()
+                self._find_terminal.write(_CLEAR)
+                self._find_terminal.flush()
                 self._visible = False
             written = stream.write(text)
             if text:
@@ -57,7 +57,7 @@ class StatusLine:
             return written
 
 
-class _Stream:
+class _SharedStream:
     """A standard stream that shares its terminal with a status line."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -67,7 +67,7 @@ class _Stream:
         return getattr(self._stream, name)
 
 
-class _Above(_Stream):
+class _StreamAbove(_SharedStream):
     """A standard stream whose output appears above a status line."""
 
     def __init__(self, stream: TextIO, line: StatusLine) -> None:
@@ -79,7 +79,7 @@ class _Above(_Stream):
         return self._line.write_above(self._stream, text)
 
 
-class _InPlace(_Stream):
+class _StreamInPlace(_SharedStream):
     """A standard stream that takes whole lines, the first of each write in the place of a status line."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -102,7 +102,7 @@ _open_lines: list[StatusLine] = []
 @contextmanager
 def status_line() -> Generator[StatusLine | None, None, None]:
     """Open a status line on standard error; yield None unless that is a terminal with this program alone."""
-    terminal = _terminal()
+    terminal = _find_terminal()
     if terminal is None:
         yield None
         return
@@ -111,7 +111,7 @@ def status_line() -> Generator[StatusLine | None, None, None]:
         stack.callback(line.show, "")
         _open_lines.append(line)
         stack.callback(_open_lines.remove, line)
-        stack.enter_context(_replaced(lambda stream: _Above(stream, line)))
+        stack.enter_context(_replace_streams(lambda stream: _StreamAbove(stream, line)))
         yield line
 
 
@@ -121,18 +121,18 @@ def beside_status_line() -> Generator[None, None, None]:
 
     That process shows its line again, below them. An incomplete line waits for its end.
     """
-    with nullcontext() if _terminal() is None else _replaced(_InPlace):
+    with nullcontext() if _find_terminal() is None else _replace_streams(_StreamInPlace):
         yield
 
 
 @contextmanager
-def _replaced(replacement: Callable[[TextIO], _Stream]) -> Generator[None, None, None]:
+def _replace_streams(make_stream: Callable[[TextIO], _SharedStream]) -> Generator[None, None, None]:
     """Replace the standard streams that are terminals."""
     outputs = {"stdout": sys.stdout, "stderr": sys.stderr}
     with ExitStack() as stack:
         for name, stream in outputs.items():
             if stream.isatty():
-                setattr(sys, name, cast(TextIO, replacement(stream)))
+                setattr(sys, name, cast(TextIO, make_stream(stream)))
                 stack.callback(setattr, sys, name, stream)
         yield
 
@@ -146,19 +146,19 @@ def announced(begin: str, progress: Callable[[], str], end: Callable[[], str]) -
         progress: Function that returns a text on the progress, shown each second on a terminal.
         end: Function that returns the line at the end, if standard error is not a terminal.
     """
-    shared = _open_lines and _terminal() is not None
-    with nullcontext(_open_lines[-1]) if shared else status_line() as line:
+    has_open_line = _open_lines and _find_terminal() is not None
+    with nullcontext(_open_lines[-1]) if has_open_line else status_line() as line:
         if line is None:
             _print(begin)
             yield
             _print(end())
         else:
-            with _counted(line, progress):
+            with _show_each_second(line, progress):
                 yield
 
 
 @contextmanager
-def _counted(line: StatusLine, progress: Callable[[], str]) -> Generator[None, None, None]:
+def _show_each_second(line: StatusLine, progress: Callable[[], str]) -> Generator[None, None, None]:
     """Show a text on a status line, renewed each second; then restore the previous text."""
     previous_text = line.text
     finished = threading.Event()
@@ -168,13 +168,13 @@ def _counted(line: StatusLine, progress: Callable[[], str]) -> Generator[None, N
         while not finished.wait(1.0):
             line.show(progress())
 
-    counter = threading.Thread(target=show, name="status line", daemon=True)
-    counter.start()
+    thread = threading.Thread(target=show, name="status line", daemon=True)
+    thread.start()
     try:
         yield
     finally:
         finished.set()
-        counter.join()
+        thread.join()
         line.show(previous_text)
 
 
@@ -184,7 +184,7 @@ def _print(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
-def _terminal() -> TextIO | None:
+def _find_terminal() -> TextIO | None:
     """Return the terminal at standard error, if there is one, with this program's output alone."""
     # Programs without a console have no standard streams.
     if sys.stderr is None or not sys.stderr.isatty():  # pyright: ignore[reportUnnecessaryComparison]
@@ -192,8 +192,8 @@ def _terminal() -> TextIO | None:
     # One without control sequences, such as an editor's, could not erase the line.
     if os.environ.get("TERM") == "dumb" or _is_piped():
         return None
-    stream = cast("TextIO | _Stream", sys.stderr)
-    return stream._stream if isinstance(stream, _Stream) else stream  # pyright: ignore[reportPrivateUsage]
+    stream = cast("TextIO | _SharedStream", sys.stderr)
+    return stream._stream if isinstance(stream, _SharedStream) else stream  # pyright: ignore[reportPrivateUsage]
 
 
 def _is_piped() -> bool:

@@ -57,9 +57,9 @@ class Stop(IntEnum):
 Phase = IntEnum("Phase", ["DONE", "STEPPED", "TICKED"], start=0)
 """Part of a step that is done: the whole step; its physics; also its sensor conversions and control tick."""
 
-STEPS, PHASE, FIRST, DRAWN = 0, 1, 2, 3
+STEPS, PHASE, FIRST_POWERS_STEP, N_CONVERSIONS = 0, 1, 2, 3
 """Indices in `Simulated.counters`: steps done, `Phase` of the step, step of the first row of
-`StepInputs.powers`, and number of conversions of each robot so far."""
+`StepInputs.powers`, and number of sensor conversions of each robot so far, which indexes its noise."""
 N_COUNTERS = 4
 
 SOUND, STUCK, DEAD = 0, 1, 2
@@ -212,9 +212,9 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
     scene, timing, robots = simulated.scene, simulated.timing, simulated.robots
     # MuJoCo's rangefinders, which turrets may need, have values from the second step on.
     step(scene)
-    for first in range(-units.N_SENSORS, 0, timing.conversions):
+    for start in range(-units.N_SENSORS, 0, timing.conversions):
         step(scene)
-        _scan(simulated, inputs, first)
+        _scan(simulated, inputs, start)
     stopped = False
     for i in range(len(robots)):
         read_encoders(scene, robots[i])
@@ -242,7 +242,7 @@ def convert_sensor(
     """
     state = simulated.robots[robot]
     registers = state.registers
-    noise = draws(inputs.tables, state.noise, simulated.counters[DRAWN])
+    noise = draws(inputs.tables, state.noise, simulated.counters[N_CONVERSIONS])
     proximity, ambient = convert(
         simulated.scene, state.sensors, simulated.light, inputs.powers[row], time_ns, channel, noise
     )
@@ -295,15 +295,15 @@ def weak_voltage(strength: float, voltage: float, constant: float, speed: float)
 
 
 @compilable_once
-def _scan(simulated: Simulated, inputs: StepInputs, first: int) -> None:
-    """Convert the sensors of each robot in one step; `first` is the number of the first conversion."""
+def _scan(simulated: Simulated, inputs: StepInputs, start: int) -> None:
+    """Convert the sensors of each robot in one step; `start` is the number of the first conversion."""
     counters, conversions = simulated.counters, simulated.timing.conversions
-    row = 0 if len(inputs.powers) == 1 else counters[STEPS] - 1 - counters[FIRST]
+    row = 0 if len(inputs.powers) == 1 else counters[STEPS] - 1 - counters[FIRST_POWERS_STEP]
     for offset in range(conversions):
         for robot in range(len(simulated.robots)):
-            time_ns, channel = (first + offset) * units.STEP_NS, (first + offset) % units.N_SENSORS
+            time_ns, channel = ((start + offset) * units.STEP_NS, (start + offset) % units.N_SENSORS)
             convert_sensor(simulated, inputs, robot, row, time_ns, channel)
-        counters[DRAWN] += 1
+        counters[N_CONVERSIONS] += 1
 
 
 @compilable

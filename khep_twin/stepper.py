@@ -7,7 +7,7 @@ from typing import Protocol
 from khep_twin import step
 from khep_twin.clock import NEVER_NS
 from khep_twin.errors import DivergedError
-from khep_twin.one_thread import entered_twice
+from khep_twin.one_thread import second_thread_error
 from khep_twin.robot import Robot
 from khep_twin.simulation.simulation import Simulation
 from khep_twin.simulation.stepping_code import SteppingCode
@@ -76,7 +76,7 @@ class Stepper:
             DivergedError: The physics leaves its bounds at the start.
         """
         self.robots = robots
-        self._schedule_fault()
+        self._update_fault_time()
         self._simulation.on_switch = self._on_switch
         self._run(self._simulation.switch_on)
         for robot in robots:
@@ -86,7 +86,7 @@ class Stepper:
         """Advance to a time [ns]: see `World.advance_to`."""
         # Like `one_thread`, but faster, as each read and write of a host calls it.
         if not self._world.guard.acquire(False):
-            raise entered_twice(self._world, "advance_to")
+            raise second_thread_error(self._world, "advance_to")
         try:
             self._advance_to(time_ns)
         finally:
@@ -123,7 +123,7 @@ class Stepper:
         self.failure = DivergedError(state.failure) if state.failure else None
         for robot, robot_state in zip(self.robots, state.robots, strict=True):
             robot.set_state(robot_state)
-        self._schedule_fault()
+        self._update_fault_time()
 
     def _advance_to(self, time_ns: int) -> None:
         if self.failure is not None:
@@ -135,13 +135,13 @@ class Stepper:
             steps = self._step_to(steps, end_step, self._exchange((steps + 1) * self._step_ns))
         self._exchange(time_ns)
         self._world.time_ns = time_ns
-        if self._code.switch_at is not None and self._simulation.steps >= self._code.switch_at:
+        if self._code.switch_step is not None and self._simulation.steps >= self._code.switch_step:
             self._code.switch_if_ready()
 
-    def _schedule_fault(self) -> None:
+    def _update_fault_time(self) -> None:
         """Set the time of the next scheduled start or end of a fault."""
-        changes_ns = [fault_ns for robot in self.robots for fault_ns in robot.next_faults_ns]
-        self._fault_ns = min(changes_ns, default=NEVER_NS)
+        fault_changes_ns = [fault_ns for robot in self.robots for fault_ns in robot.next_faults_ns]
+        self._fault_ns = min(fault_changes_ns, default=NEVER_NS)
 
     def _exchange(self, time_ns: int) -> int:
         """Exchange the bytes due up to a time [ns] on all lines; return the time of the next ones [ns]."""
@@ -159,34 +159,34 @@ class Stepper:
         """Run steps without an event outside the stepping core; return the number of steps since the start.
 
         Args:
-            steps: Number of steps since the start.
-            last_step: Step at which to stop at the latest.
+            steps: Present number of steps since the start.
+            last_step: Largest number of steps at which to stop.
             event_ns: Time of the next bytes on a line [ns].
         """
-        per_sample, step_ns = self._steps_per_sample, self._step_ns
-        end = min(last_step, (min(event_ns, self._fault_ns) - 1) // step_ns)
-        boundary = (steps // per_sample + 1) * per_sample
-        if end > boundary and self._shows_leds:
+        steps_per_sample, step_ns = self._steps_per_sample, self._step_ns
+        end_step = min(last_step, (min(event_ns, self._fault_ns) - 1) // step_ns)
+        next_sample_step = (steps // steps_per_sample + 1) * steps_per_sample
+        if end_step > next_sample_step and self._shows_leds:
             if self._world.observers or any(robot.leds_differ for robot in self.robots):
-                end = boundary
-        end = max(end, steps + 1)
+                end_step = next_sample_step
+        end_step = max(end_step, steps + 1)
         stops = self._stops
-        if self._fault_ns <= end * step_ns:
+        if self._fault_ns <= end_step * step_ns:
             stops = step.Stop.STEPPED | step.Stop.TICKED
-        while self._run(self._simulation.advance, end, stops) != step.Reason.DONE:
+        while self._run(self._simulation.advance, end_step, stops) != step.Reason.DONE:
             pass
-        if end >= boundary:
+        if end_step >= next_sample_step:
             for robot in self.robots:
                 if self._shows_leds and robot.leds_differ:
                     robot.show_leds()
-            if end % per_sample == 0:
+            if end_step % steps_per_sample == 0:
                 self._world.sample()
-        return end
+        return end_step
 
-    def _run(self, run: Callable[..., int], *arguments: int) -> int:
-        """Run the stepping core and handle its return; return the reason."""
+    def _run(self, run_core: Callable[..., int], *arguments: int) -> int:
+        """Call `run_core`, a function of the stepping core, and handle its return; return the reason."""
         try:
-            reason = run(*arguments)
+            reason = run_core(*arguments)
         except DivergedError as error:
             self._update_time()
             self.failure = error
@@ -196,7 +196,7 @@ class Stepper:
         if reason != step.Reason.DONE:
             for robot in self.robots:
                 robot.act_after(reason)
-            self._schedule_fault()
+            self._update_fault_time()
         return reason
 
     def _on_switch(self) -> None:

@@ -113,7 +113,7 @@ class World(NotCopied):
         self.time_ns = 0
         if not isinstance(scene_model, SceneModel):
             scene_model = SceneModel.of(at_spots(Playpen.load(scene_model), seed))
-        self._base = scene_model.playpen
+        self._base_playpen = scene_model.playpen
         self.spec = scene_model.spec
         self.timing = scene_model.timing
         # LEDs and faulty wheels change the model.
@@ -126,12 +126,12 @@ class World(NotCopied):
         self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
         self.simulation = Simulation(self._forms, self.timing)
         self.code = SteppingCode(self.simulation, compiled)
-        turrets = any(entry.turrets for entry in self._base.robots)
-        stops = int(step.Stop.TICKED) if turrets else 0
-        if len(self._forms.core_robots) < len(self._base.robots):
+        has_turrets = any(entry.turrets for entry in self._base_playpen.robots)
+        stops = int(step.Stop.TICKED) if has_turrets else 0
+        if len(self._forms.core_robots) < len(self._base_playpen.robots):
             stops = step.Stop.STEPPED | step.Stop.TICKED
         self._stepper = Stepper(self, self.simulation, self.code, stops=stops, shows_leds=not shared)
-        self._rewind(seed, noise, vary, None, None)
+        self._rewind(seed, noise, vary, starts=None, lamps=None)
         if not shared:
             self._stepper.begin(self.robots)
 
@@ -171,18 +171,18 @@ class World(NotCopied):
         forms.restore_model()
         simulation.reset(seed, noise=noise, vary=vary)
         self.model = forms.model
-        playpen = at_spots(self._base, seed) if starts is None else forms.with_starts(starts)
+        playpen = at_spots(self._base_playpen, seed) if starts is None else forms.with_starts(starts)
         forms.reset(playpen)
         self.playpen = playpen if lamps is None else playpen.model_copy(update={"lamps": tuple(lamps)})
         self.lamps = Lamps(self.playpen, cache(partial(stream, seed, "lamps")))
         records = dict(zip(forms.core_robots, simulation.records, strict=True))
         self.robots: tuple[Robot, ...] = tuple(
-            self._robot(index, seed, records.get(index)) for index in range(len(forms.indices))
+            self._make_robot(index, seed, records.get(index)) for index in range(len(forms.indices))
         )
         simulation.other_discs = lambda: [robot.disc for robot in self.robots if robot.index not in records]
         simulation.set_lamps(self.lamps, self.playpen.lighting)
 
-    def _robot(self, index: int, seed: int, record: NDArray[np.void] | None) -> Robot:
+    def _make_robot(self, index: int, seed: int, record: NDArray[np.void] | None) -> Robot:
         """Return a robot; `record` is its state in the stepping core, None if the core does not run it."""
         indices, settings = self._forms.indices[index], self._robot_settings
         rng = partial(stream, seed, "robot", index)
@@ -271,7 +271,7 @@ class World(NotCopied):
         """Convert all sensors of all robots now, without advancing time."""
         for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
             update(self.model, self.data)
-        self.simulation.scan(self.simulation.steps)
+        self.simulation.scan(first_channel=self.simulation.steps)
         for robot in self.robots:
             robot.scan()
 

@@ -25,7 +25,7 @@ class FakeRobot:
         requests: All received lines, in order.
         answers: Answers by letter; other capitals are acknowledged by their lower-case letter.
         silent: Whether it sends nothing.
-        before: bytes that it says before its next answer, once.
+        prefix: Bytes to send before the next answer, once.
     """
 
     def __init__(self) -> None:

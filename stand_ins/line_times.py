@@ -37,7 +37,7 @@ class LineTimes:
         seed: Seed of all that is drawn.
 
     Attributes:
-        whole: Whether only whole replies have a time.
+        whole_replies: Whether only complete replies have a time.
     """
 
     def __init__(self, kind: str, seed: int) -> None:

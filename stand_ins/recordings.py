@@ -45,7 +45,7 @@ class Truth:
         times_ns: Times of the poses, every 20 ms (n,) [ns].
         poses: x, y [m] and heading [rad] (n, 3).
         start: Pose at the start (3,).
-        told: Start pose that the twin knows (3,).
+        twin_start: Start pose that the twin knows (3,).
         hidden: Faults and changes, in words (k,).
         changed_ns: Time of each (k,) [ns]; -1 if there was no room for it.
         ended_ns: End of each (k,) [ns]; -1 if it does not end.

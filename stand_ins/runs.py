@@ -67,7 +67,7 @@ class Run:
         relayed_ns: Time at which the relay last forwarded bytes [ns].
         times_ns: Times of the poses [ns].
         poses: x, y [m] and heading [rad].
-        made: Applied changes with their times and drawn values; None for others.
+        applied_changes: Applied changes with their times and drawn values; None for others.
     """
 
     def __init__(

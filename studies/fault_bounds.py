@@ -41,8 +41,8 @@ class Bound(NamedTuple):
 
     Attributes:
         gap: Evidence for the right name less that for the best alternative.
-        right: Probability of the right name.
-        alike: Probability of that name and similar ones together.
+        p_right: Probability of the right name.
+        p_alike: Probability of that name and similar ones together.
         text: Fault, its name and the best other explanations, and the host's speeds, for a person.
     """
 

@@ -139,16 +139,16 @@ class Oracle:
                 apply_action(action, tracker.particles)
                 self._place_particles(tracker.particles, action.time_ns, rng)
             if isinstance(action, ProximityReply):
-                self._near.note_encounters(action.time_ns, tracker)
+                self._near.record_encounters(action.time_ns, tracker)
         particles = tracker.particles.resample(PARTICLES, 0.5)
-        particles.planes.advance_to(begin_ns)
+        particles.twins.advance_to(begin_ns)
         self._place_particles(particles, begin_ns, rng)
         return particles
 
     def _place_particles(self, particles: Particles, time_ns: int, rng: np.random.Generator) -> None:
         """Place particles at the robot's pose; their motion is not changed."""
         (pose,) = poses_at(self._truth, np.array([time_ns]))
-        particles.planes.move(pose + POSE_SD * rng.standard_normal((len(particles), 3)))
+        particles.twins.move(pose + POSE_SD * rng.standard_normal((len(particles), 3)))
 
     def explanations(self) -> list[Explanation]:
         """Return all explanations of the replies."""
@@ -163,7 +163,7 @@ class Oracle:
                 branches.append(_Branch(particles, sound.evidence, self._actions[number:]))
             sound.follow(action, USE)
             if isinstance(action, ProximityReply):
-                self._near.note_encounters(action.time_ns, sound)
+                self._near.record_encounters(action.time_ns, sound)
                 evidences.append((action.time_ns, sound.evidence))
         explanations = [Explanation(SOUND, 0.0, self._evidence_at_end(evidences))]
         for change in self._near.changes_since(self._noticeable_ns, has_counters=False):
@@ -183,9 +183,9 @@ class Oracle:
         The sum over all places would have at least this evidence.
         """
         fault, particles = Lifted(), self._start.resample(PARTICLES, 0.5)
-        particles.planes.advance_to(time_ns)
+        particles.twins.advance_to(time_ns)
         self._place_particles(particles, time_ns, stream(self._seed, "oracle", fault.name, "place"))
-        particles.planes.reset_poses(particles.planes.poses)  # at rest
+        particles.twins.reset_poses(particles.twins.poses)  # at rest
         branch = _Branch(
             particles, evidence, [action for action in self._actions if action.time_ns > time_ns]
         )

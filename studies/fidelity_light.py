@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin.lab.fit.lamp_fit import LampTable
+from khep_twin.lab.fit.lamp_fit import LampPositions
 from khep_twin.playpen import Arena, Lamp, Playpen, RobotEntry
 from khep_twin.sensing import calibration
 from khep_twin.units import BODY_HEIGHT, N_SENSORS, SENSOR_HEADINGS, SENSOR_HEIGHT, SENSOR_POSITIONS
@@ -43,7 +43,7 @@ def sampled_errors(folder: Path) -> tuple[Floats, Floats, Floats, Floats]:
     All but the distances are on the samples' scale of 1023.
     """
     distances, table = sampled_lamp(folder)
-    positions = LampTable.of(table).positions[:, :2]
+    positions = LampPositions.of(table).positions[:, :2]
     scale = SAMPLED_LIMIT / COUNTS_AT_0
     modelled = lamp_counts(_robot("khepera1"), POWER, positions, SENSOR_HEIGHT + FILAMENT_HEIGHT)
     offsets = positions[:, None] - np.array(SENSOR_POSITIONS)

@@ -33,7 +33,7 @@ from studies.khepera2_fits import (
 )
 
 _FACING = ON_AXIS, (5,)
-"""Sensors of a Khepera II that face what stands ahead, and what stands at its right side."""
+"""Sensors of a Khepera II that face an object ahead, and an object at its right side."""
 
 _MANUAL = "Khepera manual 5.02"
 _REPORT = "K-Team's report on the Khepera II, 2002"

@@ -49,8 +49,10 @@ def khepera2_rest(_: Path) -> Outcome:
     """Compare the mean reading of a Khepera II at rest with that of a robot that was not fitted."""
     twin_means = khepera2_at_rest().mean(axis=0)
     low, high = REST_RANGE
-    note = f"{twin_means.mean():.0f} for {REST_MEAN}; "
-        f"by sensor {twin_means.min():.0f} to {twin_means.max():.0f} for {low} to {high}"
+    note = (
+        f"{twin_means.mean():.0f} for {REST_MEAN}; by sensor "
+        f"{twin_means.min():.0f} to {twin_means.max():.0f} for {low} to {high}"
+    )
     return Outcome(abs(float(twin_means.mean()) - REST_MEAN), note=note)
 
 

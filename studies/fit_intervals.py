@@ -19,8 +19,8 @@ from khep_twin import playpen
 from khep_twin.files.toml_files import TomlTable, dump
 from khep_twin.host import Khepera
 from khep_twin.lab.fit.fit_inputs import FitTests, SensorData, fit_inputs
-from khep_twin.lab.fit.infrared_fit import levels
-from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts
+from khep_twin.lab.fit.infrared_fit import mean_counts
+from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
 from khep_twin.lab.fit.placement import Misplacement, Placement, Readings, Ruler
 from khep_twin.lab.fit.robot_fit import FittedValue, fit_robot
@@ -142,11 +142,11 @@ class Person:
     def _read(self, test: Readings, misplacement: Misplacement) -> Floats:
         near, ambient = self.robot.proximity, self.robot.ambient
         if test.power is None:
-            level = levels(test.placement, self.robot, misplacement)
+            level = mean_counts(test.placement, self.robot, misplacement)
             level += near.noise_counts * self.rng.standard_normal(level.shape)
             idle = self.rng.exponential(near.idle_counts, level.shape)
             return np.rint(np.clip(level, idle, near.limit_counts))
-        lamp = LampTable.of(test, misplacement)
+        lamp = LampPositions.of(test, misplacement)
         level = np.column_stack([ambient_counts(lamp, sensor, ambient) for sensor in range(N_SENSORS)])
         level += ambient.noise_counts * self.rng.standard_normal(level.shape)
         return np.rint(np.clip(level, 0, ambient.ceiling_counts))
@@ -192,7 +192,7 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
                 person = SimulatedPerson(twin, Ruler(), lambda _: None)
                 todo = steps(WALLS_MM, None, POWER_W, FILAMENT * 1e3)
                 session.run(todo, host, person, lambda _: None, lambda: False)
-            fit = fit_robot(fit_inputs(session.paths), start, Ruler())
+            fit = fit_robot(fit_inputs(session.words_with_folder), start, Ruler())
         yield [(value, value.value_in(robot)) for value in fit.values]
 
 

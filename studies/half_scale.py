@@ -49,5 +49,6 @@ def main() -> None:
     low, middle, high = np.percentile(distances_mm, (10, 50, 90))
     print(
         f"{len(distances_mm)} robots of the same make: "
-        f"{distances_mm.min():.1f} to {distances_mm.max():.1f} mm, median {middle:.1f} mm, 10 to 90 %: {low:.1f} to {high:.1f} mm"
+        f"{distances_mm.min():.1f} to {distances_mm.max():.1f} mm, "
+        f"median {middle:.1f} mm, 10 to 90 %: {low:.1f} to {high:.1f} mm"
     )

@@ -13,7 +13,7 @@ from khep_twin.shadow.shadow import ShadowSettings
 from studies.twin_runs import AlarmRecord, Floats, Recording, ShadowRun, SuspicionRecord, alternate, follow
 
 ALL = ("workshop", "obstacles", "looping-maze", "default", "homing", "light-seeking", "t-maze", "two-lamps")
-"""Playpens of one robot without movable things, which a shadow supports."""
+"""Playpens of one robot without movable objects, which a shadow supports."""
 
 ASTRAY_MM = 100.0
 """Error of a pose from which on it does not count as followed, even if the shadow states so."""
@@ -77,7 +77,8 @@ class Healthy:
         alarms = ", ".join(f"{alarm.fault} at {alarm.raised_ns / NS_PER_S:.1f} s" for alarm in self.alarms)
         return (
             f"{recording.playpen}, {recording.host}, seed {recording.seed}, {start}: "
-            f"{_quantile(self.errors_mm, 0.5)} mm, blind {self.blind_s:.0f} s, astray {self.astray_s:.0f} s; {alarms or 'no alarm'}"
+            f"{_quantile(self.errors_mm, 0.5)} mm, "
+            f"blind {self.blind_s:.0f} s, astray {self.astray_s:.0f} s; {alarms or 'no alarm'}"
         )
 
 

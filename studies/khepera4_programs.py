@@ -32,7 +32,7 @@ class TrackedTime:
     """Clock of a world that also records its robot's path.
 
     Attributes:
-        way: Length of the robot's path [m].
+        path_m: Length of the robot's path [m].
         nearest: Largest reading of the infrared sensors around it.
     """
 

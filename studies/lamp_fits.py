@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts, fit_lamps
+from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
 from khep_twin.lab.fit.placement import Placement, Readings, Ruler
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import AmbientCalibration
@@ -56,7 +56,7 @@ def readings(
 
 def residuals(test: Readings, ambient: AmbientCalibration) -> Floats:
     """Return model less robot (n, 8), on the samples' scale of 1023."""
-    lamp = LampTable.of(test)
+    lamp = LampPositions.of(test)
     modelled = np.column_stack([ambient_counts(lamp, sensor, ambient) for sensor in range(N_SENSORS)])
     return (test.counts - modelled) / COUNTS_AT_0 * SAMPLED_LIMIT
 

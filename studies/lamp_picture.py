@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts
+from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 from studies.infrared_fits import reference
@@ -24,7 +24,7 @@ def draw(target: Path) -> None:
     """Draw all sensors."""
     ambient = calibration.read("khepera1")[0].ambient
     distances, test = sampled_lamp(reference())
-    lamp, (_, bearings) = LampTable.of(test), test.placement.object_positions()
+    lamp, (_, bearings) = LampPositions.of(test), test.placement.object_positions()
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     panels = figure.subplots(2, 4, sharey=True).ravel()
     for panel, sensor in zip(panels, [0, 1, 2, 7, 5, 4, 3, 6], strict=True):

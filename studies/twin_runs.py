@@ -30,11 +30,18 @@ class Recording(NamedTuple):
     """Parameters of a recording.
 
     Attributes:
-        name: Name of its files. playpen: Name of its playpen. seed: Seed of the robot, the host, its start
-        and all that is drawn. seconds: Length [s]. host: Name of the host; by default those of the seed
-        alternate, each with three seeds. asks_counters: Also ask H. asks_light: Also ask O. faults: Faults of
-        the robot. changes: Changes of its world. times: Times of its line. own_start: True to start at the
-        playpen's start or a spot; False to start anywhere, which the shadow knows.
+        name: Name of its files.
+        playpen: Name of its playpen.
+        seed: Seed of the robot, the host, its start and all other random values.
+        seconds: Length [s].
+        host: Name of the host; by default those of the seed alternate, each with three seeds.
+        asks_counters: Also ask H.
+        asks_light: Also ask O.
+        faults: Faults of the robot.
+        changes: Changes of its world.
+        times: Timing of its line.
+        default_start: True to start at the playpen's start or a spot; False to start anywhere, which the
+            shadow knows.
     """
 
     name: str

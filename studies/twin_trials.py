@@ -125,7 +125,7 @@ def reliability(options: Options) -> None:
         all_claims += [
             claim for _, outcome in noticeable(run_trial, fault, options) for claim in outcome.claims
         ]
-    head("probability", "alarms", "suspicions", "all_claims, mean", "right", "95 % interval")
+    head("probability", "alarms", "suspicions", "stated, mean", "right", "95 % interval")
     for group in bin_claims(all_claims):
         shares = (f"{100 * share:.1f} %" for share in (group.mean_probability, group.true, *group.interval))
         said_share, true, low, high = shares
@@ -137,7 +137,7 @@ def reliability(options: Options) -> None:
             true,
             f"{low} to {high}",
         )
-    print("\nA suspicion counts once in group bin that its probability enters.\n")
+    print("\nA suspicion counts once in each bin that its probability enters.\n")
     if options.picture is not None:
         draw(bin_claims(all_claims), options.picture)
 

@@ -31,7 +31,7 @@ def test_the_pacer_is_due_by_speed(wall: list[int]) -> None:
     pacer = Pacer(2.0, 500)
     wall[0] += 1_000_000
     assert pacer.due_ns() == 500 + 2_000_000
-    assert pacer.wait(500 + 4_000_000) == pytest.approx(0.001)
+    assert pacer.wait_s(500 + 4_000_000) == pytest.approx(0.001)
 
 
 def test_the_pacer_gives_up_what_it_cannot_catch_up_with(wall: list[int]) -> None:

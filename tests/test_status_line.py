@@ -129,7 +129,7 @@ def test_a_relay_never_writes_onto_the_status_line_of_its_shadow(
     @contextmanager
     def run_beside(words: Sequence[str], stop: object) -> Iterator[SimpleNamespace]:
         print("\r\033[K2.4 s  100, 200 mm +- 5, 0 degrees  no alarm", end="", file=sys.stderr)
-        yield SimpleNamespace(listener=None, finish=lambda: 0)
+        yield SimpleNamespace(make_listener=None, finish=lambda: 0)
 
     def relays(*_: object, **__: object) -> None:
         print_end(2_500_000_000, 0, LogOptions(), None)

@@ -103,7 +103,7 @@ class Reader:
     Attributes:
         folder: Working directory.
         exact: True if the numbers shown have to be the page's.
-        shown: Output of the last block.
+        output: Output of the last block.
         undrawn: Pictures that rerun's viewer cannot draw here, without Vulkan.
     """
 

@@ -53,7 +53,7 @@ def check(data: bytes) -> None:
             or reported without one, an answer is none of RFC 2217, settings are out of range, memory is not
             bounded, or the pieces make a difference.
     """
-    from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD
+    from khep_twin.ports.negotiation import HIGHEST_BAUD, LOWEST_BAUD, MAX_CONTENT_BYTES
 
     choice = data[0] if data else 0
     stream = cooked(data[1:]) if choice & RECIPE else data[1:]
@@ -62,7 +62,7 @@ def check(data: bytes) -> None:
     assert (received, answers, settings, fault) == outcome(
         [stream[at : at + size] for at in range(0, len(stream), size)]
     )
-    expected, is_faulty = without_negotiation(stream, LONGEST)
+    expected, is_faulty = without_negotiation(stream, MAX_CONTENT_BYTES)
     expected = expected.replace(b"\r\0", b"\r")  # one line end, as in Telnet
     assert received == expected, (received, expected)
     assert bool(fault) == is_faulty, fault

@@ -25,4 +25,4 @@ def compiled_worlds() -> Generator[None]:
 def _load() -> None:
     """Load the compiled code, or compile it, here: the product would start a process that does."""
     World(Playpen.load("default"), compiled=True)
-    camera.take_one()
+    camera.take_test_image()

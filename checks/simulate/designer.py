@@ -278,7 +278,7 @@ def installed(simulation: Simulation, present: Callable[[], Designer], private: 
             (twin_session, "set_exact_timeouts", lambda: None),
             (service_registry, "private_folder", lambda: private),
             (kernel, "MOST_STALLED", MOST_STALLED),
-            (signals, "_writing", simulation.system.modules["threading"].RLock()),
+            (signals, "_write_lock", simulation.system.modules["threading"].RLock()),
         ):
             stack.enter_context(patch.object(place, name, value))
         yield

@@ -47,7 +47,7 @@ def _connections_kept() -> AbstractContextManager[object]:
     return patch.object(NetworkHost, "close", lambda host: clients.append(host._client))
 
 
-def _release_in_part(host: NetworkHost, count: int) -> None:
+def _send_held_in_part(host: NetworkHost, count: int) -> None:
     """Drop the bytes beyond the queue before the system was asked to take them."""
     host._output += host._held_reply[: min(count, network_host.QUEUE_LIMIT - len(host._output))]
     del host._held_reply[:count]
@@ -99,7 +99,9 @@ MUTANTS: dict[str, Mutant] = {
     "a host that has vanished keeps the port": Mutant(
         "tcp", "answers", replaced(network_host, _retransmissions=lambda client: 0), 600
     ),
-    "answers to a burst are cut": Mutant("tcp", "answers", replaced(NetworkHost, _release=_release_in_part)),
+    "answers to a burst are cut": Mutant(
+        "tcp", "answers", replaced(NetworkHost, _send_held=_send_held_in_part)
+    ),
     "negotiation is not answered": Mutant(
         "rfc2217", "answers", replaced(network_host.Negotiator, write=nothing)
     ),

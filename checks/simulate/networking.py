@@ -17,7 +17,7 @@ from checks.simulate.truth import SESSIONS, Truth
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.serve import WIRE, serve
+from khep_twin.ports.serve import WIRE_SPEED, serve
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 _PLAYPENS = "default", "obstacles", "gripper", "stripes"
@@ -60,7 +60,7 @@ class Site:
         rng = simulation.rng("site")
         self._rng, self._rfc2217 = rng, rfc2217
         self.playpen = _playpen(rng, simulation.rng("radio"))
-        self.speed = rng.choice([1.0, 1.0, 1.0, WIRE])
+        self.speed = rng.choice([1.0, 1.0, 1.0, WIRE_SPEED])
         self._options = TwinOptions(seed=rng.randrange(1000), unpaced=rng.random() < 0.2)
         faults = simulation.faults
         drops, garbles = faults.rate("drop", _MOST_DROPPED) > 0, faults.rate("garble", _MOST_GARBLED) > 0
@@ -217,7 +217,7 @@ class Site:
             self.is_private,
             self.may_fail,
             garbles=self.garbles,
-            moves=self.speed != WIRE,
+            moves=self.speed != WIRE_SPEED,
         )
         if simulation.faults.happens("exception", name, 0.3):
             session.ending = ending(simulation.faults.drawn("exception", name))
@@ -278,13 +278,13 @@ def visit(site: Site, seconds: float) -> None:
     """Have hosts come to a site, and watch it, for so many simulated seconds."""
     simulation = site.simulation
 
-    def clear_at_end(clear: Callable[[], object]) -> Callable[[], object]:
+    def register_cleanup(clear: Callable[[], object]) -> Callable[[], object]:
         process = simulation.kernel.current
         clears = site.endings.setdefault("" if process is None else process.name, [])
         clears.append(clear)
         return lambda: clears.remove(clear) if clear in clears else None
 
-    with patch.object(khep_twin.host.line, "clear_at_end", clear_at_end):
+    with patch.object(khep_twin.host.line, "register_cleanup", register_cleanup):
         for name in ("hosts", "rogues", "watch"):
             simulation.spawn(name, getattr(site, name), NS_PER_S // 10)
         simulation.run(seconds)

@@ -58,7 +58,7 @@ _messages = IntactRecords.messages
 
 def _without_last(self: Any, *arguments: Any) -> Iterator[Any]:
     """Drop the last piece of a log."""
-    self._sources = self._sources[:-1]
+    self._message_sources = self._message_sources[:-1]
     return _messages(self, *arguments)
 
 
@@ -86,13 +86,13 @@ def _remove(part: Path) -> Path | None:
 _broken: dict[str, tuple[str, Broken]] = {
     "a short write is taken for whole": ("recovery", replaced(PartFile, write=_write_once)),
     "a failed write is not taken back": ("recovery", replaced(PartFile, write=_write_without_truncation)),
-    "the next run overwrites the remains": ("leftovers", replaced(log_file, set_aside=_remove)),
+    "the next run overwrites the remains": ("leftovers", replaced(log_file, rename_unfinished=_remove)),
     "logs are renamed before the summary": ("recovery", replaced(LogFile, finish=_finish_early)),
     "logs are renamed before they are on the disk": (
         "recovery",
         replaced(LogFile, finish=_finish_without_fsync),
     ),
-    "lock-step runs are hardly ever flushed": ("recovery", replaced(recorder, _BATCH_LENGTH=10**9)),
+    "lock-step runs are hardly ever flushed": ("recovery", replaced(recorder, _BATCH_SAMPLES=10**9)),
     "served runs are never flushed": ("recovery", replaced(PeriodicFlush, __call__=nothing)),
     "a recovery drops the last piece": ("recovery", replaced(IntactRecords, messages=_without_last)),
     "a flush loses a line": ("recovery", replaced(Transcript, write=_lose_a_line)),

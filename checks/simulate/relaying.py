@@ -231,7 +231,7 @@ def _relay_notices(simulation: Simulation) -> Generator[list[Callable[[str], Non
     with (
         patch.object(endpoints, "typer", typer),
         patch.object(options, "typer", typer),
-        patch.object(idle_polls, "_POLLS", (b"N\r", b"H\r")),
+        patch.object(idle_polls, "_POLL_COMMANDS", (b"N\r", b"H\r")),
     ):
         yield takers
 

@@ -17,7 +17,7 @@ from checks.simulate.truth import Truth
 from khep_twin.ports import pty
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.pty import PtyPort
-from khep_twin.ports.serve import WIRE
+from khep_twin.ports.serve import WIRE_SPEED
 from khep_twin.ports.service_registry import registered_ports
 
 DISTURBING = "stall", "suspend", "kill", "server-stop", "slow transit", "slow closing"
@@ -36,7 +36,7 @@ class ServedTerminal(Site):
         self.link = simulation.folder / "khepera"
         super().__init__(simulation, rfc2217=False)
         self.is_exact, self.garbles = True, False
-        self.speed = simulation.rng("clock").choice([1.0, 0.25, WIRE, WIRE])
+        self.speed = simulation.rng("clock").choice([1.0, 0.25, WIRE_SPEED, WIRE_SPEED])
 
     @property
     def url(self) -> str:

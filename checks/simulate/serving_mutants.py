@@ -18,7 +18,7 @@ def _poll_events_alone(hosts: TerminalHosts, _: bool) -> Change:
     """Count hosts by events alone, equal ones in a row once, as khep_twin did before it asked the kernel."""
     assert hosts._events is not None
     events = [event for event, _ in groupby(hosts._drain(hosts._events))]
-    hosts.hosts, change = terminal_hosts._apply_events(hosts.hosts, Change(), events)
+    hosts.n_hosts, change = terminal_hosts._apply_events(hosts.n_hosts, Change(), events)
     return change
 
 

@@ -15,7 +15,7 @@ from khep_twin.sweep import ray_workers, results
 from khep_twin.sweep.results import SweepFolder
 from khep_twin.sweep.shards import Shard, Work
 
-_read = SweepFolder._read
+_read = SweepFolder._read_part
 
 
 def _joined_as_found(self: Any) -> None:
@@ -82,17 +82,20 @@ def _join_in_place(self: Any) -> None:
 
 def _dropped() -> AbstractContextManager[object]:
     stack = ExitStack()
-    stack.enter_context(replaced(ray_workers, _results=_coming_once)())
-    stack.enter_context(replaced(SweepFolder, _join=_joined_as_found)())
+    stack.enter_context(replaced(ray_workers, _collect_results=_coming_once)())
+    stack.enter_context(replaced(SweepFolder, _join_parts=_joined_as_found)())
     return stack
 
 
 _broken: dict[str, tuple[str, Broken]] = {
-    "sweep-late-result-added": ("results", replaced(SweepFolder, save=_keep_twice, _join=_joined_as_found)),
+    "sweep-late-result-added": (
+        "results",
+        replaced(SweepFolder, save=_keep_twice, _join_parts=_joined_as_found),
+    ),
     "sweep-task-of-a-dead-worker-dropped": ("results", _dropped),
     "sweep-torn-part-taken-as-whole": (
         "results",
-        replaced(SweepFolder, _is_complete=_is_there, _read=_read_torn),
+        replaced(SweepFolder, _is_complete=_is_there, _read_part=_read_torn),
     ),
     "sweep-resumed-from-nothing": (
         "results",
@@ -100,7 +103,7 @@ _broken: dict[str, tuple[str, Broken]] = {
     ),
     "sweep-without-a-lock": ("errors", replaced(SweepFolder, _lock=nothing)),
     "sweep-leaves-a-part-on-a-full-disk": ("leftovers", replaced(results, write_atomic=_write_leaving_part)),
-    "sweep-table-written-in-place": ("errors", replaced(SweepFolder, _join=_join_in_place)),
+    "sweep-table-written-in-place": ("errors", replaced(SweepFolder, _join_parts=_join_in_place)),
 }
 
 MUTANTS = {name: Mutant("sweep", *broken) for name, broken in _broken.items()}

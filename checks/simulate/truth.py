@@ -135,12 +135,12 @@ class Truth(Observer):
                 simulation.violate("speeds", f"{exchange.reply!r}, but the board has {true}")
 
     def _pulses(self) -> list[int]:
-        angles = self._world.data.qpos[list(self._robot.indices.wheel_angles)].tolist()
+        angles = self._world.data.qpos[list(self._robot.indices.wheel_qpos)].tolist()
         return [wheel_pulses(angle) for angle in angles]
 
     def _speed(self, wheel: int) -> float:
         """Return how far a wheel turns in a control period [pulses]."""
-        speed = float(self._world.data.qvel[self._robot.indices.wheel_speeds[wheel]])
+        speed = float(self._world.data.qvel[self._robot.indices.wheel_dofs[wheel]])
         return abs(speed) * PULSES_PER_TURN / 6.283 * 0.01
 
     @property

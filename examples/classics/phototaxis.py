@@ -106,6 +106,6 @@ if options.picture:
     for episode_poses, arrival in list(zip(poses, times, strict=True))[:6]:
         n_samples = round(min(arrival, options.seconds) / SAMPLE_S) + 1
         tracks.append(DrawnPath("", np.arange(n_samples) * SAMPLE_S, episode_poses[:n_samples, :2]))
-    title = "The evolved network from six starts, n_samples it arrives"
+    title = "The evolved network from six starts, until it arrives"
     path_file = options.picture.with_name(f"{options.picture.stem}_way.png")
     save(draw(ARENA, tracks, title=title, longer_side=5), path_file)

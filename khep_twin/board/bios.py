@@ -129,15 +129,16 @@ _TOOLS: dict[str, tuple[str, _Handler]] = {
     "serial": ("sets the speed of the serial line", _serial),
     "sfill": ("loads a program in S-records", _sfill),
 }
+"""Description and function of each tool, by its word."""
 
 
 def run_tool(tool: Tool, context: ToolContext) -> ToolResult:
     """Execute a tool and return its reply and effects."""
-    entry = _TOOLS.get(tool.word.decode("ascii"))
-    if entry is None:
+    _, handler = _TOOLS.get(tool.word.decode("ascii"), ("", None))
+    if handler is None:
         return ToolResult(COMMAND_NOT_FOUND)
     arguments = tuple(argument.decode("latin-1") for argument in tool.arguments)
-    return entry[1](arguments, context)
+    return handler(arguments, context)
 
 
 def self_test(are_sensors_alive: bool) -> bytes:

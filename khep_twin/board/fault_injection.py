@@ -66,7 +66,7 @@ class Fault:
 
     @property
     def has_end(self) -> bool:
-        """True if it has an end."""
+        """True if the fault has an end."""
         return self.end_ns < NEVER_NS
 
 
@@ -170,7 +170,7 @@ class Injector:
 
     Args:
         faults: Faults to inject.
-        rng: Function that returns the random stream of a fault by its text.
+        make_rng: Function that returns the random stream of a fault by its text.
         log_event: Callback that logs a message.
 
     Attributes:
@@ -204,10 +204,10 @@ class Injector:
         return InjectorState(streams, waiting, active)
 
     def set_state(self, state: InjectorState) -> None:
-        """Restore a state; faults that are not in it keep theirs.
+        """Restore a state; faults that it does not contain keep their present state.
 
         Raises:
-            ValueError: A fault in it is not injected here.
+            ValueError: The state contains a fault that is not injected here.
         """
         if unknown := [text for text in state.streams if text not in self._rngs]:
             raise ValueError(f"fault {unknown[0]!r}; {choices(unknown[0], self._rngs)}")
@@ -216,7 +216,8 @@ class Injector:
         known_texts, waiting_texts = state.streams.keys(), set(state.waiting)
         waiting_texts |= {fault.text for fault in self._waiting if fault.text not in known_texts}
         self._waiting = [fault for fault in self._timed if fault.text in waiting_texts]
-        active_texts = {fault.text for fault in self.active if fault.text not in known_texts} | set(state.active)
+        active_texts = set(state.active)
+        active_texts |= {fault.text for fault in self.active if fault.text not in known_texts}
         self.active = [fault for fault in self._timed if fault.text in active_texts]
 
     def reseed(self, make_rng: Callable[[str], np.random.Generator]) -> None:
@@ -224,7 +225,7 @@ class Injector:
         self._rngs = {text: make_rng(text) for text in self._rngs}
 
     def transmit(self, data: bytes, time_ns: int) -> bytes:
-        """Return the bytes after transmission over a bad cable."""
+        """Return bytes that are sent at a time [ns] as they arrive: some of them dropped or garbled."""
         if not self._faults:
             return data
         for fault in self._active_faults("drop", time_ns):
@@ -244,7 +245,7 @@ class Injector:
         return data
 
     def delay_ns(self, time_ns: int) -> int:
-        """Return the delay of a reply [ns]."""
+        """Return the delay of a reply that starts at a time [ns], 0 without a fault [ns]."""
         delay_ns = 0
         for fault in self._active_faults("late", time_ns):
             if self._draw(fault, 1).any():
@@ -253,7 +254,7 @@ class Injector:
         return delay_ns
 
     def update(self, devices: Collection[str], time_ns: int) -> list[Fault]:
-        """Start and end due faults of some devices, and log it; return the faults that have changed."""
+        """Start and end the due faults of devices (SENSOR, MOTOR, WHEEL or ""), log and return them."""
         ended = [fault for fault in self.active if fault.device in devices and fault.end_ns <= time_ns]
         started = [fault for fault in self._waiting if fault.device in devices and fault.start_ns <= time_ns]
         for fault in ended:
@@ -274,8 +275,10 @@ class Injector:
         return min(starts, default=None)
 
     def _active_faults(self, kind: str, time_ns: int) -> list[Fault]:
+        """Return the faults of a kind that are active at a time [ns]."""
         faults = (fault for fault in self._faults if fault.kind == kind)
         return [fault for fault in faults if fault.start_ns <= time_ns < fault.end_ns]
 
     def _draw(self, fault: Fault, count: int) -> NDArray[np.bool_]:
+        """Draw for each of `count` bytes or replies whether the fault occurs."""
         return self._rngs[fault.text].random(count) < fault.probability

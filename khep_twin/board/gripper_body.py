@@ -54,7 +54,7 @@ class GripperBody:
             model.actuator(prefix + name).id for name in ("shoulder_motor", "finger_motor")
         )
         self._beam_addresses = [int(model.sensor(f"{prefix}beam_{ray}").adr[0]) for ray in range(N_RAYS)]
-        self._pad_geoms = [model.geom(prefix + name).id for name in ("left_pad", "right_pad")]
+        self._pads = [model.geom(prefix + name).id for name in ("left_pad", "right_pad")]
         self._conductances: NDArray[np.float64] = model.geom_user[:, 1]
         self.drive()
 
@@ -84,10 +84,10 @@ class GripperBody:
         pairs: NDArray[np.int32] = self._data.contact.geom
         if not len(pairs):
             return 0.0
-        left, right = (
-            {int(geom) for geom in pairs[(pairs == pad).any(axis=1)].ravel()} - {pad} for pad in self._pad_geoms
+        left_geoms, right_geoms = (
+            {int(geom) for geom in pairs[(pairs == pad).any(axis=1)].ravel()} - {pad} for pad in self._pads
         )
-        return max((float(self._conductances[geom]) for geom in left & right), default=0.0)
+        return max((float(self._conductances[geom]) for geom in left_geoms & right_geoms), default=0.0)
 
 
 def resistivity(conductance: float) -> int:

@@ -9,7 +9,7 @@
     R,start  16 pixels from this one, 0 to 48                r, and 16 values
     O, P     index of the brightest, of the darkest pixel    o,…
     L        light sensor, high and low byte                 l,high,low
-    U,period scan rate: 0 automatic, 1 to 7 fixed            u
+    U,period scan period: 0 automatic, 1 to 7 fixed            u
 
 Orders and numbers of values are from public host programs and simulators; the turret's manual is not
 available. The sources give M 32 values of a lower grey resolution; two pixels of 4 bits in each value, the
@@ -53,7 +53,7 @@ class K213Register(IntEnum):
     LIGHT = 0  # reading of the light sensor, the lower the brighter
     PERIOD = 1  # parameter of U
     SCAN = 2  # duration of the present scan [10 ms]; 0 for the first one, which ends in the first tick
-    LEFT = 3  # its remaining time [10 ms]
+    LEFT = 3  # remaining time of the present scan [10 ms]
     SCANS = 4  # complete scans so far
 
 

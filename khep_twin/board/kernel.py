@@ -11,6 +11,7 @@ The controllers run every 10 ms (manual, 3.1.3):
 in speed mode on `setpoint - speed`, in position mode on `profile - position`, where the profile is the
 trapezoid of the J command: accelerate, cruise, brake over v (v + a) / (2 a). The manual gives the form and
 the reset values of the gains but not their scale, which is assumed so that the controllers settle well.
+A parameter `wheel` is the first register of a wheel, LEFT or RIGHT.
 """
 
 from enum import IntEnum
@@ -166,13 +167,7 @@ def run(registers: Registers, processor: Registers, left_pulses: int, right_puls
 
 @compilable
 def tick(registers: Registers, left_pulses: int, right_pulses: int) -> None:
-    """Run one control period of 10 ms: read both encoders and set both duties.
-
-    Args:
-        registers: State of the board, changed in place.
-        left_pulses: Count of the left encoder since power-up [pulses].
-        right_pulses: Count of the right encoder since power-up [pulses].
-    """
+    """Run one control period: take the encoders' counts since power-up [pulses], set both duties."""
     _control_wheel(registers, LEFT, left_pulses)
     _control_wheel(registers, RIGHT, right_pulses)
 
@@ -268,7 +263,7 @@ def wrap(value: int) -> int:
 
 @compilable
 def _control_wheel(registers: Registers, wheel: int, pulses: int) -> None:
-    """Run one wheel's control period."""
+    """Run one control period of a wheel, with its encoder's count since power-up [pulses]."""
     speed = pulses - registers[wheel + _ENCODER]
     position = wrap(registers[wheel + _POSITION] + speed)
     registers[wheel + _ENCODER] = pulses
@@ -292,7 +287,7 @@ def _control_wheel(registers: Registers, wheel: int, pulses: int) -> None:
 
 @compilable
 def _regulate(registers: Registers, wheel: int, first_gain: int, scale: int, error: int) -> None:
-    """Apply the PID law; the error sum is limited to its effect on the full duty (anti-windup)."""
+    """Apply the PID law (gains: three registers); the error sum is limited to full duty (anti-windup)."""
     kp, ki, kd = registers[first_gain], registers[first_gain + 1], registers[first_gain + 2]
     error_sum = clip(registers[wheel + _ERROR_SUM] + error, divide(DUTY_LIMIT * scale, max(ki, 1)))
     control_sum = kp * error + ki * error_sum + kd * (error - registers[wheel + _ERROR])

@@ -2,7 +2,7 @@
 
 A turret has electronics, which receive orders and hold registers. It may have a body in the physics, which
 writes sensor readings into those registers and is driven from them. A package registers a `TurretKind` under
-the entry point "khep_twin.turrets", as this one does for the gripper:
+the entry point "khep_twin.turrets", as khep_twin does for the gripper:
 
     [project.entry-points."khep_twin.turrets"]
     gripper = "khep_twin.board.gripper_body:GRIPPER"

@@ -50,7 +50,7 @@ class HostEventKind(IntEnum):
 
 
 class HostEvent(NamedTuple):
-    """One action on a robot's line; replay of the same actions repeats a run.
+    """One action of a host on a robot's line, or of a user; replay of the same actions repeats a run.
 
     Attributes:
         kind: Kind of action.
@@ -180,7 +180,7 @@ def _byte_ends_ns(baud: int, count: int) -> tuple[int, ...]:
 
 
 class Uart:
-    """Both directions, named as the robot sees them."""
+    """Both directions of the line: `rx` to the robot, `tx` from the robot."""
 
     def __init__(self, baud: int) -> None:
         self.rx = SerialLine(baud)

@@ -69,24 +69,25 @@ def main() -> None:
     if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
         complete_in_bash(lambda: app(prog_name="khep-twin"))
     with beside_status_line() if os.environ.pop(STATUS_LINE_VARIABLE, None) else nullcontext():
-        code = _run()
+        code = _run_app()
     # Typer has one exit code for all interruptions; shells expect one per signal.
     leave(exit_code(128 + first_signal() if code == 130 and first_signal() else code))
 
 
-def _warning_printer(show: Callable[..., None]) -> Callable[..., None]:
-    """Return a `showwarning` that prints a `UserWarning` as one line and passes others to `show`."""
+def _warning_printer(show_others: Callable[..., None]) -> Callable[..., None]:
+    """Return a `showwarning` that prints a `UserWarning` as one line and passes others to `show_others`."""
 
     def print_warning(message: Warning | str, category: type[Warning], *location: Any) -> None:
         if category is UserWarning:
             notify(str(message))
         else:
-            show(message, category, *location)
+            show_others(message, category, *location)
 
     return print_warning
 
 
-def _run() -> int:
+def _run_app() -> int:
+    """Run the command; print its error, if any; return the exit code."""
     try:
         with handle_signals(), warnings.catch_warnings():
             warnings.showwarning = _warning_printer(warnings.showwarning)

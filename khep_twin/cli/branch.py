@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import controllers, logs
-from khep_twin.cli.option_groups import grouped
+from khep_twin.cli.option_groups import expand_groups
 from khep_twin.cli.options import Faults, Force, check_inputs, check_new, check_picture, print_files, usage
+from khep_twin.cli.progress import part_bar
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.cli.progress import subrange
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
@@ -43,19 +43,20 @@ class ChangeOptions:
 
     def branch_point(self, time_s: float, log: Path, robot: int | None) -> "BranchPoint":
         """Return the branch point of a log at a time [s]; `robot` is the one whose calibration changes."""
-        from khep_twin.lab.experiment.branch import calibrations
+        from khep_twin.lab.experiment.branch import calibration_texts
         from khep_twin.log.recorded import BranchPoint
 
+        name = self.calibration
         return BranchPoint(
             round(time_s * 1e9),
             seed=self.seed,
             faults=tuple(self.fault or ()),
             edits=tuple(self.set_values or ()),
-            calibrations=None if self.calibration is None else calibrations(log, self.calibration, robot),
+            calibrations=None if name is None else calibration_texts(log, name, robot),
         )
 
 
-@grouped
+@expand_groups
 def branch(
     *,
     log: Annotated[Path, typer.Argument(help="Log of the run, FILE.mcap.", autocompletion=logs)],
@@ -125,7 +126,7 @@ def branch(
 
 
 def _run_branches(plan: "BranchPlan", controller: str | None, paths: Sequence[Path]) -> "list[Trajectory]":
-    """Run one branch per path, with a seed each; return those that ran before the user stopped."""
+    """Run one branch per path, each with its seed; return the paths of the robots in those that ran."""
     from khep_twin.lab.experiment.branch import branch as run_branch
     from khep_twin.lab.experiment.controller_files import find_controller
     from khep_twin.toolbox.form import as_toolbox_form
@@ -141,6 +142,6 @@ def _run_branches(plan: "BranchPlan", controller: str | None, paths: Sequence[Pa
             if number and controller is not None:  # a separate one for each branch
                 program = find_controller(controller, as_toolbox_form)
             variant = replace(plan, change=replace(plan.change, seed=seeds[number]), controller=program)
-            show_part = subrange(show, number, runs)
+            show_part = part_bar(show, number, runs)
             trajectories.append(run_branch(variant, path, progress=show_part, stop=stop))
     return trajectories

@@ -75,7 +75,7 @@ def calibrate(
 
     ruler, initial = Ruler(ruler_mm, bearing_deg), calibration.read(start)[0]
     check_outputs([], start, output, picture, force)
-    plan = steps(WALLS_MM if walls is None else _distances(walls), cylinder, lamp, lamp_height)
+    plan = steps(WALLS_MM if walls is None else _parse_distances(walls), cylinder, lamp, lamp_height)
     session = CalibrationSession(folder or output.with_name(f"{output.stem}-session"))
     if not all(session.find_word(step) for step in plan) and not _run_session(
         session, plan, port, ruler, yes
@@ -84,13 +84,12 @@ def calibrate(
         raise typer.Exit(130)
     if not session.words:
         raise FitError("every step was skipped; expected at least one")
-    typer.echo(f"again with    {command('fit', *session.paths, '-o', output)}")
-    fit_and_write(
-        fit_inputs(session.paths), FitTests(), initial, ruler, output, picture, len(session.words), force
-    )
+    tests = session.words_with_folder
+    typer.echo(f"again with    {command('fit', *tests, '-o', output)}")
+    fit_and_write(fit_inputs(tests), FitTests(), initial, ruler, output, picture, len(session.words), force)
 
 
-def _distances(text: str) -> list[float]:
+def _parse_distances(text: str) -> list[float]:
     try:
         return [float(distance) for distance in text.split(",")]
     except ValueError:
@@ -107,9 +106,9 @@ def _run_session(
 
     with stopping() as stop, Khepera(port) as robot:
         # The stubs of pyserial declare one kind of port.
-        line: object = robot.port
-        if isinstance(line, Serial):
-            person = SimulatedPerson(line.twin, ruler, typer.echo)
+        serial_port: object = robot.port
+        if isinstance(serial_port, Serial):
+            person = SimulatedPerson(serial_port.twin, ruler, typer.echo)
         else:
             person = PersonAtTerminal(typer.echo, partial(_ask, stop=stop), wait=not yes)
         try:

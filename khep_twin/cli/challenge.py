@@ -77,9 +77,9 @@ def show(
     for penalty in challenge.penalties:
         typer.echo(f"penalty    {penalty.each:g} for each of {penalty.metric}")
     for goal in challenge.goals:
-        where = f"within {goal.radius_mm:g} mm of ({goal.x_mm:g}, {goal.y_mm:g})"
+        goal_text = f"within {goal.radius_mm:g} mm of ({goal.x_mm:g}, {goal.y_mm:g})"
         typer.echo(
-            f"goal       {where}{'' if goal.lamp is None else f', if the lamp {goal.lamp} is on first'}"
+            f"goal       {goal_text}{'' if goal.lamp is None else f', if the lamp {goal.lamp} is on first'}"
         )
     for title, score in (("reference", challenge.reference), ("passed", challenge.threshold)):
         if score is not None:
@@ -132,7 +132,7 @@ def run(
     if controller is None and not file.solution.is_file():
         raise usage(f"{name}: has no reference solution {file.solution}; expected a FILE.py to score")
     controller_spec = str(file.solution) if controller is None else controller
-    printer = _Printer()
+    printer = _OutputPrinter()
     attempt = score_file(
         file, controller_spec, runs=count, seed=seed, log=log, real_seconds=real_seconds, show=printer.show
     )
@@ -200,7 +200,7 @@ def table(
                 typer.echo(f"table  {output}")
 
 
-class _Printer:
+class _OutputPrinter:
     """Printer of a controller's output, in pieces that may end within a character."""
 
     def __init__(self) -> None:

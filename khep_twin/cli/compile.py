@@ -35,7 +35,7 @@ def compile_all(
 
 
 def _compile_part(part: str) -> None:
-    """Call a part once, which compiles it."""
+    """Call the functions of a part, a key of `ready.CODE`, once, which compiles them."""
     import numpy as np
 
     from khep_twin.episodes.controllers import Braitenberg
@@ -45,20 +45,20 @@ def _compile_part(part: str) -> None:
     from khep_twin.shadow.sensor_model import SensorModel
     from khep_twin.shadow.start import PUBLISHED, draw_particles
     from khep_twin.shadow.wheel_commands import SPEED
-    from khep_twin.vision.camera import take_one
+    from khep_twin.vision.camera import take_test_image
     from khep_twin.world import World
 
     if part == "world":
         world = World(Playpen.load("default"), compiled=True)
         world.advance_to(world.timing.step_ns)
     elif part == "vision":
-        take_one()
+        take_test_image()
     elif part == "shadow":
         setup, rng = EpisodeSetup(Playpen.load("two-lamps"), planar=True), np.random.default_rng(0)
         particles = draw_particles(setup, None, PUBLISHED, 1, rng)
-        particles.planes.command(SPEED, 0, 0)
-        particles.planes.advance(1)
-        SensorModel(particles.planes).observe(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
+        particles.twins.command(SPEED, 0, 0)
+        particles.twins.advance(1)
+        SensorModel(particles.twins).observe(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
     else:
         setup = EpisodeSetup(Playpen.load("default"), planar=part == "plane")
         Episode(setup, Braitenberg(), compiled=True).begin()

@@ -13,7 +13,7 @@ from khep_twin.errors import KhepTwinError, choices
 Completion = tuple[str, str]
 """Completed value and its description."""
 
-_MOST_CHOICES = 30
+_MAX_CHOICES = 30
 """Longest list of choices in a message."""
 
 
@@ -21,28 +21,28 @@ def playpens() -> list[Completion]:
     """Return the shipped playpens and the TOML files of the current folder."""
     from khep_twin.files.toml_files import names
 
-    return [(name, summary(name)) for name in names("playpens")] + _files(".toml")
+    return [(name, summary(name)) for name in names("playpens")] + _local_files(".toml")
 
 
 def challenges() -> list[Completion]:
     """Return the shipped challenges and the TOML files of the current folder."""
     from khep_twin.files.toml_files import names
 
-    return [(name, "") for name in names("challenges")] + _files(".toml")
+    return [(name, "") for name in names("challenges")] + _local_files(".toml")
 
 
 def calibrations() -> list[Completion]:
     """Return the shipped calibrations and the TOML files of the current folder."""
     from khep_twin.files.toml_files import names
 
-    return [(name, "") for name in names("calibration")] + _files(".toml")
+    return [(name, "") for name in names("calibration")] + _local_files(".toml")
 
 
 def controllers() -> list[Completion]:
     """Return the built-in controllers, and the Python files and networks of the current folder."""
     from khep_twin.lab.experiment.controllers import BUILT_IN
 
-    return [(name, "built in") for name in BUILT_IN] + _files(".py") + _files(".npz")
+    return [(name, "built in") for name in BUILT_IN] + _local_files(".py") + _local_files(".npz")
 
 
 def ports() -> list[Completion]:
@@ -59,12 +59,12 @@ def ports() -> list[Completion]:
 
 def logs() -> list[Completion]:
     """Return the logs of the current folder."""
-    return _files(".mcap")
+    return _local_files(".mcap")
 
 
 def studies() -> list[Completion]:
     """Return the TOML files of the current folder."""
-    return _files(".toml")
+    return _local_files(".toml")
 
 
 def summary(playpen: str) -> str:
@@ -81,8 +81,8 @@ def explain_error(error: Any, text: str) -> str:
     if text.startswith("Got unexpected extra argument"):
         return _surplus_message(error, text)
     context = getattr(error, "ctx", None)
-    is_open = text.startswith("No such option") and "Possible" not in text
-    if context is not None and (is_open or text.startswith(("Invalid value", "Option "))):
+    lacks_hint = text.startswith("No such option") and "Possible" not in text
+    if context is not None and (lacks_hint or text.startswith(("Invalid value", "Option "))):
         return f"{text.rstrip('.')}; see {context.command_path} --help"
     return text
 
@@ -94,12 +94,12 @@ def _missing_message(error: Any) -> str:
     text = f"Missing {parameter.param_type_name} {parameter.get_error_hint()}: {parameter.help or ''}".strip()
     if not values:
         return text
-    ellipsis = ["..."] if len(values) > _MOST_CHOICES else []
-    return f"{text} {choices('', values[:_MOST_CHOICES] + ellipsis)}"
+    ellipsis = ["..."] if len(values) > _MAX_CHOICES else []
+    return f"{text} {choices('', values[:_MAX_CHOICES] + ellipsis)}"
 
 
 def _surplus_message(error: Any, text: str) -> str:
-    """Return the message about a surplus argument, with the option that is probably missing."""
+    """Return the message about a surplus argument, with the option that is probably missing before it."""
     options = [parameter for parameter in error.ctx.command.params if parameter.param_type_name == "option"]
     word = re.sub(r".*\((\S*).*\)", r"\1", text, flags=re.DOTALL)
     option_name = {".toml": "playpen", ".mcap": "log", ".py": "controller"}.get(Path(word).suffix, "playpen")
@@ -118,7 +118,7 @@ def complete_in_bash(complete: Callable[[], object]) -> None:
     Bash splits words at each colon: this function rejoins them, and omits the part of the completed word
     before its last colon from the answer. `complete` prints the completions of the words in the environment.
     """
-    words, index = _rejoin(os.environ["COMP_WORDS"].split("\n"), int(os.environ["COMP_CWORD"]))
+    words, index = _rejoin_at_colons(os.environ["COMP_WORDS"].split("\n"), int(os.environ["COMP_CWORD"]))
     os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(words), str(index)
     word = words[index] if index < len(words) else ""
     output = StringIO()
@@ -131,7 +131,7 @@ def complete_in_bash(complete: Callable[[], object]) -> None:
             print(line.removeprefix(f"{prefix}:") if prefix else line)
 
 
-def _rejoin(words: list[str], index: int) -> tuple[list[str], int]:
+def _rejoin_at_colons(words: list[str], index: int) -> tuple[list[str], int]:
     """Return the words rejoined at colons, and the new index of the word at `index`."""
     joined: list[str] = []
     new_index = index
@@ -144,6 +144,6 @@ def _rejoin(words: list[str], index: int) -> tuple[list[str], int]:
     return joined, new_index
 
 
-def _files(suffix: str) -> list[Completion]:
+def _local_files(suffix: str) -> list[Completion]:
     """Return the files of the current folder with a suffix; the shell completes other paths."""
     return [(path.name, "") for path in sorted(Path().glob(f"*{suffix}"))]

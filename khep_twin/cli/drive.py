@@ -15,7 +15,7 @@ import typer
 from khep_twin.cli.completion import ports
 from khep_twin.cli.options import Force, check_new
 from khep_twin.errors import KhepTwinError
-from khep_twin.signals import clear_at_end, stopping
+from khep_twin.signals import register_cleanup, stopping
 
 if TYPE_CHECKING:
     import curses
@@ -59,7 +59,7 @@ def drive(
         versions = robot.versions()
         operation = Teleoperation(robot, speed)
         with _run_in_thread(operation, stop) as (ended, failures):
-            _with_screen(lambda window: _loop(window, operation, f"{port}  BIOS {versions.bios}", ended))
+            _run_on_screen(lambda window: _drive(window, operation, f"{port}  BIOS {versions.bios}", ended))
         if failures:
             raise failures[0]
         is_stopped = stop()
@@ -109,7 +109,7 @@ def _run_in_thread(
         thread.join()
 
 
-def _with_screen(show: Callable[["curses.window"], None]) -> None:
+def _run_on_screen(function: Callable[["curses.window"], None]) -> None:
     """Run a function on the terminal's screen, and restore the screen afterwards."""
     if sys.platform == "win32":
         raise KhepTwinError("drive needs a terminal of Unix; expected the page of khep-twin design")
@@ -118,10 +118,10 @@ def _with_screen(show: Callable[["curses.window"], None]) -> None:
     # Ctrl-Z has no effect, as a suspended process could not hold the dead-man's switch.
     previous_handler = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
     os.environ.setdefault("ESCDELAY", "25")
-    unregister = clear_at_end(curses.endwin)
+    unregister = register_cleanup(curses.endwin)
     try:
         curses.setupterm()
-        curses.wrapper(show)
+        curses.wrapper(function)
     except curses.error as error:
         terminal = os.environ.get("TERM", "")
         raise KhepTwinError(
@@ -132,8 +132,8 @@ def _with_screen(show: Callable[["curses.window"], None]) -> None:
         signal.signal(signal.SIGTSTP, previous_handler)
 
 
-def _loop(window: "curses.window", operation: "Teleoperation", name: str, ended: Callable[[], bool]) -> None:
-    """Apply keys and draw the robot's state, until q or the end of the drive."""
+def _drive(window: "curses.window", operation: "Teleoperation", name: str, ended: Callable[[], bool]) -> None:
+    """Apply keys and draw the robot's state, until q, or until the drive has ended or the terminal closed."""
     import curses
 
     from khep_twin.lab.experiment.teleoperation import draw
@@ -143,14 +143,14 @@ def _loop(window: "curses.window", operation: "Teleoperation", name: str, ended:
     with suppress(curses.error):  # a terminal that cannot hide its cursor
         curses.curs_set(0)
     window.timeout(_REDRAW_MS)
-    has_hung_up = _hang_up_check()
+    has_hung_up = _make_hang_up_check()
     while not ended() and not has_hung_up():
         key = window.getch()
         window.nodelay(True)
         while key != -1:
             if key in (_CTRL_C, ord("q"), ord("Q")):
                 return
-            _press(operation, _read_arrow(window) if key == _ESCAPE else key)
+            _apply_key(operation, _read_arrow(window) if key == _ESCAPE else key)
             key = window.getch()
         window.timeout(_REDRAW_MS)
         height, width = window.getmaxyx()
@@ -171,8 +171,8 @@ def _read_arrow(window: "curses.window") -> int:
     return arrows.get(chr(letter), 0) if 0 < letter < 128 else 0
 
 
-def _press(operation: "Teleoperation", key: int) -> None:
-    """Apply a key."""
+def _apply_key(operation: "Teleoperation", key: int) -> None:
+    """Drive, set the speed or switch the LEDs by a key, a code of curses; ignore other keys."""
     import curses
 
     from khep_twin.lab.experiment.teleoperation import Direction
@@ -192,7 +192,7 @@ def _press(operation: "Teleoperation", key: int) -> None:
         operation.switch_leds()
 
 
-def _hang_up_check() -> Callable[[], bool]:
+def _make_hang_up_check() -> Callable[[], bool]:
     """Return a function that returns whether the terminal has been closed."""
     if sys.platform == "win32":
         return lambda: False

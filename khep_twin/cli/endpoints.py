@@ -1,4 +1,4 @@
-"""Endpoints that hosts open, of `khep-twin serve` and `shadow --relay`; and the relay of a robot."""
+"""Endpoints (pseudo-terminals or network ports) that hosts open at `serve` and `shadow --relay`."""
 
 import os
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.option_groups import LogOptions
-from khep_twin.cli.options import notify, print_files, print_kept, usage
+from khep_twin.cli.options import notify, print_files, print_kept_log, usage
 from khep_twin.errors import PortError
 from khep_twin.machine import is_writable
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 ListenerMaker = Callable[[Callable[[], int]], "LineListener"]
-"""Function of the line's clock [ns] that returns a listener."""
+"""Function of the line's clock [ns] that returns a listener, which receives the bytes on the line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +97,13 @@ class EndpointOptions:
 
 
 def line_baud(mode: int | None) -> int:
-    """Return the baud rate of a robot's line in a running mode; that of mode 1 for None."""
+    """Return the baud rate of a Khepera II's line in a running mode; that of mode 1 for None."""
     from khep_twin.board.rom import ROMS
 
-    number, modes = 1 if mode is None else mode, ROMS["khepera2"]
-    if reason := modes.refusal_reason(number):
-        raise usage(f"--mode {number:X}: {reason}")
-    return modes.modes[number].baud
+    mode_number, rom = 1 if mode is None else mode, ROMS["khepera2"]
+    if reason := rom.refusal_reason(mode_number):
+        raise usage(f"--mode {mode_number:X}: {reason}")
+    return rom.modes[mode_number].baud
 
 
 def relay_robot(
@@ -132,25 +132,25 @@ def relay_robot(
     from khep_twin.ports.relay import Device, relay, start_wall_clock
 
     with closing(Device(port, baud)) as device, endpoint.open({0: baud}) as ports, ExitStack() as stack:
-        now = start_wall_clock()
+        clock = start_wall_clock()
         listeners: list[LineListener] = []
         recorder = None
         if logging.log is not None:
             settings = {"relay": port, "baud": baud}
-            recorder = LineRecorder(logging.log, settings, now, on_failure=logging.on_failure)
+            recorder = LineRecorder(logging.log, settings, clock, on_failure=logging.on_failure)
             listeners.append(stack.enter_context(closing(recorder)))
-        print_kept(recorder)
+        print_kept_log(recorder)
         if make_listener is not None:
-            listeners.append(make_listener(now))
+            listeners.append(make_listener(clock))
         stack.enter_context(endpoint.announce(ports, f"robot at {port}"))
         polls = IdlePolls() if poll else None
         relay(device, ports[0], listeners, polls, stop=stop, notify=notify)
-        duration_ns, dropped = now(), ports[0].dropped
-    print_end(duration_ns, dropped, logging, recorder)
+        duration_ns, dropped_bytes = clock(), ports[0].dropped
+    print_end(duration_ns, dropped_bytes, logging, recorder)
 
 
 def print_end(duration_ns: int, dropped: int, logging: LogOptions, recorder: "FileRecorder | None") -> None:
-    """Print a summary at the end of serving, and the log's path; end the command if the log has failed."""
+    """Print the time served [ns], bytes lost and the log's path; end the command if the log has failed."""
     typer.echo(f"{duration_ns / 1e9:.1f} s served", err=True)
     if dropped:
         typer.echo(f"{dropped} bytes dropped that no host took", err=True)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import playpens
-from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, grouped
-from khep_twin.cli.options import Switch, Viewer, check_new, notify, print_files, print_kept, usage
+from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, expand_groups
+from khep_twin.cli.options import Switch, Viewer, check_new, notify, print_files, print_kept_log, usage
 from khep_twin.clock import to_ns
 from khep_twin.errors import PlaypenError
 
@@ -36,7 +36,7 @@ def _show_cflags(value: bool) -> None:
         raise typer.Exit
 
 
-@grouped
+@expand_groups
 def execute(
     program: Annotated[
         list[str], typer.Argument(metavar="-- PROGRAM [ARGUMENT]", help="Program and its arguments.")
@@ -95,14 +95,14 @@ def execute(
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     check_new(logging.force, logging.log)
-    commands = [program, *_split(other_programs or [])]
+    commands = [program, *_split_commands(other_programs or [])]
     options = TwinOptions(seed, None, noise is Switch.ON, vary is Switch.ON)
     with open_twin(playpen, options) as twin, ExitStack() as stack:
         robot_programs = _assign_robots(twin, robot, commands)
         if logging.log is not None:
             command_lines = "; ".join(shlex.join([Path(name).name, *rest]) for name, *rest in commands)
             twin.record(logging.log, facts={PROGRAM: command_lines}, on_failure=logging.on_failure)
-        print_kept(twin.recorder)
+        print_kept_log(twin.recorder)
         watch = live_view.open_viewers(stack, playpen, viewer=viewer, real_time=clock is ProgramClock.REAL)
         watch(twin)
         end_ns = None if seconds is None else to_ns(seconds)
@@ -119,7 +119,7 @@ def execute(
     raise typer.Exit(code if code >= 0 else 128 - code)
 
 
-def _split(command_lines: list[str]) -> list[list[str]]:
+def _split_commands(command_lines: list[str]) -> list[list[str]]:
     """Return command lines as lists of arguments."""
     commands: list[list[str]] = []
     for command_line in command_lines:
@@ -133,8 +133,8 @@ def _split(command_lines: list[str]) -> list[list[str]]:
     return commands
 
 
-def _assign_robots(twin: "Twin", first: int, commands: list[list[str]]) -> list["RobotProgram"]:
-    """Assign programs to the Khepera IVs of a twin, starting with robot `first`."""
+def _assign_robots(twin: "Twin", first_robot: int, commands: list[list[str]]) -> list["RobotProgram"]:
+    """Assign programs to the Khepera IVs of a twin, starting with robot `first_robot`."""
     from khep_twin.khepera4.machine import Machine
     from khep_twin.khepera4.programs import RobotProgram
     from khep_twin.khepera4.robot import Khepera4Robot
@@ -144,13 +144,13 @@ def _assign_robots(twin: "Twin", first: int, commands: list[list[str]]) -> list[
     indices = [robot.index for robot in candidates]
     if not candidates:
         raise PlaypenError(f'{name}: no Khepera IV; expected a robot with model = "khepera4", as in arena4')
-    if first not in indices:
-        raise usage(f"--robot {first}: not a Khepera IV of {name}; expected one of {indices}")
-    targets = candidates[indices.index(first) :]
+    if first_robot not in indices:
+        raise usage(f"--robot {first_robot}: not a Khepera IV of {name}; expected one of {indices}")
+    targets = candidates[indices.index(first_robot) :]
     if len(commands) > len(targets):
         raise usage(
             f"{len(commands)} programs; expected up to {len(targets)}, the Khepera IVs of {name} "
-            f"from robot {first} on"
+            f"from robot {first_robot} on"
         )
     return [
         RobotProgram(command, Machine(robot.dspic, twin.world), robot.index + 1)

@@ -79,7 +79,7 @@ def fit(
 
     if shadow_log is not None:
         refuse(context, _TEST_OPTIONS, "recorded tests, not for --from")
-        _fit_learned(shadow_log, playpen, output, force)
+        _fit_from_shadow(shadow_log, playpen, output, force)
         return
     if not tests or playpen is not None:
         raise usage(_NO_TESTS)
@@ -93,8 +93,8 @@ def fit(
     fit_and_write(data, check_data, calibration.read(start)[0], ruler, output, picture, len(tests), force)
 
 
-def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bool) -> None:
-    """Write a calibration learned by a shadow, which first follows a relay's log if this is one."""
+def _fit_from_shadow(path: Path, playpen: str | None, output: Path | None, force: bool) -> None:
+    """Write a calibration learned by a shadow; if `path` is a relay's log, a shadow follows it first."""
     from khep_twin.files.toml_files import dump
     from khep_twin.lab.fit.robot_fit import with_name
     from khep_twin.lab.fit.shadow_fit import fit_learned, learn_from_log, read_learned
@@ -102,13 +102,13 @@ def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bo
     check_writable(output)
     check_inputs([path, *([] if playpen is None else [playpen])], output)
     check_new(force, output)
-    learned_data = read_learned(path)
-    if learned_data is None:
+    learned_values = read_learned(path)
+    if learned_values is None:
         if playpen is None:
             raise usage(f"{path}: no shadow's log; expected one, or --playpen with a relay's log")
         with progress_bar() as show:
-            learned_data = learn_from_log(path, playpen, show)
-    fit = fit_learned(*learned_data)
+            learned_values = learn_from_log(path, playpen, show)
+    fit = fit_learned(*learned_values)
     if not fit.values:
         raise FitError(f"{path}: determines nothing better than it was known; expected minutes near walls")
     for line in fit.lines:
@@ -143,7 +143,7 @@ def fit_and_write(
     ruler: "Ruler",
     output: Path | None,
     picture: Path | None,
-    count: int,
+    n_tests: int,
     force: bool,
 ) -> None:
     """Fit a robot to tests; print values and residuals, write calibration and picture."""
@@ -158,7 +158,7 @@ def fit_and_write(
     for line in describe_residuals(check_data, robot_fit, ruler):
         typer.echo(f"{line} off, not used for the fit")
     if output is not None:
-        calibration = with_name(robot_fit.calibration, output.stem, f"fitted to {count} tests")
+        calibration = with_name(robot_fit.calibration, output.stem, f"fitted to {n_tests} tests")
         write_atomic(output, dump(calibration).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
     if picture is not None:

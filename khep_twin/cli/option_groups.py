@@ -31,7 +31,7 @@ ADDRESS = "127.0.0.1:8765"
 """Default address, which Foxglove also proposes."""
 
 
-def grouped(command: Callable[..., None]) -> Callable[..., None]:
+def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
     """Expand groups of options in a command's signature: each field of a dataclass becomes an option."""
     signature = inspect.signature(command)
     groups: dict[str, Any] = {
@@ -41,20 +41,20 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     }
 
     @wraps(command)
-    def flat(**typed: Any) -> None:
+    def command_with_options(**option_values: Any) -> None:
         group_values = {
-            name: group(**{field.name: typed.pop(field.name) for field in fields(group)})
+            name: group(**{field.name: option_values.pop(field.name) for field in fields(group)})
             for name, group in groups.items()
         }
-        command(**typed, **group_values)
+        command(**option_values, **group_values)
 
     parameters = [
         option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for name, parameter in signature.parameters.items()
         for option in (inspect.signature(groups[name]).parameters.values() if name in groups else [parameter])
     ]
-    flat.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
-    return flat
+    command_with_options.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
+    return command_with_options
 
 
 def option_names(*groups: type) -> set[str]:
@@ -123,13 +123,13 @@ class SceneOptions:
     ] = None
 
     def load(self, override: "Playpen | None" = None) -> "Playpen":
-        """Return the controller's playpen, or else the option's, with the requested lamps."""
-        from khep_twin.lab.experiment.start_poses import numbers, with_lighting, without_nearest_lamp
+        """Return the playpen `override`, or else the option's, with the requested lamps."""
+        from khep_twin.lab.experiment.start_poses import parse_numbers, with_lighting, without_nearest_lamp
         from khep_twin.playpen import Playpen
 
         playpen = with_lighting(Playpen.load(self.playpen) if override is None else override, self.lighting)
         for position_text in self.without_lamp or []:
-            position = numbers(position_text, 2)
+            position = parse_numbers(position_text, 2)
             if position is None:
                 raise usage(f"--without-lamp {position_text}: expected X,Y in mm, such as 50,450")
             playpen = without_nearest_lamp(playpen, *position)

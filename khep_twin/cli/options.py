@@ -119,8 +119,8 @@ def running_mode(digit: str | None) -> int | None:
     return None if digit is None else int(digit, 16)
 
 
-def check_body(rom: str | None, robots: Iterable["RobotEntry"]) -> None:
-    """Print a note if --rom khepera2 is used for a Khepera 1."""
+def note_firmware_only(rom: str | None, robots: Iterable["RobotEntry"]) -> None:
+    """Print a note if --rom khepera2 changes only the firmware of a Khepera 1, not its body."""
     if rom == "khepera2" and any(robot.model == "khepera1" for robot in robots):
         notify(
             "--rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
@@ -128,7 +128,7 @@ def check_body(rom: str | None, robots: Iterable["RobotEntry"]) -> None:
         )
 
 
-def print_kept(recorder: "FileRecorder | None") -> None:
+def print_kept_log(recorder: "FileRecorder | None") -> None:
     """Print the new name of an unfinished log of an earlier run, if there was one."""
     if recorder is not None and (path := recorder.previous_part) is not None:
         remedy = command("recover", path)
@@ -168,6 +168,7 @@ def ask_line(prompt: str, stop: Callable[[], bool], *, err: bool = False) -> byt
 
 
 def _read_line(stop: Callable[[], bool]) -> bytes | None:
+    """Return a line of standard input as `ask_line` does."""
     entered = b""
     while not entered.endswith(b"\n"):
         if stop():

@@ -102,23 +102,23 @@ def draw(
     from khep_twin.playpen import Playpen, at_spots
 
     loaded_playpen = Playpen.load(playpen)
-    target = output or Path(f"{loaded_playpen.name}.png")
-    check_inputs([playpen, *([] if log is None else [log])], target)
-    check_new(force, target)
+    output_path = output or Path(f"{loaded_playpen.name}.png")
+    check_inputs([playpen, *([] if log is None else [log])], output_path)
+    check_new(force, output_path)
     if perspective:
         from khep_twin.drawing.render import render
 
         if log is not None:
             raise KhepTwinError("--log draws on a map; expected no --perspective")
-        write_drawing(target, render(at_spots(loaded_playpen, seed), target), force)
+        write_drawing(output_path, render(at_spots(loaded_playpen, seed), output_path), force)
     else:
         paths = ()
         if log is not None:
             if (name := read_label(log).metadata.get("playpen", loaded_playpen.name)) != loaded_playpen.name:
                 raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {loaded_playpen.name}")
             paths = read_log(log).paths
-        drawing.save(drawing.draw(at_spots(loaded_playpen, seed), paths), target, force)
-    typer.echo(f"picture  {target}")
+        drawing.save(drawing.draw(at_spots(loaded_playpen, seed), paths), output_path, force)
+    typer.echo(f"picture  {output_path}")
 
 
 @playpen_app.command()
@@ -161,7 +161,7 @@ def random_playpen(
 
 
 def _write(text: str, output: Path | None, kind: str, force: bool, details: str = "") -> None:
-    """Write a text to a file and print its kind, or write it to standard output."""
+    """Write a text to a file and print `kind` and its path, or write the text to standard output."""
     if output is None:
         typer.echo(text, nl=False)
     else:
@@ -214,8 +214,8 @@ def import_bitmap(
 
     check_inputs([file], output)
     name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", file.stem)[:64].strip("-") or "imported"
-    target = output or Path(f"{name}.toml")
-    check_new(force, target)
+    output_path = output or Path(f"{name}.toml")
+    check_new(force, output_path)
     pose = None if robot in (None, "none") else _parse_pose(robot)
     image = bitmap_files.read(file, variable, solid)
     upside_down = image.is_scan if flip is None else flip
@@ -230,24 +230,24 @@ def import_bitmap(
         )
     except BitmapError as error:
         raise BitmapError(f"{file}: {error}") from None
-    head = f"# Imported from {toml_files.format_value(file.name)} by khep-twin playpen import.\n\n"
-    write_atomic(target, (head + playpens.dump(result.playpen)).encode("utf-8"), force)
-    for line in _summary(image, result, upside_down, mm_per_pixel):
+    header = f"# Imported from {toml_files.format_value(file.name)} by khep-twin playpen import.\n\n"
+    write_atomic(output_path, (header + playpens.dump(result.playpen)).encode("utf-8"), force)
+    for line in _describe(image, result, upside_down, mm_per_pixel):
         typer.echo(line)
-    typer.echo(f"robot    {_robot_text(result.playpen, is_requested=robot != 'none')}")
-    typer.echo(f"playpen  {target}")
+    typer.echo(f"robot    {_pose_text(result.playpen, is_requested=robot != 'none')}")
+    typer.echo(f"playpen  {output_path}")
 
 
-def _summary(image: "Bitmap", result: "BitmapPlaypen", upside_down: bool, pixel_mm: float) -> Iterator[str]:
+def _describe(image: "Bitmap", result: "BitmapPlaypen", upside_down: bool, pixel_mm: float) -> Iterator[str]:
     """Yield lines that describe a bitmap and the playpen made from it."""
     rows, columns = image.solid.shape
     borders, arena = result.borders, result.playpen.arena
     solid = f"{int(image.solid.sum())} of them solid"
     yield f"bitmap   {image.label}, {rows} x {columns} pixels of {pixel_mm:g} mm, {solid}"
     first_row = "bottom" if upside_down else "top"
-    reason = " (the toolbox's scan turned the right way up)" if upside_down and image.is_scan else ""
+    scan_note = " (the toolbox's scan turned the right way up)" if upside_down and image.is_scan else ""
     other_option = "--no-flip" if upside_down else "--flip"
-    yield f"flip     its first row is the {first_row}{reason}; {other_option} for the other way"
+    yield f"flip     its first row is the {first_row}{scan_note}; {other_option} for the other way"
     sides = {"left": borders.left, "right": borders.right, "bottom": borders.bottom, "top": borders.top}
     wall_widths = ", ".join(f"{pixels * pixel_mm:g} mm {side}" for side, pixels in sides.items())
     yield f"walls    {wall_widths}; now {arena.wall_thickness_mm:g} mm thick"
@@ -255,8 +255,8 @@ def _summary(image: "Bitmap", result: "BitmapPlaypen", upside_down: bool, pixel_
     yield f"blocks   {len(result.playpen.blocks)}"
 
 
-def _robot_text(playpen: "Playpen", is_requested: bool) -> str:
-    """Return the robot's pose as text."""
+def _pose_text(playpen: "Playpen", is_requested: bool) -> str:
+    """Return the first robot's pose as text, or why there is no robot."""
     for robot in playpen.robots:
         return f"at ({robot.x_mm:g}, {robot.y_mm:g}), heading {robot.heading_deg:g} degrees"
     return "none: no position is free" if is_requested else "none"

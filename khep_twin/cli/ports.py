@@ -27,21 +27,22 @@ def ports(
         typer.echo(f"no ports; {command('serve')} makes one, khep://default needs none", err=True)
     width = max((len(port.url) for port in known_ports), default=0)
     for port in known_ports:
-        typer.echo(f"{port.url:{width}}  {port.description}{_probe_port(port.url) if probe else ''}")
+        typer.echo(f"{port.url:{width}}  {port.description}{_describe_robot(port.url) if probe else ''}")
 
 
-def _probe_port(url: str) -> str:
+def _describe_robot(url: str) -> str:
+    """Return the model and versions of the robot at a port, or why it does not answer, as text."""
     from khep_twin.host.discovery import identify_robot
 
     try:
-        answer = identify_robot(url)
+        identity = identify_robot(url)
     except PortInUse as error:
         return f": {str(error).removeprefix(f'{url}: ')}"
     except PortError as error:
         return f": {error}"
-    if answer is None:
+    if identity is None:
         return ": no answer"
-    baud, versions = answer
+    baud, versions = identity
     if versions.bios.isalpha():
         return f": Khepera IV, revision {''.join(versions)} at {baud} baud"
     return f": BIOS {versions.bios}, protocol {versions.protocol} at {baud} baud"

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 from khep_twin.status_line import status_line
 
-_WIDTH = 36
+_BAR_WIDTH = 36
 
 
 @contextmanager
@@ -23,9 +23,9 @@ def progress() -> Generator[Callable[[float], None] | None, None, None]:
 
         def show(share: float) -> None:
             elapsed = time.monotonic() - start_s
-            bar = "#" * int(share * _WIDTH)
+            bar = "#" * int(share * _BAR_WIDTH)
             eta = f"  {duration_text(elapsed * (1 - share) / share)} left" if share and elapsed > 1 else ""
-            text = f"running  [{bar:-<{_WIDTH}}]  {share:4.0%}{eta}"
+            text = f"running  [{bar:-<{_BAR_WIDTH}}]  {share:4.0%}{eta}"
             if text != line.text:
                 line.show(text)
 
@@ -33,8 +33,8 @@ def progress() -> Generator[Callable[[float], None] | None, None, None]:
         yield show
 
 
-def subrange(show: Callable[[float], None] | None, number: int, count: int) -> Callable[[float], None] | None:
-    """Return a function that shows the finished share of one of `count` equal parts; None without a bar."""
+def part_bar(show: Callable[[float], None] | None, number: int, count: int) -> Callable[[float], None] | None:
+    """Return a function that shows the finished share of part `number` (from 0) of `count` equal ones."""
     return None if show is None else lambda share: show((number + min(share, 1.0)) / count)
 
 

@@ -97,10 +97,11 @@ def _export_tables(
     channel_names = None if channels is None else [name.strip() for name in channels.split(",")]
     recording = read_first_messages(log)
     robots = tables.choose_robots(recording, robot)
-    selection, name = tables.choose_channels(recording, robots, channel_names), tables.describe_robots(robots)
+    selection = tables.choose_channels(recording, robots, channel_names)
+    robot_names = tables.describe_robots(robots)
     if output is not None:
         if kind != ".mat" and not selection:
-            raise LogError(f"{log}: {name} has no samples; expected --transcript, or -o FILE.mat")
+            raise LogError(f"{log}: {robot_names} has no samples; expected --transcript, or -o FILE.mat")
         with atomic_file(output, force) as file, progress_bar() as progress:
             if kind == ".mat":
                 data, n_rows = tables.matrices(log, robots, selection, progress)
@@ -108,11 +109,11 @@ def _export_tables(
             else:
                 n_rows = tables.write_table(log, robots, selection, kind, file, progress)
         names = ", ".join(channel.name for channel in selection) or "no samples"
-        typer.echo(f"table       {output}: {name}: {names}; {n_rows} rows")
+        typer.echo(f"table       {output}: {robot_names}: {names}; {n_rows} rows")
     if transcript is not None:
         with atomic_file(transcript, force) as file, progress_bar() as progress:
             n_lines = tables.write_transcript(log, robots, file, progress)
-        typer.echo(f"transcript  {transcript}: {name}: {n_lines} lines")
+        typer.echo(f"transcript  {transcript}: {robot_names}: {n_lines} lines")
 
 
 def _export_dataset(

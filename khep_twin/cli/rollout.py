@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from khep_twin.cli.completion import controllers
-from khep_twin.cli.option_groups import LengthOptions, LogOptions, RobotOptions, SceneOptions, grouped
+from khep_twin.cli.option_groups import LengthOptions, LogOptions, RobotOptions, SceneOptions, expand_groups
 from khep_twin.cli.options import (
     Faults,
-    check_body,
     check_inputs,
     check_new,
     check_picture,
+    note_firmware_only,
     notify,
     print_files,
-    print_kept,
+    print_kept_log,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
@@ -89,7 +89,7 @@ class PhysicsOptions:
         )
 
 
-@grouped
+@expand_groups
 def rollout(
     *,
     controller: Annotated[
@@ -127,7 +127,7 @@ def rollout(
     program = find_driver(controller)
     driver, function = (Policy(), program) if callable(program) else (program, None)
     playpen, _ = equip_playpen(at_spots(playpen, options.seed), options)
-    check_body(options.rom, playpen.robots)
+    note_firmware_only(options.rom, playpen.robots)
     try:
         setup = physics.setup(playpen, program, map(parse_fault, options.faults), logging.log)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
@@ -141,7 +141,7 @@ def rollout(
         results = _run_on_gpu(setup, driver, function, options.seed, episode_options, periods, draw)
         _print_results(periods, seconds, *results, playpen, picture, logging.force)
         return
-    compiled = None if is_compiled() else False
+    compiled = None if check_compiled() else False
     episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
     episode.begin(options.seed, episode_options)
     recorder = None
@@ -152,8 +152,8 @@ def rollout(
                 logging.log, facts={"controller": controller, **NO_LINE}, on_failure=logging.on_failure
             )
             recorder = recorded_twin.recorder
-            print_kept(recorder)
-        times, paths = _run(episode, setup, function, periods, draw)
+            print_kept_log(recorder)
+        times, paths = _run_episode(episode, setup, function, periods, draw)
     metrics = [episode.metrics(robot) for robot in range(len(episode.boards))]
     _print_results(periods, seconds, metrics, times, paths, playpen, picture, logging.force)
     logging.check(recorder)
@@ -161,10 +161,10 @@ def rollout(
         print_files("log", [logging.log])
 
 
-def _run(
+def _run_episode(
     episode: "Episode", setup: "EpisodeSetup", function: Callable[..., Any] | None, periods: int, draw: bool
 ) -> tuple[list[float], list[list[Pose]]]:
-    """Run an episode; return times [s] and each robot's path, with all periods if `draw`."""
+    """Run an episode; return times [s] and each robot's path, at every period if `draw`."""
     # Without a path to draw, one call steps many periods, with the same results.
     periods_per_call = 1 if draw else max(_PROGRESS_NS // setup.period_ns, 1)
     times, paths = [0.0], [[pose] for pose in episode.poses]
@@ -196,7 +196,7 @@ def _run_on_gpu(
     periods: int,
     draw: bool,
 ) -> tuple[list[dict[str, float]], list[float], list[list[Pose]]]:
-    """Run an episode on a GPU; return metrics, times [s] and the robot's path, as `_run` does."""
+    """Run an episode on a GPU; return metrics, times [s] and the robot's path, as in `_run_episode`."""
     from khep_twin.episodes import Policy, batch
     from khep_twin.errors import DivergedError
 
@@ -215,7 +215,7 @@ def _run_on_gpu(
     return [metrics], times, [[tuple(pose) for pose in results.paths[0].tolist()]]
 
 
-def is_compiled() -> bool:
+def check_compiled() -> bool:
     """Return whether episodes run JIT-compiled; print a note if they do not."""
     from khep_twin.episodes import episode
 

@@ -16,16 +16,16 @@ from khep_twin.cli.option_groups import (
     LogOptions,
     RobotOptions,
     SceneOptions,
-    grouped,
+    expand_groups,
     option_names,
 )
 from khep_twin.cli.options import (
     Faults,
     Viewer,
     ask_line,
-    check_body,
     check_inputs,
     check_picture,
+    note_firmware_only,
     notify,
     print_files,
     refuse,
@@ -106,7 +106,7 @@ class PortOptions:
             raise usage("--baudrate is that of a line to a robot; expected --port with it")
 
 
-@grouped
+@expand_groups
 def run(
     context: typer.Context,
     *,
@@ -143,12 +143,12 @@ def run(
 
     typed_names, port = typed_options(context), line.port
     line.check(context)
-    _check(scene.playpen, logging.log, picture)
+    _check_outputs(scene.playpen, logging.log, picture)
     series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
     program = find_controller(controller, as_toolbox_form)
     user_function = None if series.on_run_end is None else find_on_run_end(series.on_run_end, program)
-    plan = _plan(length, series, in_cycles=isinstance(program, LoopingController))
+    plan = _plan_runs(length, series, in_cycles=isinstance(program, LoopingController))
     controller_playpen = None
     if isinstance(program, LoopingController):
         options = replace(options, unpaced=program.unpaced)
@@ -179,10 +179,10 @@ def run(
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
         is_stopped = _run_series(program, robot_source, plan, folder, logs, series.confirm, user_function)
     logs.finish()
-    _print_end(folder, plan, is_stopped=is_stopped)
+    _print_series_end(folder, plan, is_stopped=is_stopped)
 
 
-def _plan(length: LengthOptions, series: SeriesOptions, *, in_cycles: bool) -> "Plan":
+def _plan_runs(length: LengthOptions, series: SeriesOptions, *, in_cycles: bool) -> "Plan":
     """Return the plan of the runs, by default of 60 s, or of 500 cycles as in the toolbox."""
     from khep_twin.lab.experiment.series_run import Plan
 
@@ -192,7 +192,8 @@ def _plan(length: LengthOptions, series: SeriesOptions, *, in_cycles: bool) -> "
     return Plan(series.runs, cycles, seconds, series.pause)
 
 
-def _print_end(folder: "SeriesFolder | None", plan: "Plan", *, is_stopped: bool) -> None:
+def _print_series_end(folder: "SeriesFolder | None", plan: "Plan", *, is_stopped: bool) -> None:
+    """Print where the series is saved, and whether it was stopped, with exit code 130."""
     if folder is not None:
         print_files("series", [folder.path], command("series", folder.path))
     if is_stopped:
@@ -201,7 +202,7 @@ def _print_end(folder: "SeriesFolder | None", plan: "Plan", *, is_stopped: bool)
         raise typer.Exit(130)
 
 
-def _check(playpen: str, log: Path | None, picture: Path | None) -> None:
+def _check_outputs(playpen: str, log: Path | None, picture: Path | None) -> None:
     """Refuse a picture without a log, and output files that cannot be written."""
     if picture is not None and log is None:
         raise usage("--picture draws the path from the log; expected --log FILE.mcap with it")
@@ -267,7 +268,7 @@ def _open_twins(
     from khep_twin.ports.twin import equip_playpen, open_twin
 
     playpen, robot_indices = equip_playpen(playpen, options)
-    check_body(options.rom, (playpen.robots[index] for index in robot_indices))
+    note_firmware_only(options.rom, (playpen.robots[index] for index in robot_indices))
     values = {key: value for key, value in asdict(options).items() if key != "log"}
     settings: dict[str, Any] = {**values, "playpen": dump(playpen), "starts": start_specs, **versions()}
     if start_specs:

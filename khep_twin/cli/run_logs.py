@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from khep_twin.cli.option_groups import LogOptions
-from khep_twin.cli.options import check_new, print_files, print_kept
+from khep_twin.cli.options import check_new, print_files, print_kept_log
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controller_source import Source
@@ -26,20 +26,20 @@ class RunLogs:
         self._source = source
         self._recorders: list[Recorder] = []
 
-    def record(self, twin: "Twin", number: int | None = None) -> None:
+    def record(self, twin: "Twin", run_number: int | None = None) -> None:
         """Start the log of a twin; with a number, a separate one, NAME-001.mcap."""
         from khep_twin.lab.experiment.series_run import numbered_path
 
         if self._path is None:
             return
-        path = self._path if number is None else numbered_path(self._path, number)
+        path = self._path if run_number is None else numbered_path(self._path, run_number)
         twin.record(
             path,
             facts=self._source.facts,
             attachments=self._source.attachments,
             on_failure=self._options.on_failure,
         )
-        print_kept(twin.recorder)
+        print_kept_log(twin.recorder)
         if twin.recorder is not None:
             self._recorders.append(twin.recorder)
 
@@ -54,9 +54,9 @@ class RunLogs:
         check_new(force, self._picture)
         if self._path is not None:
             paths = [self._path] if runs is None else [numbered_path(self._path, i + 1) for i in range(runs)]
-            check_new(force, *(path for path in paths if not (resume and self._is_by_controller(path))))
+            check_new(force, *(path for path in paths if not (resume and self._has_same_controller(path))))
 
-    def _is_by_controller(self, path: Path) -> bool:
+    def _has_same_controller(self, path: Path) -> bool:
         """Return whether a file is a log of this controller."""
         from khep_twin.errors import LogError
         from khep_twin.log.reader import read_label

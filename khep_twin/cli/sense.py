@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import ports
-from khep_twin.cli.option_groups import grouped
+from khep_twin.cli.option_groups import expand_groups
 from khep_twin.cli.options import Force, check_new, check_picture, check_writable, notify
+from khep_twin.cli.progress import part_bar
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.cli.progress import subrange
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.files.atomic import resolve
 from khep_twin.signals import stopping
@@ -90,7 +90,7 @@ class PictureOptions:
     grid: Annotated[bool, typer.Option("--grid", help="Draw a grid.")] = False
     overlay: Annotated[list[Path] | None, typer.Option(help="Also draw this earlier run; repeatable.")] = None
 
-    def check(self, earlier: "list[SensorRun]", tests: "list[SensorTest]") -> None:
+    def check(self, earlier_runs: "list[SensorRun]", tests: "list[SensorTest]") -> None:
         """Refuse a picture that could not be drawn at the end, before the robot moves."""
         if self.picture is None:
             return
@@ -100,11 +100,11 @@ class PictureOptions:
         from khep_twin.lab.sensor_test.sensor_test import SensorRun
 
         check_picture(self.picture)
-        ends = [np.zeros((2, 2 + len(test.quantity.names)), np.int64) for test in tests]
-        for end, test in zip(ends, tests, strict=True):
-            end[1, :2] = test.target
-        expected = [SensorRun(test, end, np.zeros(2)) for test, end in zip(tests, ends, strict=True)]
-        sensor_figure.check([*earlier, *expected], sensor=self.sensor, y_min=self.y_min or 0)
+        tables = [np.zeros((2, 2 + len(test.quantity.names)), np.int64) for test in tests]
+        for rows, test in zip(tables, tests, strict=True):
+            rows[1, :2] = test.target
+        expected = [SensorRun(test, end, np.zeros(2)) for test, end in zip(tests, tables, strict=True)]
+        sensor_figure.check([*earlier_runs, *expected], sensor=self.sensor, y_min=self.y_min or 0)
 
     def draw(self, runs: "list[SensorRun]", force: bool) -> None:
         """Draw runs, if a picture is requested."""
@@ -118,7 +118,7 @@ class PictureOptions:
         typer.echo(f"picture  {self.picture}")
 
 
-@grouped
+@expand_groups
 def sense(
     port: Annotated[
         str | None,
@@ -133,7 +133,7 @@ def sense(
     ] = None,
     *,
     drive: DriveOptions,
-    plot: PictureOptions,
+    picture_options: PictureOptions,
     force: Force = False,
 ) -> None:
     """Read a robot's sensors while it drives straight or turns.
@@ -143,31 +143,32 @@ def sense(
     from khep_twin.lab.sensor_test import sensor_files
     from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
 
-    _check_options(port, drive, plot)
+    _check_options(port, drive, picture_options)
+    overlay = picture_options.overlay or []
     tests = [] if port is None else drive.tests(sensors)
-    names = [_numbered_paths(drive.output or [], number, len(tests)) for number in range(1, len(tests) + 1)]
-    outputs, pictures = [*chain.from_iterable(names)], [*filter(None, [plot.picture])]
+    paths = [_numbered_paths(drive.output or [], number, len(tests)) for number in range(1, len(tests) + 1)]
+    outputs, pictures = [*chain.from_iterable(paths)], [*filter(None, [picture_options.picture])]
     check_writable(*outputs, *pictures)
     for path in outputs:
         sensor_files.check_suffix(path)
-    _check_distinct([*outputs, *pictures, *(plot.overlay or [])])
+    _check_distinct([*outputs, *pictures, *overlay])
     check_new(force, *outputs, *pictures)
-    earlier = [sensor_files.load(path, sensors.value if sensors else None) for path in plot.overlay or []]
-    for path, run in zip(plot.overlay or [], earlier, strict=True):
+    earlier_runs = [sensor_files.load(path, sensors.value if sensors else None) for path in overlay]
+    for path, run in zip(overlay, earlier_runs, strict=True):
         if sensors is not None and run.test.what != sensors.value:
             raise SensorTestError(f"{path}: a run of {run.test.what}; expected {sensors.value}, as in --what")
-    plot.check(earlier, tests)
+    picture_options.check(earlier_runs, tests)
 
     runs: list[SensorRun] = []
     failure: BrokenOffError | None = None
     is_stopped = False
     if port is not None:
         try:
-            is_stopped = _drive(port, tests, drive.text or "", lambda run: _save_run(runs, run, names, force))
+            is_stopped = _drive(port, tests, drive.text or "", lambda run: _save_run(runs, run, paths, force))
         except BrokenOffError as error:
-            _save_run(runs, error.run, names, force)
+            _save_run(runs, error.run, paths, force)
             failure = error
-    plot.draw([*earlier, *runs], force)
+    picture_options.draw([*earlier_runs, *runs], force)
     if failure is not None:
         raise failure
     if is_stopped:
@@ -175,14 +176,14 @@ def sense(
         raise typer.Exit(130)
 
 
-def _check_options(port: str | None, drive: DriveOptions, plot: PictureOptions) -> None:
+def _check_options(port: str | None, drive: DriveOptions, picture_options: PictureOptions) -> None:
     """Refuse options without effect, and a command without a task."""
-    if plot.picture is None and (option := _first_option(plot)):
+    if picture_options.picture is None and (option := _first_option(picture_options)):
         raise SensorTestError(f"{option} is for the picture; expected --picture FILE.png with it")
     if port is None:
         if option := _first_option(drive):
             raise SensorTestError(f"{option} is for a robot; expected its PORT, such as khep://default")
-        if not plot.overlay:
+        if not picture_options.overlay:
             expected = "expected a PORT such as khep://default, or --overlay FILE --picture FILE"
             raise SensorTestError(f"there is nothing to do; {expected}")
     elif (drive.linear is None) == (drive.rotate is None):
@@ -217,14 +218,14 @@ def _drive(port: str, tests: "list[SensorTest]", text: str, save_run: "Callable[
 
     with stopping() as stop, Khepera(port) as robot, progress_bar() as show:
         for number, test in enumerate(tests):
-            show_part = subrange(show, number, len(tests))
+            show_part = part_bar(show, number, len(tests))
             save_run(drive(robot, test, text=text, progress=show_part, stop=stop))
             if stop():
                 return True
     return False
 
 
-def _save_run(runs: "list[SensorRun]", run: "SensorRun", names: list[list[Path]], force: bool) -> None:
+def _save_run(runs: "list[SensorRun]", run: "SensorRun", run_paths: list[list[Path]], force: bool) -> None:
     """Write a run's files, and print a summary of its readings."""
     from khep_twin.lab.sensor_test.sensor_files import save
 
@@ -232,7 +233,7 @@ def _save_run(runs: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]
         return
     runs.append(run)
     # Write the files before printing; a file that fails does not prevent the others.
-    paths, failures = names[len(runs) - 1], list[str]()
+    paths, failures = run_paths[len(runs) - 1], list[str]()
     for path in paths:
         try:
             save(path, run, force)

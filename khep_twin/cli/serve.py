@@ -13,14 +13,14 @@ import typer
 
 from khep_twin.cli.completion import ports
 from khep_twin.cli.endpoints import EndpointOptions, line_baud, print_end, relay_robot
-from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, grouped, option_names
+from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, expand_groups, option_names
 from khep_twin.cli.options import (
     Faults,
     Viewer,
-    check_body,
     check_new,
+    note_firmware_only,
     notify,
-    print_kept,
+    print_kept_log,
     running_mode,
     typed_options,
     usage,
@@ -52,14 +52,14 @@ class TimingOptions:
         bool, typer.Option("--strict-line", help="Garble the bytes of a host at another baud rate.")
     ] = False
 
-    def factor(self) -> float:
+    def speed_factor(self) -> float:
         """Return the simulated seconds per real second."""
-        from khep_twin.ports.serve import WIRE
+        from khep_twin.ports.serve import WIRE_SPEED
 
         if self.clock is Clock.WIRE:
             if self.speed != "1":
                 raise usage("--speed: has no effect with --clock wire; expected one of them")
-            return WIRE
+            return WIRE_SPEED
         if self.speed == "max":
             return math.inf
         try:
@@ -81,7 +81,7 @@ _LOGGED_OPTIONS = (option_names(RobotOptions) | {"playpen", "unpaced", "strict_l
 """Options that a resumed twin takes from its log."""
 
 
-@grouped
+@expand_groups
 def serve(
     context: typer.Context,
     *,
@@ -129,32 +129,32 @@ def serve(
         return
     if timing.strict_line and endpoint.tcp is not None:
         raise usage("--strict-line: hosts at --tcp have no baud rate; expected a terminal or --rfc2217")
-    factor, faults = timing.factor(), tuple(fault or ())
+    factor, faults = timing.speed_factor(), tuple(fault or ())
     if from_log is not None:
         if ignored := typed_options(context) & _LOGGED_OPTIONS:
             option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
             raise usage(f"{option} is that of the log; expected only --seed, --fault and --robot with --from")
         path, start_ns = _parse_log_time(from_log)
         seed = twin.seed if "seed" in typed_options(context) else None
-        open_resumed = partial(_open_log, path, start_ns, seed, faults, robot, logging)
+        open_resumed = partial(_open_from_log, path, start_ns, seed, faults, robot, logging)
         _serve_twin(open_resumed, from_log, factor, endpoint, logging, live_view, viewer)
         return
     options = replace(
         twin.options(robot), unpaced=timing.unpaced, strict_line=timing.strict_line, faults=faults
     )
     _serve_twin(
-        lambda: _open(playpen, options, logging), playpen, factor, endpoint, logging, live_view, viewer
+        lambda: _open_twin(playpen, options, logging), playpen, factor, endpoint, logging, live_view, viewer
     )
 
 
-def _open(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
+def _open_twin(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
     """Open the twin of a playpen, and start its log."""
     from khep_twin.board.rom import SELF_TEST_MODE
     from khep_twin.ports.twin import open_twin
 
     twin = open_twin(playpen, options)
     robots = [twin.world.playpen.robots[robot.index] for robot in twin.robots]
-    check_body(options.rom, robots)
+    note_firmware_only(options.rom, robots)
     if any(robot.mode == SELF_TEST_MODE for robot in robots):
         notify("mode 7: the self-test has run at power-up; hosts that send restart get its report")
     if logging.log is not None:
@@ -162,7 +162,7 @@ def _open(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
     return twin
 
 
-def _open_log(
+def _open_from_log(
     path: Path,
     start_ns: int | None,
     seed: int | None,
@@ -195,14 +195,14 @@ def _parse_log_time(text: str) -> tuple[Path, int | None]:
 def _serve_twin(
     open_twin: "Callable[[], Twin]",
     name: str,
-    factor: float,
+    speed_factor: float,
     endpoint: EndpointOptions,
     logging: LogOptions,
     live_view: LiveViewOptions,
     viewer: bool,
 ) -> None:
-    """Serve a twin at `factor` simulated seconds per real second."""
-    from khep_twin.ports.serve import MANY_ROBOTS, WIRE
+    """Serve a twin at `speed_factor` simulated seconds per real second."""
+    from khep_twin.ports.serve import MANY_ROBOTS, WIRE_SPEED
     from khep_twin.ports.serve import serve as serve_twin
 
     with (
@@ -211,15 +211,15 @@ def _serve_twin(
         endpoint.open({robot.index: robot.firmware.baud for robot in twin.robots}) as ports,
         ExitStack() as stack,
     ):
-        print_kept(twin.recorder)
+        print_kept_log(twin.recorder)
         remote = endpoint.allow_remote
         live_view.open_viewers(stack, name, viewer=viewer, real_time=False, allow_remote=remote)(twin)
-        if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY_ROBOTS:
+        if speed_factor > 1 or speed_factor == WIRE_SPEED or len(twin.world.robots) >= MANY_ROBOTS:
             # Load compiled code before the first host opens, as that takes half a second.
             twin.world.code.switch_if_ready()
         with endpoint.announce(ports, f"twin in {name}"):
-            pacer = serve_twin(twin, ports, factor, stop=stop, notify=notify)
-        dropped = sum(port.dropped for port in ports)
+            pacer = serve_twin(twin, ports, speed_factor, stop=stop, notify=notify)
+        dropped_bytes = sum(port.dropped for port in ports)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
-    print_end(twin.world.time_ns, dropped, logging, twin.recorder)
+    print_end(twin.world.time_ns, dropped_bytes, logging, twin.recorder)

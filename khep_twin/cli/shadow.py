@@ -12,7 +12,7 @@ import typer
 
 from khep_twin.cli.completion import logs, ports
 from khep_twin.cli.endpoints import EndpointOptions, line_baud, relay_robot
-from khep_twin.cli.option_groups import LogOptions, grouped, option_names
+from khep_twin.cli.option_groups import LogOptions, expand_groups, option_names
 from khep_twin.cli.options import check_inputs, check_new, check_writable, notify, refuse, running_mode, usage
 from khep_twin.cli.playpen import PlaypenName
 from khep_twin.cli.progress import progress as progress_bar
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 _MAX_DELAY_S = 2.0
 """Delay of the estimate above which it is reported (assumed) [s]."""
 
-_NICE = 5
+_NICENESS_STEPS = 5
 """Increment of the niceness of a shadow beside a relay (assumed)."""
 
 _ROBOT_OPTIONS = option_names(EndpointOptions) | {"mode", "poll", "view", "web", "log", "ignore_log_errors"}
 """Options of a robot at --relay that do not apply to a log, by their parameters' names."""
 
 
-@grouped
+@expand_groups
 def shadow(
     context: typer.Context,
     *,
@@ -133,7 +133,7 @@ def _follow_log(
     with stopping() as stop, closing(ShadowRun(playpen, settings, exit_on, output, path)) as run:
         start_wall_s = time.monotonic()
         with progress_bar() as show:
-            code = run.follow(_cut_off(line.chunks, end_ns, show), stop)
+            code = run.follow(_chunks_until(line.chunks, end_ns, show), stop)
         took_s = time.monotonic() - start_wall_s
     run.print_summary(took_s)
     if code:
@@ -146,7 +146,7 @@ def _follow_line(descriptor: int, run: ShadowRun, viewer: AbstractContextManager
     from khep_twin.shadow.line_pipe import LineReceiver
 
     # The relay and the host have priority if cores are few.
-    lower_priority(by=_NICE)
+    lower_priority(by=_NICENESS_STEPS)
     with viewer, stopping(None) as stop:
         with closing(run), status_line() as status:
             os.write(descriptor, READY)
@@ -185,7 +185,7 @@ def _relay_with_shadow(
             return stop() or shadow.has_ended_on_event()
 
         try:
-            relay_robot(port, baud, endpoint, logging, shadow.listener, poll=poll, stop=has_ended)
+            relay_robot(port, baud, endpoint, logging, shadow.make_listener, poll=poll, stop=has_ended)
         except Exception:
             shadow.finish()
             raise
@@ -194,10 +194,10 @@ def _relay_with_shadow(
         raise typer.Exit(code)
 
 
-def _cut_off(
+def _chunks_until(
     chunks: "Sequence[LineChunk]", end_ns: int, progress: Callable[[float], None] | None
 ) -> "Iterator[LineChunk]":
-    """Yield recorded bytes up to a time, and an empty chunk at that time."""
+    """Yield recorded bytes up to a time, and a chunk without bytes at that time."""
     from khep_twin.shadow.recording import LineChunk
 
     for chunk in chunks:
@@ -206,4 +206,4 @@ def _cut_off(
         yield chunk
         if progress is not None:
             progress(chunk.time_ns / max(end_ns, 1))
-    yield LineChunk(end_ns, True, b"")
+    yield LineChunk(end_ns, to_robot=True, data=b"")

@@ -13,7 +13,7 @@ from khep_twin.cli.options import notify
 from khep_twin.cli.shadow_run import EXIT_CODES
 from khep_twin.errors import KhepTwinError
 from khep_twin.shadow.line_pipe import LineSender
-from khep_twin.signals import clear_at_end, undisturbed
+from khep_twin.signals import block_signals, register_cleanup
 
 READY = b"\n"
 """Byte by which a shadow reports that it is ready."""
@@ -30,21 +30,21 @@ class ShadowProcess:
 
     Args:
         process: Process.
-        line: Socket to the process, for the bytes on the line and the exit code.
+        connection: Socket to the process, for the bytes on the line and the exit code.
 
     Attributes:
         code: Exit code of the process; None until it is known.
     """
 
-    def __init__(self, process: "subprocess.Popen[bytes]", line: socket.socket) -> None:
+    def __init__(self, process: "subprocess.Popen[bytes]", connection: socket.socket) -> None:
         self._process = process
-        self._line = line
+        self._connection = connection
         self._sender: LineSender | None = None
         self.code: int | None = None
 
-    def listener(self, now: Callable[[], int]) -> LineSender:
+    def make_listener(self, clock: Callable[[], int]) -> LineSender:
         """Return a listener that sends a line to the shadow, with times of this clock [ns]."""
-        self._sender = LineSender(self._line.fileno(), now)
+        self._sender = LineSender(self._connection.fileno(), clock)
         return self._sender
 
     def has_ended_on_event(self) -> bool:
@@ -60,15 +60,15 @@ class ShadowProcess:
         if self._sender is not None:
             self._sender.close()
         if self.code is None:
-            self._line.shutdown(socket.SHUT_WR)
+            self._connection.shutdown(socket.SHUT_WR)
             self.code = self._read_code()
         return self.code
 
     def _read_code(self) -> int:
         """Wait for the exit code, but not for the process's cleanup."""
-        self._line.setblocking(True)
+        self._connection.setblocking(True)
         try:
-            code_byte = self._line.recv(1)
+            code_byte = self._connection.recv(1)
         except ConnectionResetError:
             code_byte = b""
         return code_byte[0] if code_byte else self._process.wait() or 1
@@ -84,19 +84,19 @@ def run_shadow(args: Sequence[str], stop: Callable[[], bool]) -> Generator[Shado
     """
     if sys.platform == "win32":
         raise KhepTwinError("a shadow beside a relay needs Unix; expected a log of the line")
-    parent, child = socket.socketpair()
-    command = [sys.executable, "-m", "khep_twin", "shadow", *args, "--line-fd", str(child.fileno())]
-    with undisturbed():
+    parent_socket, child_socket = socket.socketpair()
+    command = [sys.executable, "-m", "khep_twin", "shadow", *args, "--line-fd", str(child_socket.fileno())]
+    with block_signals():
         # Only the relay receives Ctrl-C; the shadow ends with its line, and completes its log.
-        process = subprocess.Popen(command, pass_fds=[child.fileno()], start_new_session=True)
-        unregister = clear_at_end(lambda: _terminate(process))
-        child.close()
-    shadow = ShadowProcess(process, parent)
-    with parent:
+        process = subprocess.Popen(command, pass_fds=[child_socket.fileno()], start_new_session=True)
+        unregister = register_cleanup(lambda: _terminate(process))
+        child_socket.close()
+    shadow = ShadowProcess(process, parent_socket)
+    with parent_socket:
         try:
-            while not select([parent], [], [], _POLL_S)[0] and not stop():
+            while not select([parent_socket], [], [], _POLL_S)[0] and not stop():
                 pass
-            if not stop() and parent.recv(1) != READY:
+            if not stop() and parent_socket.recv(1) != READY:
                 raise typer.Exit(process.wait() or 1)
             yield shadow
         finally:
@@ -106,10 +106,11 @@ def run_shadow(args: Sequence[str], stop: Callable[[], bool]) -> Generator[Shado
 
 
 def _terminate(process: "subprocess.Popen[bytes]") -> None:
-    for end in (process.terminate, process.kill):
+    """End a process by SIGTERM or, if it continues, by SIGKILL."""
+    for send_signal in (process.terminate, process.kill):
         with suppress(ProcessLookupError):
             if process.poll() is None:
-                end()
+                send_signal()
         with suppress(subprocess.TimeoutExpired):
             process.wait(timeout=_TERMINATION_S)
             return

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli.options import notify, print_files, print_kept, usage
+from khep_twin.cli.options import notify, print_files, print_kept_log, usage
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PlaypenError
 
@@ -34,17 +34,18 @@ class ExitOn(StrEnum):
 EXIT_CODES = {ExitOn.ALARM: 4, ExitOn.LOST: 5}
 """Exit codes of the events; 3 stands for a failed log, or a run that differs."""
 
-_TWO_SIDED = 1.96
+_HALF_WIDTH_95 = 1.96
 """Half width of a 95 % interval [standard deviations]."""
 
 _LEARNED_INTERVAL_NS = 10 * NS_PER_S
 """Interval between two records of learned values in the log [ns]."""
 
 _WARM_UP_EXCHANGES = (b"D,1,1\n", b"d\r\n"), (b"N\n", b"n,0,0,0,0,0,0,0,0\r\n"), (b"H\n", b"h,0,0\r\n")
+"""Requests and replies that load the compiled code."""
 
 _NUMBER = r"-?\d{1,6}(?:\.\d{1,6})?"
 _POSE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER})")
-_WITHIN = re.compile(r"(\d{1,4}(?:\.\d{1,6})?),(\d{1,3}(?:\.\d{1,6})?)")
+_DEVIATIONS = re.compile(r"(\d{1,4}(?:\.\d{1,6})?),(\d{1,3}(?:\.\d{1,6})?)")
 
 
 class ShadowRun:
@@ -85,8 +86,8 @@ class ShadowRun:
         self._playpen = playpen
         self._show_update: Callable[[Update], None] | None = None
         self._output = output
-        self._learned_ns = 0
-        print_kept(self._log)
+        self._learned_logged_ns = 0
+        print_kept_log(self._log)
 
     def follow(
         self,
@@ -104,7 +105,7 @@ class ShadowRun:
         for chunk in chunks:
             for update in self._follower.feed(chunk):
                 if self._log is not None:
-                    self._write(self._log, update)
+                    self._write_log(self._log, update)
                 if self._show_update is not None:
                     self._show_update(update)
                 events = {ExitOn.ALARM} if update.alarms else set[ExitOn]()
@@ -116,7 +117,7 @@ class ShadowRun:
                 for event in sorted(events.intersection(self._exit_on)):
                     return EXIT_CODES[event]
                 if show is not None:
-                    show(_status(update))
+                    show(_status_text(update))
             if stop():
                 return 130
         return 0
@@ -136,30 +137,30 @@ class ShadowRun:
             self._log.write_learned(self._shadow.learned)
             self._log.close()
 
-    def print_summary(self, took_s: float | None = None) -> None:
+    def print_summary(self, duration_s: float | None = None) -> None:
         """Print the robot's pose, the learned values, the speed of the run, and the log's path.
 
         Args:
-            took_s: Duration of the run [s]; None if it followed the robot live.
+            duration_s: Duration of the run [s]; None if it followed the robot live.
         """
-        last = self._follower.last
+        last = self._follower.last_update
         if last is None:
             typer.echo("khep-twin: no reply with values was heard; expected replies to N or H", err=True)
         else:
             for line in self._summary(last):
                 typer.echo(line)
-            took = "" if took_s is None else f" in {took_s:.1f} s"
+            duration_text = "" if duration_s is None else f" in {duration_s:.1f} s"
             seconds, replies = last.time_ns / NS_PER_S, self._follower.replies
-            typer.echo(f"{seconds:.1f} s followed{took}, {replies} replies", err=True)
+            typer.echo(f"{seconds:.1f} s followed{duration_text}, {replies} replies", err=True)
             if math.isnan(last.measured[0]):
                 notify("no reply to N was heard; expected some: the pose is by commands and counters alone")
         if self._output is not None:
             print_files("log", [self._output], width=9, err=True)
 
-    def _write(self, log: "ShadowLog", update: "Update") -> None:
+    def _write_log(self, log: "ShadowLog", update: "Update") -> None:
         log.write(update)
-        if update.time_ns - self._learned_ns >= _LEARNED_INTERVAL_NS:
-            self._learned_ns = update.time_ns
+        if update.time_ns - self._learned_logged_ns >= _LEARNED_INTERVAL_NS:
+            self._learned_logged_ns = update.time_ns
             log.write_learned(self._shadow.learned)
 
     @staticmethod
@@ -176,19 +177,17 @@ class ShadowRun:
         """Yield lines about states, pose, dead reckoning and wheels, with 95 % intervals."""
         yield f"state      {last.state} at the end; {self._follower.states}"
         (x, y, heading), covariance = last.estimate.pose, last.estimate.covariance
-        dx, dy, turn = (_TWO_SIDED * math.sqrt(covariance[i, i]) for i in range(3))
+        dx, dy, turn_deviation = (_HALF_WIDTH_95 * math.sqrt(covariance[i, i]) for i in range(3))
         yield (
             f"pose       {x * 1e3:.1f} mm +- {dx * 1e3:.1f}, {y * 1e3:.1f} mm +- {dy * 1e3:.1f}, "
-            f"{math.degrees(heading):.1f} degrees +- {math.degrees(turn):.1f} (95 %)"
+            f"{math.degrees(heading):.1f} degrees +- {math.degrees(turn_deviation):.1f} (95 %)"
         )
         distance_mm = math.hypot(last.reckoned[0] - x, last.reckoned[1] - y) * 1e3
         turn_deg = math.degrees(math.remainder(last.reckoned[2] - heading, math.tau))
         yield f"reckoning  {distance_mm:.0f} mm and {turn_deg:+.1f} degrees off, by commands alone"
         learned, prior = self._shadow.learned, self._calibration.wheels
-        (radius, ratio, base), deviations = (
-            learned.wheels.tolist(),
-            (_TWO_SIDED * learned.wheel_deviations).tolist(),
-        )
+        radius, ratio, base = learned.wheels.tolist()
+        deviations = (_HALF_WIDTH_95 * learned.wheel_deviations).tolist()
         yield (
             f"wheels     radius {prior.radius_mm * radius:.3f} mm +- {prior.radius_mm * deviations[0]:.3f}, "
             f"right over left {prior.right_over_left * ratio:.4f} +- {deviations[1]:.4f}, "
@@ -196,14 +195,15 @@ class ShadowRun:
         )
 
 
-def _status(update: "Update") -> str:
+def _status_text(update: "Update") -> str:
+    """Return time, state, pose and faults as the text of a status line."""
     (x, y, heading), covariance = update.estimate.pose, update.estimate.covariance
     deviation_mm = 1e3 * math.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)
     faults = ", ".join(alarm.fault for alarm in update.alarms) or "no alarm"
     suspected = ", ".join(f"{suspect.name} {100 * suspect.probability:.0f} %" for suspect in update.suspected)
     return (
         f"{update.time_ns / NS_PER_S:.1f} s  {update.state}  {x * 1e3:.0f}, {y * 1e3:.0f} mm +- "
-        f"{_TWO_SIDED * deviation_mm:.0f}, {math.degrees(heading):.0f} degrees  {faults}"
+        f"{_HALF_WIDTH_95 * deviation_mm:.0f}, {math.degrees(heading):.0f} degrees  {faults}"
         f"{'; suspected ' if suspected else ''}{suspected}"
     )
 
@@ -269,7 +269,7 @@ class ShadowOptions:
 
         if self.start not in ("known", "unknown") and not _POSE.fullmatch(self.start):
             raise usage(f"--start {self.start}: expected known, unknown or X,Y,HEADING, such as 100,250,90")
-        if (within := _WITHIN.fullmatch(self.within)) is None:
+        if (within := _DEVIATIONS.fullmatch(self.within)) is None:
             raise usage(f"--within {self.within}: expected MM,DEG, such as 10,5")
         place_deviation, heading_deviation = float(within[1]) / 1e3, math.radians(float(within[2]))
         spread = PUBLISHED._replace(place=place_deviation, heading=heading_deviation)

@@ -1,7 +1,8 @@
 """The command line's standard streams: an error of a stream does not end a run or its log.
 
 A stream that cannot be written is reported once, in one line, and then discards its output; the command
-continues, and its exit code reports the failure. A pipe closed by its reader, as by `head`, is not reported.
+continues, and its exit code reports the failure. If the reader of a pipe closes it, as `head`
+does, no line is printed and the exit code is 141.
 The module also checks the limit of open file descriptors.
 """
 
@@ -16,7 +17,7 @@ from typing import Any
 
 from khep_twin.machine import open_files_limit
 
-LEAST_OPEN = 64
+MIN_OPEN_FILES = 64
 """Smallest limit of open files. A run has 8 open, `serve` 13, the page 11 without a browser (measured); the
 rest is for hosts, browsers and a controller's files."""
 
@@ -69,13 +70,13 @@ def guard_streams() -> None:
             os.set_inheritable(os.open(os.devnull, os.O_RDONLY), True)
     if sys.stdin is None:  # pyright: ignore[reportUnnecessaryComparison]
         sys.stdin = open(0, closefd=False)
-    sys.stdout, sys.stderr = _guard(1, sys.stdout), _guard(2, sys.stderr)
+    sys.stdout, sys.stderr = _guard_stream(1, sys.stdout), _guard_stream(2, sys.stderr)
 
 
 def check_descriptors() -> None:
     """End the process with one line if its limit of open files is too low."""
-    if (limit := open_files_limit(LEAST_OPEN)) < LEAST_OPEN:
-        message = f"{limit} files may be open at once; expected {LEAST_OPEN} or more, see ulimit -n"
+    if (limit := open_files_limit(MIN_OPEN_FILES)) < MIN_OPEN_FILES:
+        message = f"{limit} files may be open at once; expected {MIN_OPEN_FILES} or more, see ulimit -n"
         print(f"khep-twin: {message}", file=sys.stderr)
         sys.exit(1)
 
@@ -111,7 +112,8 @@ _ERROR_HANDLER = "khep_twin_as_named"
 codecs.register_error(_ERROR_HANDLER, _escape_error)
 
 
-def _guard(descriptor: int, stream: io.TextIOWrapper | Any) -> UnclosableStream:
+def _guard_stream(descriptor: int, stream: io.TextIOWrapper | Any) -> UnclosableStream:
+    """Return a guarded stream for a descriptor, with the settings of the present one."""
     raw = GuardedOutput(descriptor)
     _outputs.append(raw)
     guarded = UnclosableStream(

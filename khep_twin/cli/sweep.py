@@ -12,9 +12,9 @@ import typer
 from khep_twin.cli.completion import studies
 from khep_twin.cli.options import notify, usage
 from khep_twin.cli.progress import duration_text, progress
-from khep_twin.cli.rollout import is_compiled
+from khep_twin.cli.rollout import check_compiled
 from khep_twin.invocation import command
-from khep_twin.signals import clear_at_end
+from khep_twin.signals import register_cleanup
 
 if TYPE_CHECKING:
     from khep_twin.sweep.shards import Shard, Work
@@ -67,7 +67,7 @@ def sweep(
         from khep_twin.sweep.ray_workers import on_ray
 
         executor = on_ray(address, workers)
-    is_compiled()
+    check_compiled()
     warnings.simplefilter("ignore", SlowerWarning)  # is_compiled has reported it
 
     def on_start(work: "Work", missing: Sequence["Shard"]) -> None:
@@ -78,13 +78,13 @@ def sweep(
     def print_resume() -> None:
         notify(f"stopped; resume: {command(*_resume_command(study, ray, address, workers, output))}")
 
-    unregister = clear_at_end(print_resume)
+    unregister = register_cleanup(print_resume)
     try:
         with progress() as show:
-            lines = _ProgressLines()
+            print_progress = _ProgressLines()
 
             def show_progress(n_done: int, total: int) -> None:
-                lines(n_done, total) if show is None else show(n_done / total)
+                print_progress(n_done, total) if show is None else show(n_done / total)
 
             table = run_sweep(
                 file, output=output, resume=resume, executor=executor, begin=on_start, progress=show_progress
@@ -131,12 +131,12 @@ class _ProgressLines:
     """Progress as lines, for output without a terminal."""
 
     def __init__(self) -> None:
-        self._start = self._last = time.monotonic()
+        self._start_s = self._last_line_s = time.monotonic()
 
     def __call__(self, n_done: int, total: int) -> None:
         now = time.monotonic()
-        if now - self._last < SECONDS_BETWEEN_LINES:
+        if now - self._last_line_s < SECONDS_BETWEEN_LINES:
             return
-        self._last = now
-        time_left = duration_text((now - self._start) * (total - n_done) / n_done)
+        self._last_line_s = now
+        time_left = duration_text((now - self._start_s) * (total - n_done) / n_done)
         print(f"{n_done} of {total} episodes, {time_left} left", file=sys.stderr)

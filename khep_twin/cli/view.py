@@ -47,7 +47,7 @@ def view(
 
     The views are arena, robots from above, curves and transcript.
     """
-    _check(logs, save, png, live, web, no_browser)
+    _check_options(logs, save, png, live, web, no_browser)
     check_new(force, save, png)
     if live:
         # Hides rerun's error when the window is closed and its connection breaks; rerun reads this once.
@@ -89,12 +89,12 @@ def _note_thinning(log: Path) -> None:
         notify(f"{log}: one sample in {step_ns / NS_PER_S:.2f} s is shown, {reason}")
 
 
-def _check(
+def _check_options(
     logs: list[Path], save: Path | None, png: Path | None, live: bool, web: bool, no_browser: bool
 ) -> None:
     """Refuse incompatible options, and output files that cannot be written."""
-    modes = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
-    options = [name for name, is_set in modes.items() if is_set]
+    mode_options = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
+    options = [name for name, is_set in mode_options.items() if is_set]
     if len(options) > 1 and options != ["--web", "--live"]:
         raise usage(f"{' and '.join(options)} cannot be combined; expected one of them, or --web and --live")
     if no_browser and not web:

@@ -28,7 +28,7 @@ _Position = tuple[float, float, Literal["left", "center", "right"], Literal["top
 class _Label:
     x_mm: float
     y_mm: float
-    reach_mm: float
+    clearance_mm: float
     text: str
 
 
@@ -45,9 +45,9 @@ class Labels:
         self._ink = ink
         self._labels: list[_Label] = []
 
-    def add(self, x_mm: float, y_mm: float, reach_mm: float, text: str) -> None:
-        """Request a label beside a point, outside of a circle of `reach_mm` around it."""
-        self._labels.append(_Label(x_mm, y_mm, reach_mm, text))
+    def add(self, x_mm: float, y_mm: float, clearance_mm: float, text: str) -> None:
+        """Request a label beside a point, at least `clearance_mm` away from it."""
+        self._labels.append(_Label(x_mm, y_mm, clearance_mm, text))
 
     def write(self) -> None:
         """Write all labels; later ones avoid earlier ones."""
@@ -59,13 +59,13 @@ class Labels:
         is_searched = len(self._labels) <= SEARCH_LIMIT
         occupied = np.empty((0, 4))
         for label in self._labels:
-            text = self._text(label)
+            text = self._draw_below(label)
             if not is_searched:
                 continue
             best_position, least_overlap = None, np.inf
-            for position in _positions(label, self._height_mm(text.get_window_extent(renderer))):
+            for position in _positions(label, self._to_height_mm(text.get_window_extent(renderer))):
                 _set_position(text, position)
-                overlap = _covered(np.array(text.get_window_extent(renderer).extents), occupied, limits)
+                overlap = _overlap(np.array(text.get_window_extent(renderer).extents), occupied, limits)
                 if overlap < least_overlap:
                     best_position, least_overlap = position, overlap
                 if overlap == 0:
@@ -74,10 +74,10 @@ class Labels:
                 _set_position(text, best_position)
             occupied = np.vstack((occupied, text.get_window_extent(renderer).extents))
 
-    def _text(self, label: _Label) -> Text:
+    def _draw_below(self, label: _Label) -> Text:
         # A pale outline keeps the text legible on top of other objects.
-        rim = withStroke(linewidth=2.2, foreground=(1, 1, 1, 0.8))
-        at = label.x_mm, label.y_mm - label.reach_mm
+        outline = withStroke(linewidth=2.2, foreground=(1, 1, 1, 0.8))
+        at = label.x_mm, label.y_mm - label.clearance_mm
         return self._axes.text(
             *at,
             label.text,
@@ -86,24 +86,24 @@ class Labels:
             fontsize=7.5,
             color=self._ink,
             zorder=8,
-            path_effects=[rim],
+            path_effects=[outline],
         )
 
-    def _height_mm(self, box: Bbox) -> float:
+    def _to_height_mm(self, box: Bbox) -> float:
         (_, low), (_, high) = self._axes.transData.inverted().transform([(0, box.y0), (0, box.y1)])
         return float(high - low)
 
 
 def _positions(label: _Label, line_mm: float) -> Iterator[_Position]:
     """Yield positions and alignments of a label, best first: below, above, right, left, then farther away."""
-    x, y, reach = label.x_mm, label.y_mm, label.reach_mm
+    x, y, clearance = label.x_mm, label.y_mm, label.clearance_mm
     for line in range(_LINES):
-        away = 1.1 * line * line_mm
-        yield x, y - reach - away, "center", "top"
-        yield x, y + reach + away, "center", "bottom"
-        for shift in {away: None, -away: None}:
-            yield x + reach, y + shift, "left", "center"
-            yield x - reach, y + shift, "right", "center"
+        extra = 1.1 * line * line_mm
+        yield x, y - clearance - extra, "center", "top"
+        yield x, y + clearance + extra, "center", "bottom"
+        for shift in {extra: None, -extra: None}:
+            yield x + clearance, y + shift, "left", "center"
+            yield x - clearance, y + shift, "right", "center"
 
 
 def _set_position(text: Text, position: _Position) -> None:
@@ -112,7 +112,7 @@ def _set_position(text: Text, position: _Position) -> None:
     text.set_verticalalignment(position[3])
 
 
-def _covered(box: NDArray[np.float64], occupied: NDArray[np.float64], limits: NDArray[np.float64]) -> float:
+def _overlap(box: NDArray[np.float64], occupied: NDArray[np.float64], limits: NDArray[np.float64]) -> float:
     """Return the area of a box (x0, y0, x1, y1) that overlaps boxes (n, 4) or is outside of `limits`."""
     shared = np.minimum(box[2:], occupied[:, 2:]) - np.maximum(box[:2], occupied[:, :2])
     inside = np.minimum(box[2:], limits[2:]) - np.maximum(box[:2], limits[:2])

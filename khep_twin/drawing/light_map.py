@@ -40,19 +40,19 @@ def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
 
 
 def _shadow(lamp: Lamp, shape: Footprint, height_mm: float, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:
-    """Return which points are in the shadow of an object."""
+    """Return which points are in the shadow of an object with this footprint and height."""
     to_x, to_y = lamp.x_mm - x_mm, lamp.y_mm - y_mm
     # The segment from the point (0) to the bulb's centre (1) crosses the object's footprint from `entry` to
     # `leave`; it ends at the bulb's glass.
-    entry, leave = _crossing(shape, x_mm, y_mm, to_x, to_y)
+    entry, leave = _crossing_fractions(shape, x_mm, y_mm, to_x, to_y)
     glass = 1 - BULB_RADIUS_MM / np.maximum(np.hypot(to_x, to_y), BULB_RADIUS_MM)
     entry, leave = np.maximum(entry, 0), np.minimum(leave, glass)
-    rise = lamp.z_mm - _HEIGHT_MM
-    lowest_mm = _HEIGHT_MM + rise * (entry if rise > 0 else leave)
+    rise_mm = lamp.z_mm - _HEIGHT_MM
+    lowest_mm = _HEIGHT_MM + rise_mm * (entry if rise_mm > 0 else leave)
     return (entry < leave) & (lowest_mm < height_mm)
 
 
-def _crossing(
+def _crossing_fractions(
     footprint: Footprint, x_mm: Floats, y_mm: Floats, to_x: Floats, to_y: Floats
 ) -> tuple[Floats, Floats]:
     """Return where rays from points along vectors enter and leave a footprint, in lengths of the vector."""
@@ -60,9 +60,9 @@ def _crossing(
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(footprint, Circle):
             square = to_x**2 + to_y**2
-            nearest = -(x * to_x + y * to_y) / square
-            half = np.sqrt((footprint.radius_mm**2 - x**2 - y**2) / square + nearest**2)
-            return nearest - half, nearest + half
+            middle = -(x * to_x + y * to_y) / square
+            half = np.sqrt((footprint.radius_mm**2 - x**2 - y**2) / square + middle**2)
+            return middle - half, middle + half
         entries: list[Floats] = []
         leaves: list[Floats] = []
         for (axis_x, axis_y), size_mm in zip(

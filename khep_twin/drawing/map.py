@@ -92,11 +92,7 @@ _COLOURS = (
 
 
 def draw(
-    playpen: PlaypenLike,
-    paths: Paths = (),
-    *,
-    title: str | None = None,
-    longer_side: float = LONGER_SIDE,
+    playpen: PlaypenLike, paths: Paths = (), *, title: str | None = None, longer_side: float = LONGER_SIDE
 ) -> Figure:
     """Draw a playpen at its start, and the paths of robots.
 
@@ -112,11 +108,11 @@ def draw(
         ValueError: An array has another shape, or is not in metres.
     """
     playpen, tracks = Playpen.load(playpen), drawn_paths(paths)
-    colours, norm = _colours(tracks), _scale(tracks)
+    colours, time_scale = _colours_by_name(tracks), _time_scale(tracks)
     with matplotlib.style.context(STYLE):
-        legend = list(_legend_entries(playpen, colours, bool(tracks)))
-        has_scale = norm is not None and not colours
-        figure, axes, columns = _sheet(playpen, longer_side, scale=has_scale, entries=len(legend))
+        legend = list(_legend(playpen, colours, bool(tracks)))
+        has_scale = time_scale is not None and not colours
+        figure, axes, columns = _make_axes(playpen, longer_side, has_scale=has_scale, n_entries=len(legend))
         labels = Labels(axes, INK)
         axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
         limits = axes.axis()
@@ -138,13 +134,14 @@ def draw(
         draw_lamps(axes, labels, playpen)
         radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
         for index, track in enumerate(tracks):
-            ink = colours.get(track.robot, None if norm is not None else _COLOURS[index % len(_COLOURS)])
-            _draw_path(axes, track, 1000 * radii.get(track.robot, BODY_RADIUS), ink, norm)
+            default = None if time_scale is not None else _COLOURS[index % len(_COLOURS)]
+            colour = colours.get(track.robot, default)
+            _draw_path(axes, track, 1000 * radii.get(track.robot, BODY_RADIUS), colour, time_scale)
             if len(tracks) > 1 and track.robot and not colours:
                 x_mm, y_mm = track.xy_mm[-1].tolist()
                 labels.add(x_mm, y_mm, 1000 * radii.get(track.robot, BODY_RADIUS) + 4, track.robot)
-        if has_scale and norm is not None:
-            _draw_scale(figure, axes, norm)
+        if has_scale and time_scale is not None:
+            _draw_time_scale(figure, axes, time_scale)
         axes.axis(limits)
         labels.write()
         if len(legend) > 1:
@@ -197,20 +194,22 @@ def blank_figure(width: float, height: float, layout: Literal["constrained"] | N
     return figure
 
 
-def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -> tuple[Figure, Axes, int]:
-    """Return a figure, its axes in mm with margins, and the number of columns of its legend."""
+def _make_axes(
+    playpen: Playpen, longer_side: float, *, has_scale: bool, n_entries: int
+) -> tuple[Figure, Axes, int]:
+    """Return a figure, its axes in mm with margins, and the columns of its legend of `n_entries`."""
     arena = playpen.arena
-    rim_mm = arena.wall_thickness_mm + 2
-    width_mm, height_mm = arena.width_mm + 2 * rim_mm, arena.height_mm + 2 * rim_mm
+    margin_mm = arena.wall_thickness_mm + 2
+    width_mm, height_mm = arena.width_mm + 2 * margin_mm, arena.height_mm + 2 * margin_mm
     inch_per_mm = longer_side / max(width_mm, height_mm)
     width, height = max(width_mm * inch_per_mm, 2.5), max(height_mm * inch_per_mm, 1.0)
-    left, right, top = 0.65, 0.95 if scale else 0.2, 0.42
-    columns = max(min(entries, int((left + width + right) / _ENTRY)), 1)
-    bottom = 0.65 + 0.2 * -(-entries // columns) if entries > 1 else 0.55
+    left, right, top = 0.65, 0.95 if has_scale else 0.2, 0.42
+    columns = max(min(n_entries, int((left + width + right) / _ENTRY)), 1)
+    bottom = 0.65 + 0.2 * -(-n_entries // columns) if n_entries > 1 else 0.55
     size = left + width + right, bottom + height + top
     figure = blank_figure(*size)
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
-    axes.set(xlim=(-rim_mm, arena.width_mm + rim_mm), ylim=(-rim_mm, arena.height_mm + rim_mm))
+    axes.set(xlim=(-margin_mm, arena.width_mm + margin_mm), ylim=(-margin_mm, arena.height_mm + margin_mm))
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     axes.spines[:].set_visible(False)
     for axis, inches in ((axes.xaxis, width), (axes.yaxis, height)):
@@ -220,13 +219,13 @@ def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -
     return figure, axes, columns
 
 
-def _colours(tracks: Sequence[DrawnPath]) -> dict[str, str]:
+def _colours_by_name(tracks: Sequence[DrawnPath]) -> dict[str, str]:
     """Return the colour of each name; empty for one name, or for too many."""
     names = dict.fromkeys(track.robot for track in tracks)
     return dict(zip(names, _COLOURS, strict=False)) if 1 < len(names) <= len(_COLOURS) else {}
 
 
-def _scale(tracks: Sequence[DrawnPath]) -> Normalize | None:
+def _time_scale(tracks: Sequence[DrawnPath]) -> Normalize | None:
     """Return the time scale of all paths; None if the times of one are unknown."""
     times = [track.time_s for track in tracks if track.time_s is not None]
     if not tracks or len(times) < len(tracks):
@@ -236,14 +235,14 @@ def _scale(tracks: Sequence[DrawnPath]) -> Normalize | None:
 
 
 def _draw_path(
-    axes: Axes, track: DrawnPath, radius_mm: float, colour: str | None, norm: Normalize | None
+    axes: Axes, track: DrawnPath, radius_mm: float, colour: str | None, time_scale: Normalize | None
 ) -> None:
     """Draw a path in a colour, or if None by time, with its start, its end, and the robot's outline there."""
     subset = slice(None, None, -(-len(track.xy_mm) // POINT_LIMIT))
     points = track.xy_mm[subset]
     segments = list(np.stack((points[:-1], points[1:]), axis=1))
     if colour is None and track.time_s is not None:
-        lines = LineCollection(segments, cmap=_time_colours(), norm=norm, lw=1.4, zorder=4)
+        lines = LineCollection(segments, cmap=_time_colours(), norm=time_scale, lw=1.4, zorder=4)
         lines.set_array(track.time_s[subset][:-1])
     else:
         lines = LineCollection(segments, colors=colour, lw=1.4, zorder=4)
@@ -263,16 +262,16 @@ def _time_colours() -> Colormap:
     return LinearSegmentedColormap.from_list("time", list(plasma(np.linspace(0, 0.8, 64))))
 
 
-def _draw_scale(figure: Figure, axes: Axes, norm: Normalize) -> None:
+def _draw_time_scale(figure: Figure, axes: Axes, time_scale: Normalize) -> None:
     """Draw the time scale beside the playpen."""
     box, width = axes.get_position(), figure.get_figwidth()
     bar_axes = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
-    scale = figure.colorbar(ScalarMappable(norm, _time_colours()), cax=bar_axes)
+    scale = figure.colorbar(ScalarMappable(time_scale, _time_colours()), cax=bar_axes)
     scale.set_label("time [s]")
     bar_axes.spines[:].set_visible(False)
 
 
-def _legend_entries(playpen: Playpen, colours: Mapping[str, str], paths: bool) -> Iterator[Line2D | Patch]:
+def _legend(playpen: Playpen, colours: Mapping[str, str], has_paths: bool) -> Iterator[Line2D | Patch]:
     objects = list(chain(*playpen.objects.values()))
     painted = (*objects, *playpen.walls, *playpen.patches)
     striped = (playpen.arena, *objects, *playpen.walls)
@@ -292,6 +291,6 @@ def _legend_entries(playpen: Playpen, colours: Mapping[str, str], paths: bool) -
         yield Line2D([], [], label=f"one lamp on, {order}", **look)
     for name, colour in colours.items():
         yield Line2D([], [], label=name, color=colour, lw=1.4)
-    if paths:
+    if has_paths:
         yield Line2D([], [], label="start", ls="", **_START_MARKER)
         yield Line2D([], [], label="end", ls="", **_END_MARKER)

@@ -1,7 +1,7 @@
 """Maps of one playpen over time: static parts are drawn once, robots and movable objects per picture.
 
-film = MovingMap(Playpen.load("obstacles"))
-picture = film.picture([(0.1, 0.1, 0.0)], [])  # poses [m, rad]
+moving_map = MovingMap(Playpen.load("obstacles"))
+picture = moving_map.picture([(0.1, 0.1, 0.0)], [])  # poses [m, rad]
 """
 
 # The annotations of matplotlib leave keyword arguments untyped.
@@ -43,7 +43,8 @@ class MovingMap:
         self._canvas = FigureCanvasAgg(figure)
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
-        self._foreground = [part for part in self._axes.get_children() if part.get_zorder() >= _ABOVE_ROBOTS]
+        artists = self._axes.get_children()
+        self._foreground = [artist for artist in artists if artist.get_zorder() >= _ABOVE_ROBOTS]
         origin = {"x_mm": 0.0, "y_mm": 0.0}
         self._moving_artists = [
             [draw_object(self._axes, playpen, item.model_copy(update=origin | {"angle_deg": 0.0}))]
@@ -67,16 +68,16 @@ class MovingMap:
             objects: Poses of the movable objects, in the order of `Playpen.objects`.
         """
         self._canvas.restore_region(self._background)
-        for parts, (x, y, heading) in zip(self._moving_artists, (*objects, *robots), strict=True):
+        for artists, (x, y, heading) in zip(self._moving_artists, (*objects, *robots), strict=True):
             transform = Affine2D().rotate(heading).translate(1000 * x, 1000 * y) + self._axes.transData
-            for part in parts:
-                part.set_transform(transform)
-                self._axes.draw_artist(part)
+            for artist in artists:
+                artist.set_transform(transform)
+                self._axes.draw_artist(artist)
         for label, offset_mm, (x, y, _) in zip(self._labels, self._label_offsets_mm, robots, strict=False):
             label.set_position((1000 * x, 1000 * y - offset_mm))
             self._axes.draw_artist(label)
-        for part in self._foreground:
-            self._axes.draw_artist(part)
+        for artist in self._foreground:
+            self._axes.draw_artist(artist)
         pixels = np.asarray(self._canvas.buffer_rgba())[..., :3]
         # Many players cannot show videos with an odd number of rows or columns.
         height, width = (size // 2 * 2 for size in pixels.shape[:2])

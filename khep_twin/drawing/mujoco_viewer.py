@@ -82,14 +82,14 @@ class MujocoViewer(Observer):
         if self._handle is None or not self._handle.is_running():
             return
         if time.monotonic_ns() - self._last_frame_ns >= FRAME_NS:
-            self._show(world)
+            self._draw_frame(world)
         while self._real_time and self._handle.is_running():
             early_ns = world.time_ns - self._offset_ns - time.monotonic_ns()
             if early_ns <= 0:
                 break
             time.sleep(min(early_ns / NS_PER_S, _MAX_SLEEP_S))
 
-    def _show(self, world: World) -> None:
+    def _draw_frame(self, world: World) -> None:
         assert self._model is not None
         assert self._data is not None
         with self._handle.lock():

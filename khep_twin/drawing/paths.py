@@ -54,7 +54,7 @@ def drawn_paths(paths: Paths) -> list[DrawnPath]:
     drawn: list[DrawnPath] = []
     if isinstance(paths, Mapping):
         for name, positions in cast(Mapping[str, Positions], paths).items():
-            drawn += _named(name, positions)
+            drawn += _split_paths(name, positions)
     else:
         value = cast(Any, paths)
         try:
@@ -63,11 +63,11 @@ def drawn_paths(paths: Paths) -> list[DrawnPath]:
             expected = "expected arrays of positions [m], or DrawnPaths"
             raise ValueError(f"paths: {type(value).__name__}; {expected}") from None
         for item in items:
-            drawn += [item] if isinstance(item, DrawnPath) else _named("", item)
+            drawn += [item] if isinstance(item, DrawnPath) else _split_paths("", item)
     return [path for path in drawn if len(path.xy_mm)]
 
 
-def _named(name: str, positions: Positions) -> Iterator[DrawnPath]:
+def _split_paths(name: str, positions: Positions) -> Iterator[DrawnPath]:
     """Yield the paths of an array of positions."""
     try:
         array = np.asarray(positions, np.float64)

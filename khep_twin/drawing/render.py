@@ -51,10 +51,10 @@ def render(playpen: Playpen, target: Path) -> bytes:
     text = dump(playpen).encode("utf-8")
     reasons: list[str] = []
     for library in _libraries():
-        setting = {**os.environ, "MUJOCO_GL": library}
+        environment = {**os.environ, "MUJOCO_GL": library}
         try:
             process = subprocess.run(
-                command, input=text, env=setting, capture_output=True, timeout=TIMEOUT_S, check=False
+                command, input=text, env=environment, capture_output=True, timeout=TIMEOUT_S, check=False
             )
         except subprocess.TimeoutExpired:
             raise KhepTwinError(f"{target}: the picture took longer than {TIMEOUT_S:g} s") from None
@@ -75,7 +75,7 @@ def render(playpen: Playpen, target: Path) -> bytes:
 def main() -> int:
     """Write a picture of the playpen on standard input to standard output; return the exit status."""
     try:
-        picture = _rendered(parse(sys.stdin.buffer.read().decode("utf-8"), "standard input"))
+        picture = _render_pixels(parse(sys.stdin.buffer.read().decode("utf-8"), "standard input"))
     except Exception as error:
         message = str(error) if isinstance(error, KhepTwinError) else f"{type(error).__name__}: {error}"
         print(message, file=sys.stderr)
@@ -95,10 +95,10 @@ def _libraries() -> list[str]:
     return ["glfw"] if os.environ.get("DISPLAY") or sys.platform != "linux" else ["egl", "osmesa"]
 
 
-def _rendered(playpen: Playpen) -> NDArray[np.uint8] | str:
+def _render_pixels(playpen: Playpen) -> NDArray[np.uint8] | str:
     """Return the pixels, or the name of the error if the library cannot render here."""
     spec = to_spec(playpen)
-    _decorate(spec)
+    _add_background(spec)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -119,7 +119,7 @@ def _rendered(playpen: Playpen) -> NDArray[np.uint8] | str:
         return renderer.render()
 
 
-def _decorate(spec: mujoco.MjSpec) -> None:
+def _add_background(spec: mujoco.MjSpec) -> None:
     """Add a sky, a floor with lines every 100 mm, and a light from the side for shadows to a scene.
 
     The sum of the lights stays below full brightness, so that white objects differ from the floor, and their

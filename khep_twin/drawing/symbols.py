@@ -99,7 +99,7 @@ def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> Patch:
     look = surface_look(playpen, item.surface, item.movable)
     if isinstance(item, Block) and item.ramp:
         along = 0.35 * item.length_mm * np.array([np.cos(turn := np.radians(item.angle_deg)), np.sin(turn)])
-        foot, top = (tuple(np.array((item.x_mm, item.y_mm)) + way) for way in (-along, along))
+        foot, top = (tuple(np.array((item.x_mm, item.y_mm)) + offset) for offset in (-along, along))
         arrow = FancyArrowPatch(foot, top, arrowstyle="-|>", mutation_scale=14, lw=1.2, color=INK, zorder=3.1)
         axes.add_patch(arrow)
     return _draw_shape(axes, item.footprint, zorder=3, **look)
@@ -194,12 +194,12 @@ def draw_lamps(axes: Axes, labels: Labels, playpen: Playpen) -> None:
 def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
     """Draw a bulb: filled and with rays if it is on, otherwise empty and dotted."""
     x, y, radius = lamp.x_mm, lamp.y_mm, BULB_RADIUS_MM
-    colour = tuple(part / 255 for part in lamp.rgb) if on else "white"
+    colour = tuple(channel / 255 for channel in lamp.rgb) if on else "white"
     bulb = Circle((x, y), radius, facecolor=colour, edgecolor=FILAMENT, lw=0.9, ls="-" if on else ":")
     axes.add_patch(bulb).set_zorder(6)
     for angle in np.radians(np.arange(0, 360, 45)) if on else ():
-        along = np.array((1.35, 1.8)) * radius
-        ray = Line2D(x + along * np.cos(angle), y + along * np.sin(angle), color=FILAMENT, lw=0.9, zorder=6)
+        radii = np.array((1.35, 1.8)) * radius
+        ray = Line2D(x + radii * np.cos(angle), y + radii * np.sin(angle), color=FILAMENT, lw=0.9, zorder=6)
         axes.add_line(ray)
 
 
@@ -210,7 +210,7 @@ def draw_robot(axes: Axes, robot: RobotEntry) -> list[Patch]:
     centre = np.array((robot.x_mm, robot.y_mm))
     forward = np.array((np.cos(heading), np.sin(heading)))
     left = np.array((-forward[1], forward[0]))
-    parts: list[Patch] = [
+    patches: list[Patch] = [
         Circle((robot.x_mm, robot.y_mm), radius, facecolor=_BOARD, edgecolor=INK, lw=0.9, zorder=5)
     ]
     body = robot.body
@@ -218,13 +218,13 @@ def draw_robot(axes: Axes, robot: RobotEntry) -> list[Patch]:
         [(a * body.wheel_radius, b * body.wheel_width / 2) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     )
     for side in (1, -1):
-        offset = centre + side * 500 * body.wheel_base * left
-        parts.append(Polygon(offset + tyre @ np.array((forward, left)), facecolor=INK, zorder=5))
+        wheel_centre = centre + side * 500 * body.wheel_base * left
+        patches.append(Polygon(wheel_centre + tyre @ np.array((forward, left)), facecolor=INK, zorder=5))
     wedge = radius * np.array(((0.88, 0.0), (0.42, 0.34), (0.42, -0.34)))
-    parts.append(Polygon(centre + wedge @ np.array((forward, left)), facecolor="white", zorder=6))
-    for part in parts:
-        axes.add_patch(part)
-    return parts
+    patches.append(Polygon(centre + wedge @ np.array((forward, left)), facecolor="white", zorder=6))
+    for patch in patches:
+        axes.add_patch(patch)
+    return patches
 
 
 def surface_look(playpen: Playpen, surface: str, movable: bool) -> Look:

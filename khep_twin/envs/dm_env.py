@@ -6,7 +6,7 @@
         step = environment.step([0.5, 0.4])
         print(step.observation["proximity"], step.reward, environment.physics.pose())
 
-Observations are the task's terms by name (`tasks.TERMS`). An action is the speeds of left and right wheel;
+Observations are the observation terms by name (`tasks.TERMS`). An action is the speeds of both wheels;
 1 is 20 pulses/10 ms, 160 mm/s. Both are normalized to -1 to 1, or in the robot's units with
 `normalize=False`. One step is one control period, 50 ms by default. An episode ends with discount 1 at its
 time limit, with 0 when the charge has run out.
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
 from khep_twin.copies import CopiedByArguments, NotCopied
-from khep_twin.envs.reset_options import checked_seed
+from khep_twin.envs.reset_options import validate_seed
 from khep_twin.envs.task_episode import StepResult, TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TERMS, Task
@@ -57,7 +57,7 @@ class Physics(NotCopied, mujoco.Physics):
         episode: Simulated episode.
         outcome: Result of the last period; None at an episode's start.
         observation: Observation, all terms concatenated (n,).
-        guard: Thread guard of its methods, the episode's.
+        guard: Lock by which its methods refuse a second thread, the episode's.
     """
 
     COPY_ADVICE = "another environment with the same seed, whose episode is repeated by its actions"
@@ -270,5 +270,5 @@ def load(
             )
     task_options = {_SUITE_NAMES.get(name, name): value for name, value in (task_kwargs or {}).items()}
     arguments: dict[str, Any] = {"seed": seed, **options, **task_options, **(environment_kwargs or {})}
-    arguments["seed"] = checked_seed(0 if arguments["seed"] is None else arguments["seed"])
+    arguments["seed"] = validate_seed(0 if arguments["seed"] is None else arguments["seed"])
     return Environment(task, **arguments)

@@ -83,7 +83,7 @@ class KheperaEnvironment(CopiedByArguments, gymnasium.Env[Observation, NDArray[n
 
     Attributes:
         labels: Labels of the observation's numbers.
-        guard: Thread guard of its methods.
+        guard: Lock by which its methods refuse a second thread (`one_thread`).
     """
 
     COPIED_ATTRIBUTES = ("spec", "_np_random", "_np_random_seed")

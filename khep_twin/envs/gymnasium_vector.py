@@ -71,7 +71,7 @@ class KheperaVectorEnvironment(
 
     Attributes:
         labels: Labels of an observation's numbers.
-        guard: Thread guard of its methods.
+        guard: Lock by which its methods refuse a second thread (`one_thread`).
     """
 
     COPIED_ATTRIBUTES = ("spec", "_rngs")
@@ -92,7 +92,7 @@ class KheperaVectorEnvironment(
         self.closed = True  # nothing to close if an argument is invalid
         num_envs = check_count(num_envs, "environments")
         max_threads = n_cores() if threads is None else check_count(threads, "threads")
-        self._autoreset_mode = _checked_mode(autoreset_mode)
+        self._autoreset_mode = _parse_mode(autoreset_mode)
         playpens = cast(list[Any], list(playpen) if isinstance(playpen, list | tuple) else [playpen])
         if not playpens:
             raise KhepTwinError(
@@ -110,9 +110,9 @@ class KheperaVectorEnvironment(
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._batch = TaskBatch(setups, num_envs, min(max_threads, num_envs), device)
         self.guard = self._batch.guard
-        self._rows = np.arange(num_envs)
+        self._all_rows = np.arange(num_envs)
         self._is_over = np.zeros(num_envs, np.bool_)
-        self._needs_reset = ~self._is_over
+        self._is_unstarted = ~self._is_over
         self._rngs: list[Any] = [None] * num_envs
         self.closed = False
 
@@ -148,9 +148,9 @@ class KheperaVectorEnvironment(
         batch, mode = self._batch, self._autoreset_mode
         if np.shape(actions) != (self.num_envs, 2):
             raise ValueError(f"actions of shape {np.shape(actions)}; expected ({self.num_envs}, 2)")
-        rows, started_rows = self._rows, self._rows[:0]
-        if self._needs_reset.any():
-            unstarted = np.flatnonzero(self._needs_reset).tolist()
+        rows, started_rows = self._all_rows, self._all_rows[:0]
+        if self._is_unstarted.any():
+            unstarted = np.flatnonzero(self._is_unstarted).tolist()
             raise ValueError(f"no episode has started in environments {unstarted}; expected reset() first")
         if self._is_over.any():
             if mode is AutoresetMode.DISABLED:
@@ -167,7 +167,7 @@ class KheperaVectorEnvironment(
         self._is_over = terminated | truncated
         ended_rows = np.flatnonzero(self._is_over)
         if mode is not AutoresetMode.SAME_STEP or not len(ended_rows):
-            infos = self._infos(self._rows, rows, ended_rows, started_rows)
+            infos = self._infos(self._all_rows, rows, ended_rows, started_rows)
             return self._observations(), rewards, terminated, truncated, infos
         final_observations = np.full(self.num_envs, None, object)
         final_observations[ended_rows] = list(batch.observations[ended_rows, 0])
@@ -176,7 +176,7 @@ class KheperaVectorEnvironment(
         final_infos["_final_info"] = self._is_over.copy()
         continuing_rows = np.flatnonzero(~self._is_over)
         self._start_episodes(ended_rows)
-        infos = final_infos | self._infos(self._rows, continuing_rows, started_rows=ended_rows)
+        infos = final_infos | self._infos(self._all_rows, continuing_rows, started_rows=ended_rows)
         return self._observations(), rewards, terminated, truncated, infos
 
     @one_thread
@@ -211,7 +211,7 @@ class KheperaVectorEnvironment(
             requested_seed = options[row].seed if options else None
             episode_seeds.append(drawn_seed if requested_seed is None else requested_seed)
         self._batch.begin(rows, episode_seeds, options)
-        self._is_over[rows] = self._needs_reset[rows] = False
+        self._is_over[rows] = self._is_unstarted[rows] = False
 
     def _observations(self) -> Observation:
         """Return a copy of the observations (num_envs, n)."""
@@ -239,23 +239,23 @@ class KheperaVectorEnvironment(
         if batch.setup.details and len(stepped_rows):
             if batch.parts:
                 parts = self._add({}, {name: part[:, 0] for name, part in batch.parts.items()}, stepped_rows)
-                infos |= {"reward_parts": parts, "_reward_parts": self._mask(stepped_rows)}
+                infos |= {"reward_parts": parts, "_reward_parts": self._row_mask(stepped_rows)}
             self._add(infos, {"contact": batch.contacts[:, 0]}, stepped_rows)
         for row in started_rows:
             self._add_info(infos, start_info(batch, int(row)), int(row))
         for row in ended_rows:
-            self._add_info(infos, end_info(batch, 0, int(row)), int(row))
+            self._add_info(infos, end_info(batch, row=int(row)), int(row))
         return infos
 
     def _add(self, infos: Info, arrays: Mapping[str, NDArray[Any]], rows: Slots) -> Info:
         """Add arrays of some environments, each with its mask; return the infos."""
-        mask, are_all = self._mask(rows), len(rows) == self.num_envs
+        mask, has_all_rows = self._row_mask(rows), len(rows) == self.num_envs
         for name, numbers in arrays.items():
-            infos[name] = numbers.copy() if are_all else np.where(mask, numbers, numbers.dtype.type(0))
+            infos[name] = numbers.copy() if has_all_rows else np.where(mask, numbers, numbers.dtype.type(0))
             infos[f"_{name}"] = mask.copy()
         return infos
 
-    def _mask(self, rows: Slots) -> NDArray[np.bool_]:
+    def _row_mask(self, rows: Slots) -> NDArray[np.bool_]:
         mask = np.zeros(self.num_envs, np.bool_)
         mask[np.asarray(rows, np.int64)] = True
         return mask
@@ -263,7 +263,7 @@ class KheperaVectorEnvironment(
     def _masked_rows(self, mask: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """Return the indices of the environments of a reset mask."""
         if mask is None:
-            return self._rows
+            return self._all_rows
         reset_mask = np.asarray(mask)
         if reset_mask.shape != (self.num_envs,) or reset_mask.dtype != np.bool_ or not reset_mask.any():
             raise ValueError(
@@ -272,7 +272,7 @@ class KheperaVectorEnvironment(
         return np.flatnonzero(reset_mask)
 
 
-def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
+def _parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
     """Return an autoreset mode by its value."""
     values = [member.value for member in AutoresetMode]
     if not isinstance(mode, AutoresetMode) and mode not in values:

@@ -21,15 +21,10 @@ Info = dict[str, Any]
 
 
 def ground_truth(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
-    """Return the ground truth of a robot."""
+    """Return the ground truth of a robot in episode `row` of a batch."""
     x, y, heading = batch.poses[row, robot].tolist()
-    return {
-        "x": x,
-        "y": y,
-        "heading": heading,
-        "time": float(batch.times[row]),
-        "seed": int(batch.seeds[row]),
-    }
+    time_s, seed = float(batch.times[row]), int(batch.seeds[row])
+    return {"x": x, "y": y, "heading": heading, "time": time_s, "seed": seed}
 
 
 def start_info(batch: TaskBatch, row: int = 0) -> Info:

@@ -51,16 +51,16 @@ TOP_SPEED_PULSES = 600
 TOP_RATE_COUNTS = 8_000
 """Rate of turn about the vertical for an observation of 1 [gyroscope counts]: 528 deg/s (assumed)."""
 
-_FALLEN = 0.02
+_FALL_HEIGHT = 0.02
 """Height below its start at which a robot counts as fallen [m]."""
 
-_FAR_CM = 250
+_MAX_RANGE_CM = 250
 
-Reading = Callable[[Khepera4Robot, tuple[float, float]], Sequence[float]]
+TermReader = Callable[[Khepera4Robot, tuple[float, float]], Sequence[float]]
 
-TERMS: dict[str, tuple[int, Reading]] = {
-    "proximity": (N_AROUND, lambda robot, speeds: _scaled(robot, DspicRegister.PROXIMITY, 0, N_AROUND)),
-    "ground": (4, lambda robot, speeds: _scaled(robot, DspicRegister.PROXIMITY, N_AROUND, 4)),
+TERMS: dict[str, tuple[int, TermReader]] = {
+    "proximity": (N_AROUND, lambda robot, speeds: _infrared(robot, 0, N_AROUND)),
+    "ground": (4, lambda robot, speeds: _infrared(robot, N_AROUND, 4)),
     "ultrasonic": (5, lambda robot, speeds: _distances(robot)),
     "speed": (2, lambda robot, speeds: [speed / TOP_SPEED_PULSES for speed in speeds]),
     "gyroscope": (1, lambda robot, speeds: [_turn_rate(robot) / TOP_RATE_COUNTS]),
@@ -87,26 +87,26 @@ class Khepera4Task:
     anywhere: bool = True
 
 
-def _avoiding(terms: dict[str, Sequence[float]]) -> float:
+def _avoidance(terms: dict[str, Sequence[float]]) -> float:
     """Return Floreano and Mondada's V (1 - sqrt(dV)) (1 - i), forwards; i is 0 without objects."""
     left, right = (speed * fitness.TOP_SPEED_PULSES for speed in terms["speed"])
     if left + right <= 0:
         return 0.0
-    rest = 100 / COUNTS_LIMIT
-    nearest = max(((max(terms["proximity"]) + 1) / 2 - rest) / (1 - rest), 0.0)
+    background = 100 / COUNTS_LIMIT  # reading without objects
+    nearest = max(((max(terms["proximity"]) + 1) / 2 - background) / (1 - background), 0.0)
     return float(fitness.obstacle_avoidance(left, right, min(nearest, 1.0)))
 
 
-def _following(terms: dict[str, Sequence[float]]) -> float:
+def _line_following(terms: dict[str, Sequence[float]]) -> float:
     """Return the forward speed if a front ground sensor sees the line, otherwise 0."""
     _, left, right, _ = terms["ground"]
     return max(sum(terms["speed"]) / 2, 0.0) if min(left, right) < 0 else 0.0
 
 
 TASKS = {
-    "KheperaIVObstacleAvoidance": Khepera4Task("arena4", ("proximity", "ultrasonic", "speed"), _avoiding),
+    "KheperaIVObstacleAvoidance": Khepera4Task("arena4", ("proximity", "ultrasonic", "speed"), _avoidance),
     "KheperaIVLineFollowing": Khepera4Task(
-        "arena4-line", ("ground", "speed", "gyroscope"), _following, anywhere=False
+        "arena4-line", ("ground", "speed", "gyroscope"), _line_following, anywhere=False
     ),
 }
 """Tasks by name."""
@@ -169,8 +169,8 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         self._n_steps = n_steps(to_ns(seconds), period_ns)
         self._world = World(self._playpen)
         self._steps_left = 0
-        counts = [(term, TERMS[term][0]) for term in self._task.terms]
-        self.labels = tuple(f"{term} {index}" for term, count in counts for index in range(count))
+        term_sizes = [(term, TERMS[term][0]) for term in self._task.terms]
+        self.labels = tuple(f"{term} {index}" for term, size in term_sizes for index in range(size))
         self.render_mode = render_mode
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 1e9 / period_ns}
         self.observation_space = Box(-1.0, 1.0, (len(self.labels),), np.float32)
@@ -194,12 +194,12 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         self._seed: int = options.get("seed", drawn_seed)
         start: Start | None = options.get("start", self._start)
         if start is None:
-            drawn = (anywhere if self._task.anywhere else at_spots)(self._playpen, self._seed).robots[0]
-            start = drawn.x_mm, drawn.y_mm, drawn.heading_deg
+            robot = (anywhere if self._task.anywhere else at_spots)(self._playpen, self._seed).robots[0]
+            start = robot.x_mm, robot.y_mm, robot.heading_deg
         self._world.reset(self._seed, noise=self._noise, vary=self._vary, starts=[start])
-        self._height = float(self._world.data.qpos[2])
+        self._start_height = float(self._world.data.qpos[2])
         self._steps_left = self._n_steps
-        self._positions = 0, 0
+        self._wheel_pulses = 0, 0
         self._robot.dspic.write(bytes([DspicRegister.CONTROL, Control.SPEED]))
         return self._observe((0.0, 0.0))[0], self._info()
 
@@ -216,17 +216,17 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         commands = np.asarray(action, np.float64)
         if commands.shape != (2,) or not np.isfinite(commands).all():
             raise ValueError(f"action {action!r}; expected two speeds, left and right, from -1 to 1")
-        orders = np.rint(np.clip(commands, -1, 1) * TOP_SPEED_PULSES).astype("<i2")
-        self._robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + orders.tobytes())
+        speed_setpoints = np.rint(np.clip(commands, -1, 1) * TOP_SPEED_PULSES).astype("<i2")
+        self._robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + speed_setpoints.tobytes())
         self._world.advance_to(self._world.time_ns + self._period_ns)
         self._steps_left -= 1
-        last_positions = self._positions
+        previous_pulses = self._wheel_pulses
         _, (left, right, *_), _ = self._robot.dspic.motor_numbers
-        self._positions = left, right
+        self._wheel_pulses = left, right
         ticks = self._period_ns // TICK_NS
-        speeds = (left - last_positions[0]) / ticks, (right - last_positions[1]) / ticks
+        speeds = (left - previous_pulses[0]) / ticks, (right - previous_pulses[1]) / ticks
         observation, terms = self._observe(speeds)
-        has_fallen = float(self._world.data.qpos[2]) < self._height - _FALLEN
+        has_fallen = float(self._world.data.qpos[2]) < self._start_height - _FALL_HEIGHT
         if has_fallen:
             self._steps_left = 0
         is_truncated = not has_fallen and self._steps_left == 0
@@ -260,18 +260,19 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         return {"x": x, "y": y, "heading": heading, "time": self._world.time_ns / 1e9, "seed": self._seed}
 
 
-def _scaled(robot: Khepera4Robot, register: DspicRegister, first: int, count: int) -> list[float]:
-    counts = robot.dspic.read_words(register, first + count)[first:]
-    return [2 * count / COUNTS_LIMIT - 1 for count in counts]
+def _infrared(robot: Khepera4Robot, first: int, count: int) -> list[float]:
+    """Return the readings of `count` infrared sensors, scaled to -1 to 1."""
+    readings = robot.dspic.read_words(DspicRegister.PROXIMITY, first + count)[first:]
+    return [2 * counts / COUNTS_LIMIT - 1 for counts in readings]
 
 
 def _distances(robot: Khepera4Robot) -> list[float]:
     """Return the ultrasonic distances, scaled to -1 to 1."""
     readings = robot.dspic.read_words(DspicRegister.ULTRASONIC, TERMS["ultrasonic"][0])
-    return [2 * min(cm, _FAR_CM) / _FAR_CM - 1 for cm in readings]
+    return [2 * min(cm, _MAX_RANGE_CM) / _MAX_RANGE_CM - 1 for cm in readings]
 
 
 def _turn_rate(robot: Khepera4Robot) -> int:
     """Return the newest rate of turn to the left [0.066 deg/s]."""
     (word,) = robot.dspic.read_words(DspicRegister.GYROSCOPE + 40, 1)
-    return word - (word >> 15 << 16)
+    return word - (word >> 15 << 16)  # two's complement

@@ -52,7 +52,7 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
             period_ns, seconds, planar (one robot), compiled, normalize, details.
 
     Attributes:
-        guard: Thread guard of its methods.
+        guard: Lock by which its methods refuse a second thread (`one_thread`).
     """
 
     COPIED_ATTRIBUTES = ("_rng",)
@@ -101,7 +101,7 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
 
         Args:
             seed: Seed of this and all later episodes.
-            options: Options that replace the environment's in this episode: seed, start (one for each
+            options: Options that replace the environment's in this episode: seed, drawn (one for each
                 robot), lamps, playpen.
         """
         # PettingZoo's API test passes an option "options".
@@ -112,8 +112,8 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
         observations = self._episode.begin(drawn_seed if request.seed is None else request.seed, request)
         self.agents = list(self.possible_agents)
         self._has_started = True
-        start = start_info(self._episode.batch)
-        infos = {agent: ground_truth(self._episode.batch, robot) | start for agent, robot in self._robots()}
+        drawn = start_info(self._episode.batch)
+        infos = {agent: ground_truth(self._episode.batch, robot) | drawn for agent, robot in self._active()}
         return dict(zip(self.agents, observations, strict=True)), infos
 
     @one_thread
@@ -140,7 +140,7 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
         results = dict(zip(self.possible_agents, self._episode.step(robot_actions), strict=True))
         outcomes, truncated = {agent: results[agent] for agent in self.agents}, self._episode.over
         infos, batch = dict[str, Info](), self._episode.batch
-        for agent, robot in self._robots():
+        for agent, robot in self._active():
             infos[agent] = ground_truth(batch, robot) | step_info(batch, robot)
             if truncated or outcomes[agent].terminated:
                 infos[agent] |= end_info(batch, robot)
@@ -165,7 +165,7 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
         """Release the resources of rendering."""
         self._renderer.close()
 
-    def _robots(self) -> list[tuple[str, int]]:
+    def _active(self) -> list[tuple[str, int]]:
         """Return the active agents and their robots' indices."""
         robots = enumerate(self.possible_agents)
         return [(agent, robot) for robot, agent in robots if agent in self.agents]

@@ -32,7 +32,7 @@ POWER_LIMIT_W = 1000.0
 """Largest power of a lamp in a playpen file [W]."""
 
 Item = TypeVar("Item", Block, Cylinder, Lamp)
-Draw = tuple[float, float]
+NumberPair = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,11 +55,11 @@ class Randomization:
         KhepTwinError: A value is out of range.
     """
 
-    starts: Literal["anywhere"] | Draw | None = None
-    lamps: Draw | None = None
+    starts: Literal["anywhere"] | NumberPair | None = None
+    lamps: NumberPair | None = None
     robots: bool = False
     noise: float | None = None
-    delay: Draw | None = None
+    delay: NumberPair | None = None
     blocks_mm: float = 0.0
     playpens: int = 8
     seed: int = 0
@@ -67,17 +67,17 @@ class Randomization:
     def __post_init__(self) -> None:
         """Check the values."""
         if self.starts not in (None, "anywhere"):
-            _check("starts", self.starts, 'two numbers from 0, [mm] and [deg], or "anywhere"', (0, 0))
+            _check_pair("starts", self.starts, 'two numbers from 0, [mm] and [deg], or "anywhere"', (0, 0))
         if self.lamps is not None:
-            _check("lamps", self.lamps, "a factor from 1 and a distance from 0 [mm]", (1, 0))
+            _check_pair("lamps", self.lamps, "a factor from 1 and a distance from 0 [mm]", (1, 0))
         if self.noise is not None and not 0 <= self.noise <= 1:
-            raise _error("noise", self.noise, "a probability, 0 to 1")
+            raise _make_error("noise", self.noise, "a probability, 0 to 1")
         if self.delay is not None:
-            _check("delay", self.delay, "two times [s], the second not below the first", (0, 0))
+            _check_pair("delay", self.delay, "two times [s], the second not below the first", (0, 0))
             if self.delay[1] < self.delay[0]:
-                raise _error("delay", self.delay, "two times [s], the second not below the first")
+                raise _make_error("delay", self.delay, "two times [s], the second not below the first")
         if not 0 <= self.blocks_mm < math.inf:
-            raise _error("blocks_mm", self.blocks_mm, "a distance from 0 [mm]")
+            raise _make_error("blocks_mm", self.blocks_mm, "a distance from 0 [mm]")
         check_count(self.playpens, "playpens")
 
     @classmethod
@@ -131,7 +131,7 @@ class Randomization:
         for index, lamp in enumerate(lamps):
             power_w = min(lamp.power_w * factors[index], POWER_LIMIT_W)
             surroundings = playpen.model_copy(update={"lamps": (*lamps[:index], *lamps[index + 1 :])})
-            lamps[index] = _move(
+            lamps[index] = _move_item(
                 surroundings, "lamp", lamp.model_copy(update={"power_w": power_w}), max_mm, rng
             )
         return lamps
@@ -155,7 +155,7 @@ class Randomization:
             items: list[Any] = list(getattr(playpen, name))
             for index, item in enumerate(items):
                 surroundings = playpen.model_copy(update={name: (*items[:index], *items[index + 1 :])})
-                items[index] = _move(surroundings, kind, item, self.blocks_mm, rng)
+                items[index] = _move_item(surroundings, kind, item, self.blocks_mm, rng)
             playpen = playpen.model_copy(update={name: tuple(items)})
         return playpen
 
@@ -180,21 +180,20 @@ def place_robots(playpen: Playpen, starts: Iterable[Start]) -> Playpen:
     return playpen
 
 
-def _move(surroundings: Playpen, kind: str, item: Item, max_mm: float, rng: np.random.Generator) -> Item:
-    """Return an object moved to a random nearby position without an overlap; unchanged if none is found.
+def _move_item(surroundings: Playpen, kind: str, item: Item, max_mm: float, rng: np.random.Generator) -> Item:
+    """Return an object moved by up to `max_mm` without an overlap; unchanged if no such position is found.
 
     An object that already overlaps others, e.g. a part of a maze, is not moved.
     """
-    fixed = [replace(part, is_free=False) for part in placed_parts(surroundings)]
-    bottom_mm, top_mm = 0.0, 0.0
+    other_parts = [replace(part, is_free=False) for part in placed_parts(surroundings)]
     if isinstance(item, Lamp):
         bottom_mm, top_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
     else:
-        top_mm = item.height_mm
+        bottom_mm, top_mm = 0.0, item.height_mm
 
     def is_clear(candidate: Item) -> bool:
         part = PlacedPart(kind, 0, item.name, candidate.footprint, bottom_mm, top_mm, True)
-        problems = placement_problems([*fixed, part], surroundings.arena)
+        problems = placement_problems([*other_parts, part], surroundings.arena)
         return all(problem.location[:2] != part.location for problem in problems)
 
     if max_mm and is_clear(item):
@@ -207,15 +206,15 @@ def _move(surroundings: Playpen, kind: str, item: Item, max_mm: float, rng: np.r
     return item
 
 
-def _check(name: str, values: Any, expected: str, minimum: Draw) -> None:
+def _check_pair(name: str, values: Any, expected: str, minimum: NumberPair) -> None:
     """Raise an error unless these are two finite numbers, not below the minimum."""
     try:
         is_valid = all(low <= number < math.inf for number, low in zip(values, minimum, strict=True))
     except (TypeError, ValueError):
         is_valid = False
     if not is_valid:
-        raise _error(name, values, expected)
+        raise _make_error(name, values, expected)
 
 
-def _error(name: str, value: object, expected: str) -> KhepTwinError:
+def _make_error(name: str, value: object, expected: str) -> KhepTwinError:
     return KhepTwinError(f"randomize: {name} = {value!r}; expected {expected}")

@@ -76,7 +76,7 @@ class Renderer:
         """
         if self.view == "scene" or (self.view == "auto" and episode.setup.planar_scene is None):
             try:
-                picture = self._scene(episode)
+                picture = self._render_scene(episode)
             except Exception as error:  # each GL backend raises its own errors
                 if self.view == "scene":
                     raise KhepTwinError(f"MuJoCo cannot render here ({_reason(error)}); {_REMEDY}") from error
@@ -89,7 +89,7 @@ class Renderer:
             else:
                 self.view = "scene"
                 return picture
-        return self._moving_map(episode).picture(episode.poses, _poses(episode.objects))
+        return self._moving_map(episode).picture(episode.poses, _as_poses(episode.objects))
 
     def close(self) -> None:
         """Release the resources of rendering."""
@@ -97,7 +97,7 @@ class Renderer:
             self._renderer.close()
             self._renderer = None
 
-    def _scene(self, episode: Episode) -> Picture:
+    def _render_scene(self, episode: Episode) -> Picture:
         planar = episode.setup.planar_scene is not None
         model = episode.setup.model if planar else episode.data.model
         if self._renderer is None or self._data is None or self._data.model is not model:
@@ -117,7 +117,7 @@ class Renderer:
         width, depth = arena.width_mm / 1e3, arena.height_mm / 1e3
         camera = mujoco.MjvCamera()
         camera.lookat[:] = width / 2, depth / 2, 0
-        camera.distance = 1.3 * max(width, 4 / 3 * depth)
+        camera.distance = 1.3 * max(width, WIDTH / HEIGHT * depth)
         camera.azimuth, camera.elevation = 90.0, -65.0
         self._renderer.update_scene(data, camera)
         return self._renderer.render()
@@ -127,22 +127,24 @@ class Renderer:
         from khep_twin.drawing.moving_map import MovingMap
 
         setup, playpen = episode.setup, episode.playpen
-        if self._map is None or self._map[0] is not setup or self._map[1] != playpen.lamps:
-            self._map = setup, playpen.lamps, MovingMap(playpen)
-        return self._map[2]
+        drawn_setup, drawn_lamps, moving_map = self._map or (None, (), None)
+        if moving_map is None or drawn_setup is not setup or drawn_lamps != playpen.lamps:
+            moving_map = MovingMap(playpen)
+            self._map = setup, playpen.lamps, moving_map
+        return moving_map
 
 
 def _set_poses(data: mujoco.MjData, bodies: Sequence[str], episode: Episode) -> None:
     """Set the poses of robot and movable objects of a 2-D episode in MuJoCo's data."""
     model = data.model
     data.qpos[:] = model.qpos0
-    for name, (x, y, heading) in zip(bodies, (*episode.poses, *_poses(episode.objects)), strict=True):
+    for name, (x, y, heading) in zip(bodies, (*episode.poses, *_as_poses(episode.objects)), strict=True):
         address = model.jnt_qposadr[model.body_jntadr[model.body(name).id]]
         data.qpos[[address, address + 1]] = x, y
         data.qpos[address + 3 : address + 7] = math.cos(heading / 2), 0, 0, math.sin(heading / 2)
 
 
-def _poses(rows: NDArray[np.float64]) -> list[Pose]:
+def _as_poses(rows: NDArray[np.float64]) -> list[Pose]:
     return [(x, y, heading) for x, y, heading in rows.tolist()]
 
 

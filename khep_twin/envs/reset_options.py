@@ -40,8 +40,8 @@ class ResetOptions:
     Attributes:
         seed: Seed of the episode.
         start: Start x, y [mm] and heading [deg], or one for each robot.
-        lamps: Lamps.
-        playpen: Playpen.
+        lamps: Lamps of the playpen.
+        playpen: Playpen, or its name or path.
     """
 
     seed: int | None = None
@@ -63,11 +63,11 @@ class ResetOptions:
             if name not in known_names:
                 raise KhepTwinError(f"options: {name!r}: unknown; {choices(name, known_names)}")
         if "seed" in values:
-            values["seed"] = checked_seed(values["seed"])
+            values["seed"] = validate_seed(values["seed"])
         if "lamps" in values:
-            values["lamps"] = checked_lamps(values["lamps"])
+            values["lamps"] = validate_lamps(values["lamps"])
         if "playpen" in values:
-            values["playpen"] = checked_playpen(values["playpen"])
+            values["playpen"] = validate_playpen(values["playpen"])
         return cls(**values)
 
     @classmethod
@@ -78,7 +78,7 @@ class ResetOptions:
             KhepTwinError: As for `of`, or a list has another length.
             ValueError: A seed is no integer from 0 to 2**63-1.
         """
-        lists = {name: _spread(name, value, count) for name, value in options.items() if name in _IS_LIST}
+        lists = {name: _repeat(name, value, count) for name, value in options.items() if name in _IS_LIST}
         if not lists:
             return [cls.of(options)] * count
         shared = {name: value for name, value in options.items() if name not in lists}
@@ -86,21 +86,21 @@ class ResetOptions:
         return [cls.of({**shared, **row}) for row in rows]
 
 
-def checked_seed(value: object) -> int:
+def validate_seed(value: object) -> int:
     """Return a seed; raise a `ValueError` unless it is an integer from 0 to 2**63-1."""
     if isinstance(value, SupportsIndex) and 0 <= (seed := operator.index(value)) < SEED_LIMIT:
         return seed
     raise ValueError(f"options: seed = {value!r}; expected an integer from 0 to 2**63-1")
 
 
-def checked_playpen(value: object) -> PlaypenLike:
+def validate_playpen(value: object) -> PlaypenLike:
     """Return a playpen, its name or its path; raise a `KhepTwinError` for other types."""
     if isinstance(value, Playpen | str | PathLike):
         return cast(PlaypenLike, value)
     raise KhepTwinError(f"playpen = {value!r}; expected the name or path of a playpen, or a Playpen")
 
 
-def checked_lamps(value: object) -> Sequence[Lamp]:
+def validate_lamps(value: object) -> Sequence[Lamp]:
     """Return a list of lamps; raise a `KhepTwinError` if the value is not one."""
     lamps = list(cast(Iterable[object], value)) if isinstance(value, list | tuple) else [None]
     if not all(isinstance(lamp, Lamp) for lamp in lamps):
@@ -108,7 +108,7 @@ def checked_lamps(value: object) -> Sequence[Lamp]:
     return cast(Sequence[Lamp], lamps)
 
 
-def _spread(name: str, value: Any, count: int) -> Sequence[Any]:
+def _repeat(name: str, value: Any, count: int) -> Sequence[Any]:
     """Return one value per environment; raise a `KhepTwinError` if a list has another length."""
     if not _IS_LIST[name](value):
         return [value] * count

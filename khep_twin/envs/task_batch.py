@@ -54,7 +54,7 @@ class TaskBatch(NotCopied):
         returns: Sums of the rewards since the start (n, n_robots).
         contacts: Whether each robot touches anything except the floor (n, n_robots).
         poses: True x, y [m] and heading [rad] of the robots, live (n, n_robots, 3).
-        guard: Thread guard of its methods, the episodes'.
+        guard: Lock by which its methods refuse a second thread, the episodes'.
     """
 
     COPY_ADVICE = "another TaskBatch of the same setup, started with the same seeds"
@@ -69,7 +69,7 @@ class TaskBatch(NotCopied):
         self._idle_episodes = defaultdict[TaskSetup, list[Episode]](list)
         devices = [item.device(device, count, setup) for item in setups]
         self._device: Device = "cpu" if "cpu" in devices else "cuda"
-        self._batch = self._new_batch(threads)
+        self._batch = self._make_batch(threads)
         self.guard = self._batch.guard
         self.poses = self._batch.poses
         shape = count, len(setup.playpen.robots)
@@ -79,7 +79,7 @@ class TaskBatch(NotCopied):
         self.periods = np.full(count, setup.n_steps)
         self.seeds = np.zeros(count, np.int64)
         self._pulses = np.zeros((*shape, 2), np.int64)
-        self._charge_ns = to_ns(setup.task.charge_s)
+        self._full_charge_ns = to_ns(setup.task.charge_s)
         self._charges_ns = np.zeros(shape, np.int64)
         self._goals = np.zeros((count, 2))
         self._ambient_limits = np.zeros((2, *shape))
@@ -113,11 +113,11 @@ class TaskBatch(NotCopied):
         for beginning in beginnings if self._device == "cuda" else ():
             beginning.setup.device("cuda", 1, self.setup, beginning.options.lamps)
         for (row, seed), beginning in zip(pairs, beginnings, strict=True):
-            self._batch.begin(row, seed, beginning.options, self._replacement(row, beginning.setup))
+            self._batch.begin(row, seed, beginning.options, self._replacement_episode(row, beginning.setup))
             self.seeds[row], self.beginnings[row] = seed, beginning
         for error in self._batch.switch_on().values():
             raise error
-        self.periods[rows], self._charges_ns[rows], self.returns[rows] = 0, self._charge_ns, 0.0
+        self.periods[rows], self._charges_ns[rows], self.returns[rows] = 0, self._full_charge_ns, 0.0
         self._pulses[rows] = self._batch.registers[rows][..., _ENCODERS]
         self.rewards[rows], self.terminated[rows] = 0.0, False
         self._observe(rows, self._state(rows))
@@ -148,7 +148,7 @@ class TaskBatch(NotCopied):
         self.rewards[rows] = self.setup.task.rewards(state).reshape(shape)
         if self.setup.details:
             self._record_details(rows, state)
-        if self._charge_ns:
+        if self._full_charge_ns:
             self.terminated[rows] = (state.charge <= 0).reshape(shape)
         self._observe(rows, state)
 
@@ -176,7 +176,7 @@ class TaskBatch(NotCopied):
         """Stop the threads."""
         self._batch.close()
 
-    def _new_batch(self, threads: int) -> EpisodeBatch:
+    def _make_batch(self, threads: int) -> EpisodeBatch:
         if self._device == "cpu":
             return EpisodeBatch([setup.episode() for setup in self._setups], threads)
         from khep_twin.episodes.cuda.card_batch import CardBatch
@@ -184,15 +184,15 @@ class TaskBatch(NotCopied):
         templates = {setup: setup.episode(self._device) for setup in dict.fromkeys(self._setups)}
         return CardBatch([templates[setup] for setup in self._setups], Policy())
 
-    def _replacement(self, row: int, setup: TaskSetup) -> Episode | None:
+    def _replacement_episode(self, row: int, setup: TaskSetup) -> Episode | None:
         """Return an episode of a setup unless the row already uses it; the replaced one is kept for reuse."""
-        active = self._active_setups[row]
-        if active is setup:
+        active_setup = self._active_setups[row]
+        if active_setup is setup:
             return None
         idle = self._idle_episodes[setup]
         if self._device == "cpu":
             episode = idle.pop() if idle else setup.episode()
-            self._idle_episodes[active].append(self._batch.episodes[row])
+            self._idle_episodes[active_setup].append(self._batch.episodes[row])
         else:
             episode = idle[0] if idle else setup.episode(self._device)  # shared by all episodes of the setup
             idle[:] = [episode]
@@ -223,11 +223,11 @@ class TaskBatch(NotCopied):
         if setup.task.goal:
             dx, dy = np.moveaxis(self.poses[rows, :, :2] - self._goals[rows, None], 2, 0)
             at_goal = dx * dx + dy * dy <= units.metres(setup.task.reach_mm) ** 2
-        if self._charge_ns:
+        if self._full_charge_ns:
             remaining_ns = np.maximum(self._charges_ns[rows] - setup.period_ns, 0)
             is_first = self.periods[rows][:, None] == 0
-            charges_ns = np.where(at_goal | is_first, self._charge_ns, remaining_ns)
-            self._charges_ns[rows], charge = charges_ns, charges_ns / self._charge_ns
+            charges_ns = np.where(at_goal | is_first, self._full_charge_ns, remaining_ns)
+            self._charges_ns[rows], charge = charges_ns, charges_ns / self._full_charge_ns
         left, right = speeds.reshape(-1, 2).T
         boards = registers.reshape(-1, registers.shape[2]).T
         limits = self._ambient_limits if len(rows) == len(self._setups) else self._ambient_limits[:, rows]

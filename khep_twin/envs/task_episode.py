@@ -28,6 +28,7 @@ from khep_twin.episodes.episode import Episode
 from khep_twin.renamed import renamed_attribute
 
 _ROW = np.zeros(1, np.int64)
+"""Index of the only episode in its batch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,7 @@ class TaskEpisode(NotCopied):
 
     Attributes:
         batch: Batch with only this episode.
-        guard: Thread guard of its methods, the batch's.
+        guard: Lock by which its methods refuse a second thread, the batch's.
     """
 
     COPY_ADVICE = "another TaskEpisode of the same setup, started with the same seed"

@@ -18,7 +18,7 @@ from khep_twin import units
 from khep_twin.clock import NS_PER_S, n_steps, to_ns
 from khep_twin.copies import CopiedByArguments
 from khep_twin.envs.randomization import Randomization, place_robots, starts_of
-from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen, is_nested
+from khep_twin.envs.reset_options import ResetOptions, is_nested, validate_lamps, validate_playpen
 from khep_twin.envs.tasks import Task, action_limit, find_task, speeds_of
 from khep_twin.episodes.controllers import Policy
 from khep_twin.episodes.device import Device, choose_device
@@ -120,7 +120,7 @@ class TaskSetup(CopiedByArguments):
                 raise ValueError(f"{name} = {value!r}; expected True or False")
         self.task = find_task(task)
         playpen_source = self.task.playpen if playpen is None else playpen
-        self.playpen = with_robots(Playpen.load(checked_playpen(playpen_source)), robots)
+        self.playpen = with_robots(Playpen.load(validate_playpen(playpen_source)), robots)
         if robots > 1 and self.task.starts == "playpen" and not self.playpen.robots[0].spots:
             problem = f"{self.playpen.name}: robot 1 has no spots"
             raise PlaypenError(f"{problem}; expected spots, at which {robots} robots start")
@@ -130,8 +130,8 @@ class TaskSetup(CopiedByArguments):
         self.normalize = normalize
         self.details = details
         self.randomize = Randomization.of(randomize)
-        self._start = None if start is None else self._checked_starts(start)
-        self._lamps = None if lamps is None else checked_lamps(lamps)
+        self._start = None if start is None else self._validate_starts(start)
+        self._lamps = None if lamps is None else validate_lamps(lamps)
         self.line = line
         self._requests = "".join(TERM_REQUESTS.get(term, "") for term in self.task.observation_terms)
         if self.randomize and self.randomize.delay:
@@ -161,7 +161,7 @@ class TaskSetup(CopiedByArguments):
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
         if self._start is not None:
             place_robots(self.playpen, self._start)
-        self._variants: list[tuple[PlaypenLike, Self]] = []
+        self._playpen_setups: list[tuple[PlaypenLike, Self]] = []
 
     def episode(self, device: Device = "cpu") -> Episode:
         """Return an episode whose speeds the caller sets; for a GPU, one that is only prepared."""
@@ -212,7 +212,7 @@ class TaskSetup(CopiedByArguments):
             setup = self._with_playpen(reset_options.playpen)
         elif randomization.blocks_mm:
             drawn["playpen"] = randomization.playpen_index(seed)
-            setup = self._with_playpen(self._pool[drawn["playpen"]])
+            setup = self._with_playpen(self._randomized_playpens[drawn["playpen"]])
         lamps = self._lamps if reset_options.lamps is None else reset_options.lamps
         if randomization.lamps is not None and reset_options.lamps is None:
             playpen = setup.playpen if lamps is None else setup.playpen.model_copy(update={"lamps": lamps})
@@ -223,7 +223,7 @@ class TaskSetup(CopiedByArguments):
             drawn["noise"] = noise
         if (line := randomization.line(seed, self.period_ns)) is not None:
             drawn["delay"] = line.delay
-        start = self._start if reset_options.start is None else self._checked_starts(reset_options.start)
+        start = self._start if reset_options.start is None else self._validate_starts(reset_options.start)
         if randomization.starts is not None and reset_options.start is None:
             start = randomization.draw_starts(setup.playpen, seed, start)
         elif start is not None:
@@ -240,27 +240,27 @@ class TaskSetup(CopiedByArguments):
         )
         return EpisodeBeginning(setup, options, drawn)
 
-    def _checked_starts(self, start: Any) -> list[Start]:
+    def _validate_starts(self, start: Any) -> list[Start]:
         """Return the start of each robot; raise a `ValueError` unless there is one for each."""
         count = len(self.playpen.robots)
-        table = start if is_nested(start) else [start]
-        label = "x, y [mm] and heading [deg]" + (f" of {count} robots" if count > 1 else "")
-        check_numbers("start", table, label, (count, 3))
-        return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in np.asarray(table, float).tolist()]
+        starts = start if is_nested(start) else [start]
+        description = "x, y [mm] and heading [deg]" + (f" of {count} robots" if count > 1 else "")
+        check_numbers("start", starts, description, (count, 3))
+        return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in np.asarray(starts, float).tolist()]
 
     def _with_playpen(self, playpen: PlaypenLike) -> Self:
         """Return the setup of the same task in another playpen; each is prepared only once."""
-        for variant, setup in self._variants:
-            if variant is playpen or variant == playpen:
+        for other_playpen, setup in self._playpen_setups:
+            if other_playpen is playpen or other_playpen == playpen:
                 return setup
         arguments, options = self._arguments
         keywords: Any = {**options, "playpen": playpen, "start": None}
         setup = type(self)(*arguments, **keywords)  # pyright: ignore[reportArgumentType]
-        self._variants.append((playpen, setup))
+        self._playpen_setups.append((playpen, setup))
         return setup
 
     @cached_property
-    def _pool(self) -> tuple[Playpen, ...]:
+    def _randomized_playpens(self) -> tuple[Playpen, ...]:
         """Playpens that the randomization draws from."""
         playpen = self.playpen if self._start is None else place_robots(self.playpen, self._start)
         return (self.randomize or _NO_RANDOMIZATION).pool(playpen)
@@ -273,7 +273,7 @@ OPTIONS = tuple(inspect.signature(TaskSetup.__init__).parameters)[2:-1]
 def _check_period(line: LineTimes, requests: str, period_ns: int, episode_ns: int) -> None:
     """Raise a `ValueError` if a cycle at a line takes longer than the control period.
 
-    It names a sufficient period that divides the episode.
+    The message names a sufficient period that divides the episode.
     """
     check_line(line)
     if line is None:
@@ -300,15 +300,15 @@ def _check_delay(delay: tuple[float, float], line: LineTimes, period_ns: int) ->
 
 
 def with_robots(playpen: Playpen, count: int) -> Playpen:
-    """Return the playpen with `count` copies of its first robot, not yet placed.
+    """Return the playpen with `count` copies of its first_robot robot, not yet placed.
 
     Raises:
         PlaypenError: The playpen has no robot.
     """
     if not playpen.robots:
         raise PlaypenError(f"{playpen.name}: no robot; expected one to copy")
-    first = playpen.robots[0].model_copy(update={"name": None} if count > 1 else {})
-    return playpen.model_copy(update={"robots": (first,) * count})
+    first_robot = playpen.robots[0].model_copy(update={"name": None} if count > 1 else {})
+    return playpen.model_copy(update={"robots": (first_robot,) * count})
 
 
 def _goal_position(playpen: Playpen, name: str) -> tuple[float, float]:

@@ -66,35 +66,30 @@ class State:
 
     def of_robot(self, index: int) -> "State":
         """Return the state of one of n robots."""
-        return State(
-            self.registers[:, index].copy(),
-            float(self.left[index]),
-            float(self.right[index]),
-            float(self.dark[index]),
-            float(self.floor[index]),
-            bool(self.at_goal[index]),
-            float(self.charge[index]),
-        )
+        numbers = (self.left, self.right, self.dark, self.floor, self.charge)
+        left, right, dark, floor, charge = (float(number[index]) for number in numbers)
+        registers, at_goal = self.registers[:, index].copy(), bool(self.at_goal[index])
+        return State(registers, left, right, dark, floor, at_goal, charge)
 
 
 Reward = Callable[[State], Number]
 """Function of a state that returns the reward of a control period, 0 to 1."""
 RewardType = TypeVar("RewardType", bound=Reward)
 
-Parts = Callable[[State], Mapping[str, Number]]
+RewardParts = Callable[[State], Mapping[str, Number]]
 """Function of a state of n robots that returns the parts of their rewards by name, (n,) each."""
 
-_BATCHED: list[Reward] = []
-_PARTS: dict[Reward, Parts] = {}
+_BATCHED_REWARDS: list[Reward] = []
+_PARTS: dict[Reward, RewardParts] = {}
 
 
 def batched(reward: RewardType) -> RewardType:
     """Mark a reward that also accepts a state of n robots, for which it returns (n,); return the reward."""
-    _BATCHED.append(reward)
+    _BATCHED_REWARDS.append(reward)
     return reward
 
 
-def with_parts(parts: Parts) -> Callable[[RewardType], RewardType]:
+def with_parts(parts: RewardParts) -> Callable[[RewardType], RewardType]:
     """Mark a reward with its parts, which `info` holds as "reward_parts" with `details`."""
 
     def mark(reward: RewardType) -> RewardType:
@@ -232,7 +227,7 @@ class Task:
 
     def rewards(self, state: State) -> NDArray[np.float64]:
         """Return the reward of each of n robots (n,)."""
-        if self.reward in _BATCHED:
+        if self.reward in _BATCHED_REWARDS:
             return np.asarray(self.reward(state), np.float64)
         rewards = (self.reward(state.of_robot(index)) for index in range(len(state.left)))
         return np.array([float(reward) for reward in rewards])

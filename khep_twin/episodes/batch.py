@@ -137,8 +137,8 @@ def rollout(
     period_ns = driver.period_ns if isinstance(driver, Network) else SCAN_NS
     setup = playpen
     if not isinstance(setup, EpisodeSetup):
-        at_line = planar and (line or options.line) is not None
-        setup = EpisodeSetup(setup, period_ns=period_ns, planar=planar, at_line=at_line)
+        has_line = planar and (line or options.line) is not None
+        setup = EpisodeSetup(setup, period_ns=period_ns, planar=planar, at_line=has_line)
     elif planar and setup.planar_scene is None:
         raise ValueError("planar = True: and a setup in MuJoCo; expected EpisodeSetup(..., planar=True)")
     n_episodes = len(seeds)
@@ -147,11 +147,11 @@ def rollout(
     common_options = options if line is None else replace(options, line=line)
     arguments = _RolloutArguments(setup, seeds, seconds, common_options, genes, starts, lamps, paths_every)
     arguments.check(driver)
-    on_gpu = choose_device(device, setup, driver, common_options.line, n_episodes, lamps) == "cuda"
+    uses_gpu = choose_device(device, setup, driver, common_options.line, n_episodes, lamps) == "cuda"
     results = _Results(n_episodes, n_robots, len(movable_names(setup.playpen)), arguments.n_samples)
-    use_compiled = on_gpu or is_compiled(compiled)
+    use_compiled = uses_gpu or is_compiled(compiled)
     n_workers = max_threads if use_compiled else 1
-    if on_gpu:
+    if uses_gpu:
         _run_on_gpu(driver, arguments, results)
         return results.result()
     n_slots = min(BATCH_SIZE if isinstance(driver, Policy) else n_workers, n_episodes)
@@ -197,15 +197,15 @@ class _RolloutArguments:
             if isinstance(driver, Policy) and self.common_options.line is not None:
                 problem = "a policy at a line decides at uneven times"
                 raise ValueError(f"paths_every = {interval:g}: {problem}; expected no line")
-        count, n_robots = len(self.seeds), len(self.setup.playpen.robots)
+        n_seeds, n_robots = len(self.seeds), len(self.setup.playpen.robots)
         for name, values in (("genes", self.genes), ("starts", self.starts), ("lamps", self.lamps)):
-            if values is not None and len(values) != count:
-                raise ValueError(f"{len(values)} {name} for {count} seeds; expected {count}")
+            if values is not None and len(values) != n_seeds:
+                raise ValueError(f"{len(values)} {name} for {n_seeds} seeds; expected {n_seeds}")
         n_default_genes = len(self.common_options.genes) or (
             isinstance(driver, Network) and len(driver.genes)
         )
         if isinstance(driver, Network) and self.genes is None and not n_default_genes:
-            raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
+            raise ValueError(f"no genes for {driver}; expected shape ({n_seeds}, {driver.n_genes})")
         genes = np.zeros((0, 0)) if self.genes is None else np.asarray(self.genes, np.float64)
         if genes.ndim not in (2, 3) or not np.isfinite(genes).all():
             raise ValueError(f"genes of shape {genes.shape}; expected finite numbers (n, n_genes)")
@@ -226,12 +226,12 @@ class _RolloutArguments:
 class _Results:
     """Results of all episodes, filled in one by one."""
 
-    def __init__(self, count: int, n_robots: int, n_objects: int, n_samples: int) -> None:
-        self.metrics = {name: np.full((count, n_robots), np.nan) for name in METRICS}
-        self.registers = np.zeros((count, n_robots, N_REGISTERS), np.int64)
-        self.poses = np.zeros((count, n_robots, 3))
-        self.objects = np.zeros((count, n_objects, 3))
-        self.paths = np.full((count, n_robots, n_samples, 3), np.nan)
+    def __init__(self, n_episodes: int, n_robots: int, n_objects: int, n_samples: int) -> None:
+        self.metrics = {name: np.full((n_episodes, n_robots), np.nan) for name in METRICS}
+        self.registers = np.zeros((n_episodes, n_robots, N_REGISTERS), np.int64)
+        self.poses = np.zeros((n_episodes, n_robots, 3))
+        self.objects = np.zeros((n_episodes, n_objects, 3))
+        self.paths = np.full((n_episodes, n_robots, n_samples, 3), np.nan)
         self.failures: list[Failure] = []
         self._stored_indices: set[int] = set()
 
@@ -314,13 +314,13 @@ def _run_on_gpu(driver: Driver, arguments: _RolloutArguments, results: _Results)
     from khep_twin.episodes.cuda import card
     from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
 
-    group_size, interrupted = 2 * card.EPISODES_PER_PROCESSOR * card.n_processors(), Event()
+    group_size, is_interrupted = 2 * card.EPISODES_PER_PROCESSOR * card.n_processors(), Event()
 
     def run_group(start: int) -> None:
         group = range(start, min(start + group_size, len(arguments.seeds)))
         batch = CardBatch([PreparedEpisode(arguments.setup, driver)] * len(group), driver)
         for _ in _run_group(batch, driver, group, arguments, results):
-            if interrupted.is_set():
+            if is_interrupted.is_set():
                 return
 
     group_starts = range(0, len(arguments.seeds), group_size)
@@ -334,14 +334,14 @@ def _run_on_gpu(driver: Driver, arguments: _RolloutArguments, results: _Results)
             for future in futures:
                 future.result()
         finally:
-            interrupted.set()
+            is_interrupted.set()
             pool.shutdown(cancel_futures=True)
 
 
 def _run_group(
     batch: EpisodeBatch, driver: Driver, group: range, arguments: _RolloutArguments, results: _Results
 ) -> Iterator[None]:
-    """Run a group of episodes in the slots of a batch; yield after each part (a policy's control period)."""
+    """Run a group (indices of episodes) in the slots of a batch; yield after each period or launch."""
     failures: dict[int, DivergedError] = {}
     batch.last_step = arguments.setup.periods(arguments.seconds) * arguments.setup.steps_per_period
     for slot, index in enumerate(group):
@@ -355,9 +355,9 @@ def _run_group(
     launch_steps = max(MAX_LAUNCH_NS // arguments.setup.step_ns, 1)
     while True:
         if arguments.n_samples:
-            at_sample = batch.steps[: len(group)] % steps_per_sample == 0
-            at_sample[list(failures)] = False
-            if len(slots := np.flatnonzero(at_sample)):
+            is_at_sample = batch.steps[: len(group)] % steps_per_sample == 0
+            is_at_sample[list(failures)] = False
+            if len(slots := np.flatnonzero(is_at_sample)):
                 samples = batch.steps[slots] // steps_per_sample
                 results.paths[slots + group.start, :, samples] = batch.episode_poses[slots]
         is_active = batch.steps[: len(group)] < batch.last_step

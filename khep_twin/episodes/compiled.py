@@ -1,7 +1,4 @@
-"""Episodes and their controllers compiled by numba.
-
-Imported only where numba is installed.
-"""
+"""Episodes and their controllers compiled by numba; imported only where numba is installed."""
 
 # numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
@@ -21,7 +18,7 @@ from khep_twin.episodes import fitness, line, metrics, networks, stepping
 from khep_twin.errors import ControllerError
 from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import SOURCES, compiled
-from khep_twin.simulation.foreign import moved
+from khep_twin.simulation.foreign import relocate
 from khep_twin.simulation.mujoco_calls import MujocoCalls
 from khep_twin.step import Reason, Simulated, StepInputs
 
@@ -34,20 +31,20 @@ _CALLBACKS: list[object] = []
 _ANSI_STYLE = re.compile(r"\x1b\[[0-9;]*m")
 """ANSI codes for bold and colours, which numba adds if colorama is installed."""
 
-_GENERAL_ERROR = "Failed in nopython mode"
+_GENERAL_ERROR_START = "Failed in nopython mode"
 """Start of a line of numba's messages that states no reason."""
 
 
 def _run(arguments, end_step, stops, slots):
     reason = Reason.DONE.value  # an integer, which numba returns faster
-    for index in range(max(len(slots.indices), 1)):
-        arrays = moved(arguments, slots.addresses, slots.indices[index]) if len(slots.indices) else arguments
+    for i in range(max(len(slots.indices), 1)):
+        arrays = relocate(arguments, slots.addresses, slots.indices[i]) if len(slots.indices) else arguments
         episode = stepping.EpisodeArguments(*arrays)
         light = Light(episode.law[0], episode.bulbs, episode.hidden)
         scene = MujocoCalls(episode.scene[0][0], episode.scene[1])
         simulated = Simulated(scene, episode.timing[0], light, episode.robots, episode.counters)
         inputs = StepInputs(episode.powers, episode.tables)
-        reason = stepping.run_slot(episode.controllers, simulated, inputs, end_step, stops, slots, index)
+        reason = stepping.run_slot(episode.controllers, simulated, inputs, end_step, stops, slots, i)
     return reason
 
 
@@ -94,7 +91,7 @@ def compile_controller(function: Callable[..., tuple[float, float]]) -> int:
         lines = [
             line
             for line in _ANSI_STYLE.sub("", str(error)).strip().splitlines()
-            if not line.startswith(_GENERAL_ERROR)
+            if not line.startswith(_GENERAL_ERROR_START)
         ]
         reason = lines[0].rstrip(":.") if lines else type(error).__name__
         raise ControllerError(

@@ -19,7 +19,7 @@ def choose_device(
     setup: EpisodeSetup,
     driver: Driver,
     line: LineTimes,
-    count: int,
+    n_episodes: int,
     lamps: Sequence[Sequence[Lamp]] | None = None,
     template: EpisodeSetup | None = None,
 ) -> Device:
@@ -30,9 +30,9 @@ def choose_device(
         setup: Setup of the episodes.
         driver: Controller of the robots.
         line: Line between controllers and robots.
-        count: Number of episodes.
+        n_episodes: Number of episodes.
         lamps: Lamps of each episode; None for the playpen's.
-        template: Setup of other episodes of the batch.
+        template: Setup whose numbers of obstacles all episodes of the batch must share; None for no check.
 
     Raises:
         DeviceError: The device is unknown, there is no GPU, or it cannot run these episodes.
@@ -48,7 +48,7 @@ def choose_device(
         return "cpu"
     from khep_twin.episodes.cuda import card
 
-    fills_gpu = count >= card.EPISODES_PER_PROCESSOR * card.n_processors()
+    fills_gpu = n_episodes >= card.EPISODES_PER_PROCESSOR * card.n_processors()
     return "cuda" if requested == "cuda" or fills_gpu else "cpu"
 
 

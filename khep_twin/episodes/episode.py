@@ -88,14 +88,14 @@ class Episode(NotCopied):
     ) -> None:
         self._setup = setup
         self._driver = driver or ConstantSpeed()
-        self._part = "episodes" if setup.planar_scene is None else "plane"
-        self._next_check = None
+        self._code_name = "episodes" if setup.planar_scene is None else "plane"
+        self._check_step = None
         run: stepping.Run | None = None
         if compiled:
-            run = function_of(self._part)
+            run = function_of(self._code_name)
         elif compiled is None and is_compiled(None):
-            run = when_ready(self._part)
-            self._next_check = 0 if run is None else None
+            run = when_ready(self._code_name)
+            self._check_step = 0 if run is None else None
         self._run: stepping.Run = run or stepping.run
         self._compiled = run is not None
         self._world: World | PlanarWorld
@@ -129,7 +129,7 @@ class Episode(NotCopied):
         self._home = np.array(options.home_in_metres, np.float64)
         self._line = options.line
         self._lamps = options.lamps
-        if self._next_check is not None:
+        if self._check_step is not None:
             self._use_compiled_if_ready()
         self._controllers = self._new_controllers()
         starts = None if options.start is None else _check_starts(options.start, len(self.boards))
@@ -217,7 +217,7 @@ class Episode(NotCopied):
     def step(self, steps: int) -> None:
         """Run the episode for a number of steps; errors are those of `run`."""
         self._require_start()
-        if self._next_check is not None and self.steps >= self._next_check and self._use_compiled_if_ready():
+        if self._check_step is not None and self.steps >= self._check_step and self._use_compiled_if_ready():
             previous, self._controllers = self._controllers, self._new_controllers()
             for name in ("memory", "sums", "events", "host_registers"):
                 getattr(self._controllers, name)[:] = getattr(previous, name)
@@ -323,12 +323,12 @@ class Episode(NotCopied):
 
     def _use_compiled_if_ready(self) -> bool:
         """Switch to compiled code if it is ready; return whether it is."""
-        if (run := when_ready(self._part)) is None:
-            self._next_check = self.steps + _CHECK_INTERVAL
+        if (run := when_ready(self._code_name)) is None:
+            self._check_step = self.steps + _CHECK_INTERVAL
             return False
         self._run = run
         self._compiled = True
-        self._next_check = None
+        self._check_step = None
         self._simulation.step_with(self._advance, compiled=True)
         return True
 

@@ -28,6 +28,7 @@ from khep_twin.episodes.line import NEVER
 from khep_twin.episodes.stepping import Run, SlotArrays, run
 from khep_twin.errors import DivergedError
 from khep_twin.one_thread import one_thread
+from khep_twin.renamed import renamed_attribute
 from khep_twin.step import Reason, Stop
 
 Slots = Sequence[int] | NDArray[np.int64]
@@ -55,19 +56,19 @@ class EpisodeBatch(NotCopied):
     def __init__(self, episodes: Sequence[Episode], threads: int) -> None:
         self.guard = RLock()
         self._episodes = list(episodes)
-        count, n_robots = len(episodes), len(episodes[0].boards)
-        self._arrays = arrays = SlotArrays.of(count, n_robots, 0)
+        n_slots, n_robots = len(episodes), len(episodes[0].boards)
+        self._arrays = arrays = SlotArrays.of(n_slots, n_robots, 0)
         self.speeds, self.registers, self.poses = arrays.speeds, arrays.registers, arrays.poses
         self.steps: NDArray[np.int64] = arrays.end_steps
         self.last_step = NEVER
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None  # beside the caller's
         self._run: Run = run
-        self._arguments: list[tuple[Any, ...]] = [()] * count  # keeps the arrays alive
+        self._arguments: list[tuple[Any, ...]] = [()] * n_slots  # keeps the arrays alive
         self._group_numbers: dict[tuple[object, ...], int] = {}  # by line and shapes of their arrays
-        self._slot_groups = np.zeros(count, np.int64)
-        self._runs_compiled = np.zeros(count, np.bool_)
-        self._is_at_line = np.zeros(count, np.bool_)
+        self._slot_groups = np.zeros(n_slots, np.int64)
+        self._runs_compiled = np.zeros(n_slots, np.bool_)
+        self._is_at_line = np.zeros(n_slots, np.bool_)
 
     @one_thread
     def begin(
@@ -130,6 +131,8 @@ class EpisodeBatch(NotCopied):
     def slot_episode(self, index: int) -> Episode:
         """Return the episode of a slot, also if its start has failed."""
         return self._episodes[index]
+
+    joint_poses = renamed_attribute("joint_poses", "episode_poses")
 
     @property
     def episode_poses(self) -> NDArray[np.float64]:
@@ -195,7 +198,7 @@ class EpisodeBatch(NotCopied):
         if call is None:
             return
         self._run, arguments = call
-        arrays = list(_iterate_arrays(arguments))
+        arrays = list(_iterate_nested_arrays(arguments))
         if not self._group_numbers:
             addresses = np.zeros((len(self._episodes), len(arrays)), np.int64)
             self._arrays = self._arrays._replace(addresses=addresses)
@@ -209,16 +212,16 @@ class EpisodeBatch(NotCopied):
         if len(self._group_numbers) > 1:
             slots = slots[np.argsort(self._slot_groups[slots], kind="stable")]
         if self._pool is None:
-            self._run_part(slots)
+            self._run_groups(slots)
             return
         parts = np.array_split(slots, min(self._threads, len(slots)))
-        futures = [self._pool.submit(self._run_part, part) for part in parts[1:]]
-        self._run_part(parts[0])
+        futures = [self._pool.submit(self._run_groups, part) for part in parts[1:]]
+        self._run_groups(parts[0])
         for future in futures:
             future.result()
 
-    def _run_part(self, slots: NDArray[np.int64]) -> None:
-        """Run slots that are sorted by group."""
+    def _run_groups(self, slots: NDArray[np.int64]) -> None:
+        """Run slots sorted by group, one call of compiled code per group (equal line and array shapes)."""
         groups = [slots]
         if len(self._group_numbers) > 1:
             groups = np.split(slots, np.flatnonzero(np.diff(self._slot_groups[slots])) + 1)
@@ -228,10 +231,10 @@ class EpisodeBatch(NotCopied):
             )
 
 
-def _iterate_arrays(values: tuple[Any, ...]) -> Iterator[NDArray[Any]]:
+def _iterate_nested_arrays(values: tuple[Any, ...]) -> Iterator[NDArray[Any]]:
     """Yield the arrays in nested tuples, in order."""
     for value in values:
         if isinstance(value, np.ndarray):
             yield cast("NDArray[Any]", value)
         elif isinstance(value, tuple):
-            yield from _iterate_arrays(cast("tuple[Any, ...]", value))
+            yield from _iterate_nested_arrays(cast("tuple[Any, ...]", value))

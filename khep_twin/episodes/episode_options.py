@@ -64,7 +64,7 @@ DEFAULT_OPTIONS = EpisodeOptions()
 """Options of an episode by default."""
 
 
-def check_numbers(name: str, value: object, label: str, shape: tuple[int, ...]) -> None:
+def check_numbers(name: str, value: object, description: str, shape: tuple[int, ...]) -> None:
     """Raise a `ValueError` unless a value consists of finite numbers of a shape."""
     try:
         numbers = np.asarray(value, np.float64)
@@ -73,7 +73,7 @@ def check_numbers(name: str, value: object, label: str, shape: tuple[int, ...]) 
         fits = False
     if not fits:
         count = " x ".join(map(str, shape))
-        raise ValueError(f"{name} = {value!r}; expected {label}, {count} finite numbers")
+        raise ValueError(f"{name} = {value!r}; expected {description}, {count} finite numbers")
 
 
 def check_count(value: object, label: str) -> int:

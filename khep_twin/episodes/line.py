@@ -1,6 +1,6 @@
 """Times of a host's exchanges with its robot, for episodes without a serial line.
 
-A host's cycle on the line, in which each exchange starts when the previous one has ended:
+A host's cycle on the line, in which each exchange (request and reply) starts when the previous one has ended:
 
     start, N, its reply, O and H with their replies, D, its reply, a pause until start + period
 
@@ -111,7 +111,7 @@ def initial_events(n_robots: int, times: Sequence[int] | NDArray[np.int64]) -> N
 
 @compilable
 def set_next_step(event: Vector[int], times: Vector[int], step_ns: int) -> None:
-    """Set the step before which an event is handled.
+    """Set the step before which an event (the arrival of a request or of speeds) is handled.
 
     If a line takes time, bytes that arrive at the end of a step are handled before that step, as by a robot
     with a serial line.
@@ -120,7 +120,7 @@ def set_next_step(event: Vector[int], times: Vector[int], step_ns: int) -> None:
 
 
 @compilable
-def answer(
+def answer_request(
     event: Vector[int], times: Vector[int], registers: kernel.Registers, host_registers: kernel.Registers
 ) -> bool:
     """Answer a request; return whether it is the last of its cycle.
@@ -176,29 +176,29 @@ def end_cycle(event: Vector[int], times: Vector[int]) -> int:
 
 
 @compilable
-def _transfer_ns(baud: int, count: int) -> int:
+def _transfer_ns(baud: int, n_bytes: int) -> int:
     """Return the duration of a number of bytes [ns]; 0 if exchanges take no time."""
-    return count * _BYTE_NS_AT_1_BAUD // baud if baud > 0 else 0
+    return n_bytes * _BYTE_NS_AT_1_BAUD // baud if baud > 0 else 0
 
 
 @compilable
 def _reply_length(host_registers: kernel.Registers, request: int) -> int:
-    """Return the length of the reply to a request."""
+    """Return the length [bytes] of the reply to a request, an index in REQUESTS (0 N, 1 O, 2 H)."""
     length = 1 + _LINE_END
     if request == 2:
         left, right = host_registers[_POSITION], host_registers[kernel.RIGHT + _POSITION]
         return length + 2 + _n_chars(left) + _n_chars(right)
-    first = _AMBIENT if request == 1 else _PROXIMITY
+    first_register = _AMBIENT if request == 1 else _PROXIMITY
     for sensor in range(N_SENSORS):
-        length += 1 + _n_chars(host_registers[first + sensor])
+        length += 1 + _n_chars(host_registers[first_register + sensor])
     return length
 
 
 @compilable
 def _n_chars(number: int) -> int:
     """Return the length of a number as text, with its sign."""
-    count, rest = 1 if number >= 0 else 2, abs(number)
-    while rest >= 10:
-        rest //= 10
+    count, remainder = 1 if number >= 0 else 2, abs(number)
+    while remainder >= 10:
+        remainder //= 10
         count += 1
     return count

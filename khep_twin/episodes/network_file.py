@@ -103,7 +103,7 @@ def decode(data: bytes, path: Path) -> NetworkContent:
         raise ControllerError(f"{path}: cannot be read: {error}") from None
 
 
-def write(path: Path, stored: NetworkContent, replace: bool = False) -> None:
+def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
     """Write a file; an existing network is replaced, any other file only with `replace`.
 
     Raises:
@@ -112,20 +112,20 @@ def write(path: Path, stored: NetworkContent, replace: bool = False) -> None:
     """
     if path.suffix != SUFFIX:
         raise ControllerError(f"{path}: expected a name that ends in {SUFFIX}")
-    names, zero, one = _describe_inputs(stored.ambient, stored.light)
+    names, zero, one = _describe_inputs(content.ambient, content.light)
     arrays: dict[str, ArrayLike] = {
         "format": FORMAT,
         "version": VERSION,
-        "hidden": np.asarray(stored.hidden, None if stored.hidden else np.int64),
-        "recurrent": stored.recurrent,
-        "top_speed": float(stored.top_speed),
-        "genes": np.array(stored.genes, np.float64),
+        "hidden": np.asarray(content.hidden, None if content.hidden else np.int64),
+        "recurrent": content.recurrent,
+        "top_speed": float(content.top_speed),
+        "genes": np.array(content.genes, np.float64),
         "inputs": names,
         "zero": zero,
         "one": one,
-        "period_ns": stored.period_ns,
-        "playpen": stored.playpen,
-        **({} if stored.seed is None else {"seed": stored.seed}),
+        "period_ns": content.period_ns,
+        "playpen": content.playpen,
+        **({} if content.seed is None else {"seed": content.seed}),
     }
     _check_arrays(path, {name: np.asarray(value) for name, value in arrays.items()})
     may_replace = replace or _is_network(path)
@@ -153,60 +153,60 @@ def _describe_inputs(ambient: bool, light: tuple[float, float]) -> tuple[list[st
 def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> NetworkContent:
     """Return the content of a file's arrays; raise a `ControllerError` for unusable ones."""
 
-    def refuse(problem: str, expected: str) -> ControllerError:
+    def refusal(problem: str, expected: str) -> ControllerError:
         return ControllerError(f"{path}: {problem}; expected {expected}")
 
     if "format" not in arrays or arrays["format"].shape or str(arrays["format"]) != FORMAT:
         names = ", ".join(sorted(arrays)) or "nothing"
-        raise refuse(f"no network: an NPZ file of {names[:200]}", "one that Network.save has written")
+        raise refusal(f"no network: an NPZ file of {names[:200]}", "one that Network.save has written")
     for name, (kind, dimensions) in _ARRAY_KINDS.items():
         if name not in arrays and name != "seed":
-            raise refuse(f"no {name}", "one")
+            raise refusal(f"no {name}", "one")
         if name in arrays and (arrays[name].dtype.kind not in kind or arrays[name].ndim != dimensions):
             shape = "a single one" if dimensions == 0 else "a row of them"
             array_type = f"{name}: {arrays[name].dtype} of shape {arrays[name].shape}"
-            raise refuse(array_type, f"{_KIND_NAMES[kind]}, {shape}")
+            raise refusal(array_type, f"{_KIND_NAMES[kind]}, {shape}")
         if name == "version" and int(arrays[name]) != VERSION:
-            raise refuse(f"version = {arrays[name]}", f"{VERSION}; is it of a newer khep_twin?")
+            raise refusal(f"version = {arrays[name]}", f"{VERSION}; is it of a newer khep_twin?")
     for name in arrays.keys() - _ARRAY_KINDS.keys():
         raise ControllerError(f"{path}: {name}: unknown; {choices(name, _ARRAY_KINDS)}")
-    return _content(arrays, refuse)
+    return _content(arrays, refusal)
 
 
-def _content(arrays: Mapping[str, NDArray[Any]], refuse: Callable[[str, str], Exception]) -> NetworkContent:
-    """Return the content of arrays of the right kinds; raise the error of `refuse` for unusable values."""
+def _content(arrays: Mapping[str, NDArray[Any]], refusal: Callable[[str, str], Exception]) -> NetworkContent:
+    """Return the content of arrays of the right kinds; raise `refusal` for unusable values."""
     hidden, genes = tuple(arrays["hidden"].tolist()), tuple(map(float, arrays["genes"].tolist()))
     recurrent, inputs = bool(arrays["recurrent"]), arrays["inputs"].tolist()
     top_speed, period_ns = float(arrays["top_speed"]), int(arrays["period_ns"])
     seed = int(arrays["seed"]) if "seed" in arrays else None
     if not all(1 <= size <= 1000 for size in hidden) or len(hidden) > 100:
-        raise refuse(f"hidden = {list(hidden)[:100]}", "1 to 1000 neurons in each of at most 100 layers")
+        raise refusal(f"hidden = {list(hidden)[:100]}", "1 to 1000 neurons in each of at most 100 layers")
     if not 0 < top_speed <= SPEED_LIMIT_PULSES:
-        raise refuse(f"top_speed = {top_speed:g}", f"a number above 0 and at most {SPEED_LIMIT_PULSES}")
+        raise refusal(f"top_speed = {top_speed:g}", f"a number above 0 and at most {SPEED_LIMIT_PULSES}")
     if period_ns <= 0 or period_ns % units.TICK_NS:
-        raise refuse(f"period_ns = {period_ns}", f"whole ticks of {units.TICK_NS} ns")
+        raise refusal(f"period_ns = {period_ns}", f"whole ticks of {units.TICK_NS} ns")
     if seed is not None and not 0 <= seed < SEED_LIMIT:
-        raise refuse(f"seed = {seed}", "an integer from 0 to 2**63-1")
+        raise refusal(f"seed = {seed}", "an integer from 0 to 2**63-1")
     ambient = len(inputs) > units.N_SENSORS
     light = LIGHT
     zero, one = arrays["zero"].tolist(), arrays["one"].tolist()
     if ambient and len(zero) == len(one) == len(inputs):
         light = float(zero[-1]), float(one[-1])
-    names, *scale = _describe_inputs(ambient, light)
+    names, *expected_scale = _describe_inputs(ambient, light)
     if len(inputs) != len(names):
-        raise refuse(f"{len(inputs)} inputs", f"{units.N_SENSORS}, or {2 * units.N_SENSORS} with light")
+        raise refusal(f"{len(inputs)} inputs", f"{units.N_SENSORS}, or {2 * units.N_SENSORS} with light")
     for index, (input_name, name) in enumerate(zip(inputs, names, strict=True)):
         if input_name != name:
-            raise refuse(f"inputs[{index}] = {input_name[:40]!r}", repr(name))
-    if [zero, one] != scale or not np.isfinite(light).all() or light[0] == light[1]:
+            raise refusal(f"inputs[{index}] = {input_name[:40]!r}", repr(name))
+    if [zero, one] != expected_scale or not np.isfinite(light).all() or light[0] == light[1]:
         expected = f"proximity from 0 to {units.COUNTS_LIMIT}, and the same light from dark to bright for all"
-        raise refuse(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", expected)
+        raise refusal(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", expected)
     layers = sizes(hidden, ambient)
     if len(genes) != (count := networks.n_genes(layers, recurrent)):
         feedback = ", recurrent" if recurrent else ""
-        raise refuse(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")
+        raise refusal(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")
     if (invalid := np.flatnonzero(~np.isfinite(genes))).size:
-        raise refuse(f"genes[{invalid[0]}] = {genes[invalid[0]]}", "finite numbers")
+        raise refusal(f"genes[{invalid[0]}] = {genes[invalid[0]]}", "finite numbers")
     if not (playpen := str(arrays["playpen"])).isprintable() or len(playpen) > 200:
-        raise refuse(f"playpen = {playpen[:40]!r}", "a name of at most 200 characters")
+        raise refusal(f"playpen = {playpen[:40]!r}", "a name of at most 200 characters")
     return NetworkContent(hidden, recurrent, ambient, top_speed, genes, period_ns, light, playpen, seed)

@@ -21,7 +21,7 @@ from khep_twin.episodes.line import (
     NEVER,
     NEXT_STEP,
     STAGE,
-    answer,
+    answer_request,
     end_cycle,
     send_speeds,
     set_next_step,
@@ -255,7 +255,7 @@ def _handle_event(simulated: Simulated, controllers: Controllers, robot: int) ->
     event, host_registers = controllers.events[robot], controllers.host_registers[robot]
     is_driven = controllers.kind != CONSTANT_SPEED and state.processor[kernel.POWERED]
     if event[STAGE] < len(line) - FIRST_REQUEST:
-        if answer(event, line, registers, host_registers):
+        if answer_request(event, line, registers, host_registers):
             if controllers.kind == CALLER:
                 event[NEXT_STEP] = NEVER
                 return True

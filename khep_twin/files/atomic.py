@@ -14,7 +14,7 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.files.paths import StrPath
 from khep_twin.invocation import quoted
 from khep_twin.machine import flags
-from khep_twin.signals import clear_at_end, undisturbed
+from khep_twin.signals import block_signals, register_cleanup
 
 _NO_HARD_LINKS = errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK
 """Errors of file systems without hard links, such as FAT."""
@@ -101,7 +101,7 @@ def write_atomic(path: Path, data: bytes, replace: bool = True) -> None:
         KhepTwinError: It cannot be written; the previous file is unchanged. Or `replace` is false, and a file
             that is not empty has appeared; the new one gets another name.
     """
-    with undisturbed(), atomic_file(path, replace) as file:
+    with block_signals(), atomic_file(path, replace) as file:
         file.write(data)
 
 
@@ -130,10 +130,10 @@ def part_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
         KhepTwinError: With `replace` false, another file has appeared.
     """
     target = resolve(path)
-    with undisturbed():
+    with block_signals():
         part = _new_part(target)
         remove_part = partial(part.unlink, missing_ok=True)
-        cancel_removal = clear_at_end(remove_part)
+        cancel_removal = register_cleanup(remove_part)
     try:
         with part.open("w+b") as file:
             yield file
@@ -248,7 +248,7 @@ def is_part(path: Path, target: Path) -> bool:
 
 
 def _new_part(target: Path) -> Path:
-    """Create an empty file beside another one, with a unique name."""
+    """Create an empty temporary file beside `target`, with a unique name."""
     number = 0
     while True:
         part = target.with_name(f".{target.name}.part{number or ''}")

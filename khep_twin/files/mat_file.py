@@ -62,7 +62,7 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"
 _ENCODINGS = {16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _CHARACTERS, _NUMBERS, _OPAQUE, _COMPLEX = 4, range(6, 16), 17, 0x0800
 _UNSUPPORTED = {1: "a cell array", 2: "a struct", 3: "an object", 5: "a sparse matrix", 16: "a function"}
-_TYPES_OF_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
+_MATLAB_4_TYPES = ("f8", "f4", "i4", "i2", "u2", "u1")
 
 
 def read_variables(data: bytes) -> dict[str, Variable]:
@@ -85,7 +85,7 @@ def read_variables(data: bytes) -> dict[str, Variable]:
         if isinstance(value, tuple):
             characters += sum(map(len, value))
         if characters > TEXT_LIMIT:
-            raise _too_long(characters)
+            raise _too_long_error(characters)
         # A variable without a name is internal to Matlab.
         if name:
             variables[name] = value
@@ -97,67 +97,67 @@ class _Reader:
     """A file's bytes, and the offset of the next one to read."""
 
     data: memoryview
-    order: str
+    byte_order: str
     offset: int = 0
 
     def read(self, size: int) -> memoryview:
         missing = self.offset + size - len(self.data)
         if missing > 0:
-            raise _damage(f"{missing} bytes are missing at its end")
+            raise _damage_error(f"{missing} bytes are missing at its end")
         self.offset += size
         return self.data[self.offset - size : self.offset]
 
     def read_integers(self, count: int) -> tuple[int, ...]:
-        return struct.unpack(f"{self.order}{count}I", self.read(4 * count))
+        return struct.unpack(f"{self.byte_order}{count}I", self.read(4 * count))
 
     def read_element(self) -> tuple[int, memoryview]:
         """Return type and content of the next element; a small element has its size beside its type."""
-        (kind,) = self.read_integers(1)
-        if kind >> 16:
-            content = self.read(4)[: min(kind >> 16, 4)]
-            return kind & 0xFFFF, content
+        (element_type,) = self.read_integers(1)
+        if element_type >> 16:
+            content = self.read(4)[: min(element_type >> 16, 4)]
+            return element_type & 0xFFFF, content
         (size,) = self.read_integers(1)
         content = self.read(size)
-        if kind != _COMPRESSED:
+        if element_type != _COMPRESSED:
             self.offset += min(-size % 8, len(self.data) - self.offset)
-        return kind, content
+        return element_type, content
 
     @property
     def is_at_end(self) -> bool:
         return self.offset >= len(self.data)
 
 
-def _damage(reason: str) -> MatError:
+def _damage_error(reason: str) -> MatError:
     return MatError(f"no whole MAT file: {reason}; expected the file as saved")
 
 
 def _read_matlab_5(data: bytes) -> Iterator[tuple[str, Variable]]:
     if data[:4] == b"\x89HDF" or data[:10] == b"MATLAB 7.3":
         raise MatError("a MAT file of Matlab 7.3; expected one of Matlab 4 to 7.2, as save -v7 writes it")
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
-    if order is None or data[124:126] not in (b"\x00\x01", b"\x01\x00"):
+    byte_order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if byte_order is None or data[124:126] not in (b"\x00\x01", b"\x01\x00"):
         raise MatError(f"no MAT file: begins {data[:20]!r}; expected one of Matlab 4 to 7.2")
-    reader = _Reader(memoryview(data), order, 128)
+    reader = _Reader(memoryview(data), byte_order, 128)
     bytes_left = SIZE_LIMIT
-    elements = 0
+    n_elements = 0
     while not reader.is_at_end:
-        elements += 1
-        if elements > VARIABLE_LIMIT:
+        n_elements += 1
+        if n_elements > VARIABLE_LIMIT:
             raise MatError(f"more than {VARIABLE_LIMIT} variables; expected a file with fewer")
-        kind, content = reader.read_element()
-        if kind == _COMPRESSED:
+        element_type, content = reader.read_element()
+        if element_type == _COMPRESSED:
             matrix_bytes = _decompress(content, bytes_left)
             bytes_left -= len(matrix_bytes)
-            kind, content = _Reader(matrix_bytes, order).read_element()
-        if kind == _MATRIX and len(content):
-            yield _read_matrix(_Reader(content, order))
+            element_type, content = _Reader(matrix_bytes, byte_order).read_element()
+        if element_type == _MATRIX and len(content):
+            yield _read_matrix(_Reader(content, byte_order))
 
 
 def _decompress(content: memoryview, limit: int) -> memoryview:
     try:
         data = zlib.decompressobj().decompress(content, limit + 1)
     except zlib.error as error:
-        raise _damage(str(error)) from None
+        raise _damage_error(str(error)) from None
     if len(data) > limit:
         raise MatError(f"unpacked larger than {SIZE_LIMIT} bytes, the most that is read")
     return memoryview(data)
@@ -166,72 +166,72 @@ def _decompress(content: memoryview, limit: int) -> memoryview:
 def _read_matrix(reader: _Reader) -> tuple[str, Variable]:
     flags = reader.read_element()[1]
     if len(flags) != 8:
-        raise _damage("a matrix without its kind")
-    (flag_bits,) = struct.unpack(f"{reader.order}I", flags[:4])
-    kind = flag_bits & 0xFF
+        raise _damage_error("a matrix without its kind")
+    (flag_bits,) = struct.unpack(f"{reader.byte_order}I", flags[:4])
+    matrix_class = flag_bits & 0xFF
     # Only opaque objects have no size before their name.
-    shape = [] if kind == _OPAQUE else _shape(*reader.read_element(), reader.order)
+    shape = [] if matrix_class == _OPAQUE else _decode_shape(*reader.read_element(), reader.byte_order)
     name = bytes(reader.read_element()[1][:1000]).decode("latin-1")
-    if kind != _CHARACTERS and kind not in _NUMBERS:
-        return name, UnsupportedVariable(_UNSUPPORTED.get(kind, "an object"))
+    if matrix_class != _CHARACTERS and matrix_class not in _NUMBERS:
+        return name, UnsupportedVariable(_UNSUPPORTED.get(matrix_class, "an object"))
     if flag_bits & _COMPLEX:
         return name, UnsupportedVariable("complex")
     data_type, content = reader.read_element() if not reader.is_at_end else (1, memoryview(b""))
-    if kind == _CHARACTERS:
-        return name, _rows(_text(data_type, content, reader.order), shape)
-    return name, _reshape(_numbers(data_type, content, reader.order), shape, name)
+    if matrix_class == _CHARACTERS:
+        return name, _text_rows(_decode_text(data_type, content, reader.byte_order), shape)
+    return name, _reshape(_decode_numbers(data_type, content, reader.byte_order), shape, name)
 
 
-def _shape(kind: int, content: memoryview, order: str) -> list[int]:
-    if kind != _INT32 or not 2 <= len(content) // 4 <= _DIMENSION_LIMIT:
-        raise _damage(f"a matrix of {len(content) // 4} dimensions")
-    shape = list(struct.unpack(f"{order}{len(content) // 4}i", content[: len(content) // 4 * 4]))
+def _decode_shape(element_type: int, content: memoryview, byte_order: str) -> list[int]:
+    if element_type != _INT32 or not 2 <= len(content) // 4 <= _DIMENSION_LIMIT:
+        raise _damage_error(f"a matrix of {len(content) // 4} dimensions")
+    shape = list(struct.unpack(f"{byte_order}{len(content) // 4}i", content[: len(content) // 4 * 4]))
     if min(shape) < 0:
-        raise _damage(f"a matrix of {' x '.join(map(str, shape))}")
+        raise _damage_error(f"a matrix of {' x '.join(map(str, shape))}")
     return shape
 
 
-def _numbers(kind: int, content: memoryview, order: str) -> Numbers:
-    if kind not in _TYPES:
-        raise _damage(f"numbers of type {kind}")
-    dtype = np.dtype(order + _TYPES[kind])
+def _decode_numbers(element_type: int, content: memoryview, byte_order: str) -> Numbers:
+    if element_type not in _TYPES:
+        raise _damage_error(f"numbers of type {element_type}")
+    dtype = np.dtype(byte_order + _TYPES[element_type])
     return np.frombuffer(content, dtype, len(content) // dtype.itemsize)
 
 
 def _reshape(values: Numbers, shape: list[int], name: str) -> Numbers:
-    size = " x ".join(map(str, shape))
+    shape_text = " x ".join(map(str, shape))
     if math.prod(shape) != len(values):
-        raise MatError(f"{name[:40]!r}: {len(values)} values; expected {size}")
+        raise MatError(f"{name[:40]!r}: {len(values)} values; expected {shape_text}")
     try:
         return values.reshape(shape, order="F")
     except ValueError:
         # Size 0 in one dimension, and a product beyond the limit of numpy in the others.
-        raise _damage(f"a matrix of {size}") from None
+        raise _damage_error(f"a matrix of {shape_text}") from None
 
 
-def _text(kind: int, content: memoryview, order: str) -> str:
-    if kind not in _ENCODINGS:
-        return _from_codes(_numbers(kind, content, order))
+def _decode_text(element_type: int, content: memoryview, byte_order: str) -> str:
+    if element_type not in _ENCODINGS:
+        return _decode_codes(_decode_numbers(element_type, content, byte_order))
     if len(content) > 4 * TEXT_LIMIT:
-        raise _too_long(len(content))
-    byte_order = "" if kind == 16 else "-le" if order == "<" else "-be"
-    return bytes(content).decode(_ENCODINGS[kind] + byte_order, "replace")
+        raise _too_long_error(len(content))
+    encoding_suffix = "" if element_type == 16 else "-le" if byte_order == "<" else "-be"
+    return bytes(content).decode(_ENCODINGS[element_type] + encoding_suffix, "replace")
 
 
-def _from_codes(codes: Numbers) -> str:
+def _decode_codes(codes: Numbers) -> str:
     if len(codes) > TEXT_LIMIT:
-        raise _too_long(len(codes))
+        raise _too_long_error(len(codes))
     code_points = np.full(len(codes), 0xFFFD, dtype="<u4")
     is_valid = (codes >= 0) & (codes < 0x110000)
     code_points[is_valid] = codes[is_valid]
     return code_points.tobytes().decode("utf-32-le", "replace")
 
 
-def _too_long(characters: int) -> MatError:
+def _too_long_error(characters: int) -> MatError:
     return MatError(f"text of {characters} characters; expected up to {TEXT_LIMIT}")
 
 
-def _rows(text: str, shape: list[int]) -> tuple[str, ...]:
+def _text_rows(text: str, shape: list[int]) -> tuple[str, ...]:
     """Return the rows of a char matrix, which is stored by columns."""
     if len(shape) != 2 or shape[0] < 2 or not text or math.prod(shape) != len(text):
         return (text,) if text else ()
@@ -239,24 +239,24 @@ def _rows(text: str, shape: list[int]) -> tuple[str, ...]:
 
 
 def _read_matlab_4(data: bytes) -> Iterator[tuple[str, Variable]]:
-    order = "<" if struct.unpack("<I", data[:4])[0] < 5000 else ">"
-    reader = _Reader(memoryview(data), order)
+    byte_order = "<" if struct.unpack("<I", data[:4])[0] < 5000 else ">"
+    reader = _Reader(memoryview(data), byte_order)
     while not reader.is_at_end:
-        kind, rows, columns, imaginary, length = reader.read_integers(5)
+        kind, rows, columns, imaginary, name_length = reader.read_integers(5)
         type_index, matrix_type = kind // 10 % 10, kind % 10
-        if kind >= 5000 or type_index >= len(_TYPES_OF_4) or matrix_type > 2 or length > 1000:
+        if kind >= 5000 or type_index >= len(_MATLAB_4_TYPES) or matrix_type > 2 or name_length > 1000:
             raise MatError(
                 f"no MAT file: a matrix of kind {kind} at byte {reader.offset - 20}; "
                 "expected one of Matlab 4 to 7.2"
             )
-        name = bytes(reader.read(length)).split(b"\0")[0].decode("latin-1")
-        dtype = np.dtype(order + _TYPES_OF_4[type_index])
+        name = bytes(reader.read(name_length)).split(b"\0")[0].decode("latin-1")
+        dtype = np.dtype(byte_order + _MATLAB_4_TYPES[type_index])
         content = reader.read(rows * columns * dtype.itemsize)
         if imaginary:
             reader.read(len(content))
         values = np.frombuffer(content, dtype)
         if matrix_type == 1:
-            yield name, _rows(_from_codes(values), [rows, columns])
+            yield name, _text_rows(_decode_codes(values), [rows, columns])
         elif matrix_type == 2 or imaginary:
             yield name, UnsupportedVariable("a sparse matrix" if matrix_type == 2 else "complex")
         else:

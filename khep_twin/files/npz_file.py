@@ -58,7 +58,7 @@ def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     if not fits:
         contents_text = f"{len(members)} arrays of {size} bytes"
         raise ValueError(f"{contents_text}; expected at most {_ARRAY_LIMIT} of {SIZE_LIMIT} bytes")
-    return {name.removesuffix(".npy"): _array(name, content) for name, content in contents.items()}
+    return {name.removesuffix(".npy"): _parse_array(name, content) for name, content in contents.items()}
 
 
 def npz_bytes(arrays: Mapping[str, ArrayLike]) -> bytes:
@@ -72,26 +72,26 @@ def npz_bytes(arrays: Mapping[str, ArrayLike]) -> bytes:
     return data.getvalue()
 
 
-def _array(name: str, content: bytes) -> NDArray[Any]:
+def _parse_array(name: str, content: bytes) -> NDArray[Any]:
     header = _HEADER.match(content)
     if not header:
         raise ValueError(f"{name}: no array of numpy, of numbers or texts")
-    order, letter, size, fortran_order, shape_text = (part.decode("ascii") for part in header.groups())
+    byte_order, letter, size, fortran_order, shape_text = (part.decode("ascii") for part in header.groups())
     if letter == "O":
         raise ValueError(f"{name}: pickled objects, which are not read; expected numbers or texts")
     try:
-        dtype = np.dtype(f"{order}{letter}{size}")
+        dtype = np.dtype(f"{byte_order}{letter}{size}")
     except TypeError:
         raise ValueError(f"{name}: {letter}{size}: no type of numbers or texts") from None
     shape = tuple(int(number) for number in shape_text.split(",") if number.strip())
-    values = content[header.end() :]
-    if dtype.itemsize * math.prod(shape) != len(values) or not dtype.itemsize:
-        raise ValueError(f"{name}: {len(values)} bytes for an array of {shape}; it is damaged")
+    values_data = content[header.end() :]
+    if dtype.itemsize * math.prod(shape) != len(values_data) or not dtype.itemsize:
+        raise ValueError(f"{name}: {len(values_data)} bytes for an array of {shape}; it is damaged")
     if letter == "U":
-        codes = np.frombuffer(values, f"{order}u4")
+        codes = np.frombuffer(values_data, f"{byte_order}u4")
         if (codes > 0x10FFFF).any() or ((codes >= 0xD800) & (codes < 0xE000)).any():
             raise ValueError(f"{name}: no text; it is damaged")
-    array = np.frombuffer(values, dtype).reshape(shape, order="F" if fortran_order == "True" else "C")
+    array = np.frombuffer(values_data, dtype).reshape(shape, order="F" if fortran_order == "True" else "C")
     if letter == "U" and not all(text.isprintable() for text in array.ravel().tolist()):
         raise ValueError(f"{name}: characters that cannot be printed; expected those of a line")
     return array

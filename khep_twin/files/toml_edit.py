@@ -46,9 +46,9 @@ def _change_array(
     tables: AoT, current: Sequence[_Table], new: Sequence[_Table], minimal: Sequence[_Table]
 ) -> None:
     """Change an array of tables; unchanged tables keep their comments, also where they move."""
-    steps = SequenceMatcher(None, [*map(repr, current)], [*map(repr, new)], autojunk=False).get_opcodes()
-    for kind, start, end, new_start, new_end in reversed(steps):
-        if kind == "equal":
+    operations = SequenceMatcher(None, [*map(repr, current)], [*map(repr, new)], autojunk=False).get_opcodes()
+    for operation, start, end, new_start, new_end in reversed(operations):
+        if operation == "equal":
             continue
         common = min(end - start, new_end - new_start)
         for index, new_index in zip(range(start, start + common), range(new_start, new_end), strict=False):

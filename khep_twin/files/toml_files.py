@@ -147,8 +147,8 @@ def check(
     except ValidationError as error:
         problems = list(islice(_problems(model, error, data), PROBLEM_LIMIT + 1))
         if len(problems) > PROBLEM_LIMIT:
-            last = f"more than {PROBLEM_LIMIT} problems; the others are reported once these are gone"
-            problems[-1] = Problem((), last)
+            message = f"more than {PROBLEM_LIMIT} problems; the others are reported once these are gone"
+            problems[-1] = Problem((), message)
         lines = LineNumbers(text)
         raise error_type(
             problems=[replace(item, file=source, line=lines.find(item.location)) for item in problems]
@@ -247,18 +247,18 @@ def _problems(model: type[BaseModel], error: ValidationError, data: Mapping[str,
             # A model's validator includes the locations in its messages.
             cause = problem.get("ctx", {})["error"]
             problems = cause.problems if isinstance(cause, Problems) else [Problem((), str(cause))]
-            yield from (replace(item, value=item.value or _value(data, item.location)) for item in problems)
+            yield from (replace(item, value=item.value or _lookup(data, item.location)) for item in problems)
         else:
             table_prefix, key = _table_and_key(location)
-            reason, expected = _reason(model, location, key, problem)
-            yield Problem(location, f"{table_prefix}{reason}", _value(data, location), expected)
+            reason, expected = _describe_problem(model, location, key, problem)
+            yield Problem(location, f"{table_prefix}{reason}", _lookup(data, location), expected)
 
 
-def _value(data: Any, location: Location) -> Any:
+def _lookup(data: Any, location: Location) -> Any:
     """Return the value at a location; None for a whole table or without one."""
-    for part in location:
+    for key in location:
         try:
-            data = data[part]
+            data = data[key]
         except (LookupError, TypeError):
             return None
     return None if isinstance(data, Mapping) else data
@@ -276,30 +276,30 @@ def _table_and_key(location: Sequence[str | int]) -> tuple[str, str]:
     return " ".join(tables) + (": " if tables else ""), key
 
 
-def _reason(
+def _describe_problem(
     model: type[BaseModel], location: Location, key: str, problem: ErrorDetails
 ) -> tuple[str, Expected]:
     """Return the text of a problem, and the expected values."""
     kind = problem["type"]
-    field, keys = _field(model, location)
+    field, keys = _field_at(model, location)
     if kind == "missing":
-        return f"{key} is missing; expected {(expected := _expected(field))}", expected
+        return f"{key} is missing; expected {(expected := _describe_expected(field))}", expected
     if location[-1] == "[key]":
         return f"{format_value(key)} is no name; expected {NAME_RULE}", NAME_RULE
-    assignment = _assignment(key, problem["input"])
+    assignment = _format_assignment(key, problem["input"])
     if kind == "extra_forbidden":
         return f"{assignment}: unknown key; {choices(key, keys)}", tuple(keys)
     if kind == "literal_error" and field is not None:
-        literals = _literals(field.annotation)
+        literals = _literals_in(field.annotation)
         return f"{assignment}: unknown; {choices(_to_text(problem['input']), literals)}", tuple(literals)
-    return f"{assignment}; expected {(expected := _expected(field))}", expected
+    return f"{assignment}; expected {(expected := _describe_expected(field))}", expected
 
 
-def _assignment(key: str, value: object) -> str:
+def _format_assignment(key: str, value: object) -> str:
     return key if isinstance(value, dict | tuple) else f"{key} = {format_value(value)}"
 
 
-def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[str]]:
+def _field_at(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[str]]:
     """Return the field at a location, and the keys of its table."""
     table: type[BaseModel] | None = model
     field: FieldInfo | None = None
@@ -312,41 +312,41 @@ def _field(model: type[BaseModel], location: Sequence[str | int]) -> tuple[Field
         # The name of a surface is no field; it belongs to the field `surfaces`.
         if part in fields:
             field = fields[part]
-            table = _table_of(field.annotation)
+            table = _table_in(field.annotation)
     return field, keys
 
 
-def _table_of(annotation: object) -> type[BaseModel] | None:
+def _table_in(annotation: object) -> type[BaseModel] | None:
     """Return the table in an annotation, e.g. tuple[Block, ...] or dict[str, Surface]."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((table for part in get_args(annotation) if (table := _table_of(part)) is not None), None)
+    return next((table for part in get_args(annotation) if (table := _table_in(part)) is not None), None)
 
 
-def _literals(annotation: object) -> list[object]:
+def _literals_in(annotation: object) -> list[object]:
     if get_origin(annotation) is Literal:
         return list(get_args(annotation))
-    return [literal for part in get_args(annotation) for literal in _literals(part)]
+    return [literal for part in get_args(annotation) for literal in _literals_in(part)]
 
 
-def _expected(field: FieldInfo | None) -> str:
+def _describe_expected(field: FieldInfo | None) -> str:
     """Return a description of the values that a field accepts."""
     if field is None:
         return "a key of this table"
     if field.description:
         return field.description
     annotation = _required_type(field.annotation)
-    if literals := _literals(annotation):
+    if literals := _literals_in(annotation):
         return " or ".join(format_value(literal) for literal in literals)
     if annotation is int or annotation is float:
         word = "an integer" if annotation is int else "a number"
-        return f"{word} {_range(field)}".rstrip()
+        return f"{word} {_describe_range(field)}".rstrip()
     if annotation is bool:
         return "true or false"
     if annotation is str:
         return NAME_RULE if any(hasattr(rule, "pattern") for rule in field.metadata) else "text"
     if get_origin(annotation) is tuple:
-        return f"[[{field.alias}]], in two brackets each" if _table_of(annotation) else "a list of values"
+        return f"[[{field.alias}]], in two brackets each" if _table_in(annotation) else "a list of values"
     return "a table"
 
 
@@ -356,7 +356,7 @@ def _required_type(annotation: object) -> object:
     return parts[0] if len(parts) == 1 and NoneType in get_args(annotation) else annotation
 
 
-def _range(field: FieldInfo) -> str:
+def _describe_range(field: FieldInfo) -> str:
     """Return a number's limits, e.g. "from 0 to 2", "above 0 up to 1000"."""
     keys = ("gt", "ge", "le")
     limits = {key: getattr(rule, key) for rule in field.metadata for key in keys if hasattr(rule, key)}

@@ -10,7 +10,7 @@ from functools import cache
 
 from khep_twin.board.rom import ROMS
 from khep_twin.host.host_command import HostCommand as HostCommand
-from khep_twin.host.host_command import split_reply, query, order
+from khep_twin.host.host_command import order, query, split_reply
 from khep_twin.host.results import (
     MotionStatus,
     MotorMode,

@@ -7,7 +7,7 @@ from serial.tools import list_ports
 
 from khep_twin.errors import PortError, PortInUse, PortTimeout
 from khep_twin.host import commands
-from khep_twin.host.opening import find_speed, open_port
+from khep_twin.host.opening import find_baud_rate, open_port
 from khep_twin.ports.port_users import port_user
 from khep_twin.ports.service_registry import served_ports
 from khep_twin.renamed import renamed_attribute
@@ -36,12 +36,12 @@ def found_ports() -> list[FoundPort]:
     """Return served twins first, then serial ports, without opening any.
 
     Raises:
-        PortError: The directory of the servers' notes is accessible to other users.
+        PortError: The directory of the servers' registry entries is accessible to other users.
     """
-    twins = [FoundPort(path, description, True) for path, description in served_ports()]
+    twins = [FoundPort(path, description, twin=True) for path, description in served_ports()]
     adapters = [
         # pyserial describes a built-in port as "n/a".
-        FoundPort(port.device, "serial port" if port.description == "n/a" else port.description, False)
+        FoundPort(port.device, "serial port" if port.description == "n/a" else port.description, twin=False)
         for port in sorted(list_ports.comports())
     ]
     return twins + adapters
@@ -63,7 +63,7 @@ def identify_robot(url: str) -> tuple[int, commands.Versions] | None:
         raise PortInUse(f"{url}: in use by {user}")
     port = open_port(url, 9600, _TIMEOUT_S, exclusive=True)
     try:
-        speed = find_speed(port, url, time.monotonic)
+        speed = find_baud_rate(port, url, time.monotonic)
         port.write(b"B\n")
         return speed, commands.versions().read(port.read_until(b"\n", None).decode("latin-1").strip())
     except (PortTimeout, ValueError):

@@ -39,7 +39,7 @@ def order(letter: str, *arguments: int, repeatable: bool = False) -> HostCommand
 def query(
     letter: str, count: int, convert: Callable[[Sequence[int]], T], *arguments: int, repeatable: bool = True
 ) -> HostCommand[T]:
-    """Return a command whose reply is its letter and `count` integers."""
+    """Return a command that reads `count` integers, which `convert` makes its value."""
 
     def read(reply: str) -> T:
         values = split_reply(letter.lower(), count, reply)
@@ -55,7 +55,7 @@ def _format_request(letter: str, arguments: Sequence[int]) -> str:
 
 
 def split_reply(letter: str, count: int, reply: str) -> list[str]:
-    """Return the values of a reply.
+    """Return the `count` values of a reply, which starts with a letter.
 
     Raises:
         ValueError: The letter or the number of values differs.

@@ -12,7 +12,7 @@ from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand
 from khep_twin.host.line import KHEPERA, Dialect, Line
 
-Value = TypeVar("A")
+Value = TypeVar("Value")
 
 
 class HostRobot:

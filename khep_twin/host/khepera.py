@@ -22,7 +22,7 @@ from khep_twin.files.paths import StrPath
 from khep_twin.host import commands
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.host_robot import HostRobot
-from khep_twin.host.moves import LONGEST_WAY_PULSES, turn_pulses, way_pulses
+from khep_twin.host.moves import TARGET_LIMIT_PULSES, turn_pulses, way_pulses
 from khep_twin.host.results import MotionStatus as MotionStatus
 from khep_twin.host.results import MotorMode, Positions, SensorCounts, Speeds, Versions
 from khep_twin.host.results import WheelStatus as WheelStatus
@@ -124,8 +124,7 @@ class Khepera(HostRobot):
         """Drive straight by a distance [m], backwards if it is below 0; return on arrival.
 
         Raises:
-            MoveError: Not on target after `timeout` [s], so the motors are stopped; or beyond the counters'
-            range.
+            MoveError: Not on target after `timeout` [s], and stopped; or beyond the counters' range.
         """
         pulses = way_pulses(distance)
         return self._drive_by(pulses, pulses, timeout)
@@ -134,8 +133,7 @@ class Khepera(HostRobot):
         """Turn in place by an angle [rad], left if it is above 0; return on arrival.
 
         Raises:
-            MoveError: Not on target after `timeout` [s], so the motors are stopped; or beyond the counters'
-            range.
+            MoveError: Not on target after `timeout` [s], and stopped; or beyond the counters' range.
         """
         pulses = turn_pulses(angle, self._wheel_base)
         return self._drive_by(-pulses, pulses, timeout)
@@ -224,13 +222,13 @@ class Khepera(HostRobot):
         return tuple(values)
 
     def _drive_by(self, left: int, right: int, timeout: float) -> Positions:
-        """Move the wheels by a number of pulses, and wait."""
+        """Move the wheels by numbers of pulses; return their positions on arrival."""
         start = self.position()
         target = start.left + left, start.right + right
-        if max(map(abs, target)) > LONGEST_WAY_PULSES:
+        if max(map(abs, target)) > TARGET_LIMIT_PULSES:
             raise MoveError(
                 f"{self.name}: from counters {tuple(start)} to {target} pulses; "
-                f"expected a target within {LONGEST_WAY_PULSES} of 0"
+                f"expected a target within {TARGET_LIMIT_PULSES} of 0"
             )
         self.set_target(*target)
         try:

@@ -21,11 +21,11 @@ import serial
 
 from khep_twin.errors import MoveError
 from khep_twin.files.paths import StrPath
-from khep_twin.host.host_command import HostCommand, split_reply, query, order
+from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.khepera4_results import Battery, Distances, InfraredCounts, Vector3, Wheels
 from khep_twin.host.line import KHEPERA4
-from khep_twin.host.moves import finite
+from khep_twin.host.moves import check_finite
 from khep_twin.units import BODIES, GRAVITY
 
 R = TypeVar("R")
@@ -41,7 +41,7 @@ SPEED_UNIT = PULSE_LENGTH / 0.01
 WHEEL_BASE = _BODY.wheel_base
 """Distance of the wheels [m]."""
 
-N_PACKETS = 10
+N_SAMPLES = 10
 """Values of an accelerometer or a gyroscope in a reply."""
 
 _ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / 16_384, math.radians(0.066)
@@ -179,7 +179,7 @@ class Khepera4(HostRobot):
         end, last_positions = self.time + timeout, ()
         while True:
             positions = self._run(query("R", 2, tuple))
-            errors = [abs(target - position) for target, position in zip(self._target, positions, strict=True)]
+            errors = [abs(target - now) for target, now in zip(self._target, positions, strict=True)]
             if positions == last_positions and max(errors) <= _ARRIVAL_PULSES:
                 return
             if not self.time <= end:
@@ -224,11 +224,11 @@ class Khepera4(HostRobot):
 
         At rest x and y are 0 and z is -9.81.
         """
-        return self._run(query("T", 3 * N_PACKETS, lambda values: _vectors(values, _ACCELERATION_UNIT)))
+        return self._run(query("T", 3 * N_SAMPLES, lambda values: _vectors(values, _ACCELERATION_UNIT)))
 
     def turn_rates(self) -> tuple[Vector3, ...]:
         """Return the last ten values of the gyroscope, newest first [rad/s]; z to the left (command S)."""
-        return self._run(query("S", 3 * N_PACKETS, lambda values: _vectors(values, _TURN_RATE_UNIT)))
+        return self._run(query("S", 3 * N_SAMPLES, lambda values: _vectors(values, _TURN_RATE_UNIT)))
 
     def battery(self) -> Battery:
         """Return the state of the battery (command V, once for each value)."""
@@ -257,7 +257,7 @@ class Khepera4(HostRobot):
         self._run(order("F", left_pulses, right_pulses))
 
     def _drive_by(self, left: float, right: float, timeout: float) -> Wheels:
-        """Move the wheels by distances [m], and wait."""
+        """Move the wheels by distances [m]; return their positions on arrival [m]."""
         distances = _to_pulses("distance", PULSE_LENGTH, (left, right))
         positions = self._run(query("R", 2, tuple))
         self._send_target(positions[0] + distances[0], positions[1] + distances[1])
@@ -270,14 +270,16 @@ class Khepera4(HostRobot):
 
 
 def _to_pulses(name: str, unit: float, values: Sequence[float]) -> list[int]:
-    return [round(finite(name, value) / unit) for value in values]
+    """Divide values by a unit and round them; raise ValueError with the name unless they are finite."""
+    return [round(check_finite(name, value) / unit) for value in values]
 
 
 def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:
     """Return the vectors of a reply, which lists all x, then all y, then all z."""
-    axes = [values[start : start + N_PACKETS] for start in range(0, 3 * N_PACKETS, N_PACKETS)]
+    axes = [values[start : start + N_SAMPLES] for start in range(0, 3 * N_SAMPLES, N_SAMPLES)]
     return tuple(Vector3(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
 
 
 def _battery_value(kind: int) -> HostCommand[float]:
+    """Return command V for a kind of value, by its place in the reply of `battery`."""
     return HostCommand(f"V,{kind}", lambda reply: float(split_reply("v", 1, reply)[0]), repeatable=True)

@@ -1,9 +1,9 @@
 """The serial line to a robot: requests, replies and the recovery of an exchange that went wrong.
 
-The robot replies to each line with one line, in order. After a missing or malformed reply the probe `B` is
-sent: all lines before its reply are late, and the last of them is the expected reply. Only then is a command
-repeated, if it is repeatable. If earlier probes of all kinds are unanswered, a reply may belong to any of
-them; then the line must also be silent after it.
+The robot replies to each line with one line, in order. After a missing or malformed reply a probe is sent:
+the first of the reads `B`, `H`, `E`, `K` (Khepera IV: `B`, `E`, `R`, `G`) without a pending reply. All lines
+before its reply are late, and the last of them is the expected reply. Only then is a command repeated, if it
+is repeatable. If replies to all four are pending, the line must also be silent after the reply.
 """
 
 import os
@@ -24,8 +24,8 @@ from khep_twin.errors import PORT_FAILURES, PortError, PortTimeout, ProtocolErro
 from khep_twin.files.atomic import resolve
 from khep_twin.files.paths import StrPath
 from khep_twin.host.commands import HostCommand
-from khep_twin.host.opening import SPEEDS, find_speed, open_port, resolve_port
-from khep_twin.signals import clear_at_end
+from khep_twin.host.opening import BAUD_RATES, find_baud_rate, open_port, resolve_port
+from khep_twin.signals import register_cleanup
 
 Value = TypeVar("Value")
 
@@ -43,11 +43,11 @@ class Dialect(NamedTuple):
     """Protocol of a kind of robot, as the line needs it.
 
     Attributes:
-        robot: Kind of robot.
-        host: Host class for it.
-        versions: Reply to B.
-        probes: Reads that resynchronize the line.
-        stops: Requests that stop the motors, one after the other.
+        robot_name: Kind of robot, for messages.
+        host_class: Name of the host class for it.
+        versions_reply: Pattern of the reply to B.
+        probe_letters: Reads that resynchronize the line.
+        stop_requests: Requests that stop the motors, one after the other.
         moving: Prefixes of requests that move the robot.
     """
 
@@ -56,7 +56,7 @@ class Dialect(NamedTuple):
     versions_reply: re.Pattern[str]
     probe_letters: str
     stop_requests: tuple[str, ...]
-    moving_prefixes: tuple[str, ...]
+    moving: tuple[str, ...]
 
 
 KHEPERA = Dialect(
@@ -65,7 +65,7 @@ KHEPERA = Dialect(
 KHEPERA4 = Dialect(
     "a Khepera IV", "Khepera4", re.compile(r"b,[A-P],\d+"), "BERG", ("A,2", "D,0,0"), ("A", "D", "F", "L")
 )
-"""Dialects. A D does not stop the vehicle of the Khepera IV; its H and K are not reads."""
+"""Dialects. On the Khepera IV D does not stop the Braitenberg vehicle, and H and K are not reads."""
 
 
 class Line:
@@ -74,7 +74,7 @@ class Line:
     Args:
         url: URL of the port, or an open port of pyserial.
         timeout: Longest wait for one try of a reply, and for a write [s], in the port's time.
-        baudrate: Baud rate; "auto" tries `SPEEDS`.
+        baudrate: Baud rate; "auto" tries `BAUD_RATES`.
         retries: Number of repetitions of a repeatable command.
         dialect: Protocol of the robot.
 
@@ -110,22 +110,22 @@ class Line:
         self._refuses_motion = False
         self._stop_done = threading.Event()
         self.name: str = url if isinstance(url, str) else str(url.name)
-        first_baudrate = SPEEDS[0] if baudrate == "auto" else baudrate
+        first_baudrate = BAUD_RATES[0] if baudrate == "auto" else baudrate
         # The stubs of pyserial declare the members of all ports only for `Serial`.
         port = open_port(url, first_baudrate, timeout) if isinstance(url, str) else cast(serial.Serial, url)
         self.port = port
         # The model of a twin in this process is known before the first exchange.
         model = getattr(port, "robot_model", None)
-        if model is not None and (twin_dialect := KHEPERA4 if model == "khepera4" else KHEPERA) is not dialect:
+        if model is not None and (other := KHEPERA4 if model == "khepera4" else KHEPERA) is not dialect:
             port.close()
-            raise PortError(f"{self.name}: the robot is {twin_dialect.robot_name}{self._expected_host(twin_dialect)}")
+            raise PortError(f"{self.name}: the robot is {other.robot_name}{self._expected_host(other)}")
         if baudrate == "auto":
             try:
-                find_speed(self.port, self.name, lambda: self.time)
+                find_baud_rate(self.port, self.name, lambda: self.time)
             except BaseException:
                 self.port.close()
                 raise
-        self._unregister = clear_at_end(self._stop_at_exit)
+        self._unregister = register_cleanup(self._stop_at_exit)
 
     @property
     def time(self) -> float:
@@ -162,7 +162,7 @@ class Line:
         replies: list[str] = []
         self._yield_to_stop()
         with self._lock:
-            self._ask([request], replies)
+            self._exchange([request], replies)
             end = self.time + LONGEST_OUTPUT
             # `serial` replies with one line, and then changes the baud rate.
             has_output = request.lstrip()[:1].islower() and request.split()[0] != "serial"
@@ -177,8 +177,8 @@ class Line:
         while True:
             replies: list[str] = []
             try:
-                self._ask(requests, replies)
-                return self._read(commands, replies)
+                self._exchange(requests, replies)
+                return self._parse_replies(commands, replies)
             except (PortTimeout, ProtocolError) as error:
                 first_error = first_error or error
                 tries -= 1
@@ -196,7 +196,7 @@ class Line:
                         ) from None
             # Late replies are valid if they are complete.
             with suppress(ProtocolError):
-                return self._read(commands, (replies + late_replies)[-len(commands) :])
+                return self._parse_replies(commands, (replies + late_replies)[-len(commands) :])
             if tries <= 0:
                 raise first_error from None
 
@@ -208,10 +208,11 @@ class Line:
         if self._refuses_motion:
             self._stop_done.wait(STOP_WAIT)
 
-    def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
+    def _exchange(self, requests: Sequence[str], replies: list[str]) -> None:
         """Send lines and append each reply when it arrives."""
-        if self._refuses_motion and (moves := [request for request in requests if self._moves(request)]):
-            raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
+        moving_requests = [request for request in requests if self._may_move(request)]
+        if self._refuses_motion and moving_requests:
+            raise StoppedError(f"{self.name}: {moving_requests[0]!r} is not sent, as the run is to end")
         if self._unanswered_letters and self._resynchronize() is None:
             raise self._timeout_error(requests[0], b"")
         self._unanswered_letters.update([request[:1] for request in requests])
@@ -220,12 +221,13 @@ class Line:
             line = self._read_line(request)
             if not line.endswith(b"\n"):
                 raise self._timeout_error(request, line)
-            replies.append(_text(line))
+            replies.append(_decode_line(line))
             if self.listener is not None:
                 self.listener(request, replies[-1])
         self._unanswered_letters.clear()
 
-    def _read(self, commands: Sequence[HostCommand[Value]], replies: Sequence[str]) -> list[Value]:
+    def _parse_replies(self, commands: Sequence[HostCommand[Value]], replies: Sequence[str]) -> list[Value]:
+        """Return the values of replies, one for each command."""
         if len(replies) != len(commands):
             raise ProtocolError(f"{self.name}: {len(commands)} commands got {len(replies)} replies")
         values: list[Value] = []
@@ -243,7 +245,7 @@ class Line:
         probes = self._dialect.probe_letters
         probe = next((letter for letter in probes if letter not in self._unanswered_letters), probes[0])
         # If replies to several probes are pending, the line is synchronized only when it is silent.
-        is_repeated = probe in self._unanswered_letters and self.port.timeout is not None
+        is_ambiguous = probe in self._unanswered_letters and self.port.timeout is not None
         self._unanswered_letters.add(probe)
         # The leading line feed ends an interrupted command.
         self._write(f"\n{probe}\n".encode("ascii"), probe)
@@ -254,11 +256,11 @@ class Line:
             line = self._read_line(probe)
             if not line.endswith(b"\n"):
                 break
-            text = _text(line)
+            text = _decode_line(line)
             if text.startswith(f"{probe.lower()},"):
                 late_replies = lines.copy()
                 self._versions_reply = text if probe == "B" else self._versions_reply
-                if not is_repeated:
+                if not is_ambiguous:
                     break
             lines.append(text)
         else:
@@ -312,7 +314,7 @@ class Line:
     def halt(self) -> tuple[bool, str]:
         """Try to stop the motors, and close the port.
 
-        It waits `STOP_WAIT` for the reply; after a failure it reopens the port once and tries again.
+        A reply may take `STOP_WAIT`. After a failure it reopens the port once, if possible, and tries again.
 
         Returns:
             Whether the robot has confirmed the stop, and a description of the outcome.
@@ -360,13 +362,14 @@ class Line:
         line = b"\n"
         while line.endswith(b"\n") and self.time <= end:
             line = self._read_line(request)
-            if _text(line) == reply:
+            if _decode_line(line) == reply:
                 return True
         return False
 
-    def _moves(self, request: str) -> bool:
+    def _may_move(self, request: str) -> bool:
         """Return whether a request may move the robot."""
-        return request not in self._dialect.stop_requests and request.lstrip().startswith(self._dialect.moving_prefixes)
+        is_stop = request in self._dialect.stop_requests
+        return not is_stop and request.lstrip().startswith(self._dialect.moving)
 
     def _set_timeout(self, timeout: float | None) -> None:
         # pyserial renegotiates the settings of a network port for it.
@@ -402,5 +405,5 @@ class Line:
         return ""
 
 
-def _text(line: bytes) -> str:
+def _decode_line(line: bytes) -> str:
     return line.decode("latin-1").rstrip("\r\n")

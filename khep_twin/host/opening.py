@@ -14,7 +14,7 @@ from khep_twin.errors import PORT_FAILURES, PortError, PortInUse, PortTimeout
 from khep_twin.invocation import command
 from khep_twin.ports.service_registry import served_ports
 
-SPEEDS = (9600, 19200, 38400, 57600, 115200)
+BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
 """Baud rates of the robots' running modes, in the order of the search (appendix E; manual II)."""
 
 PORT_IDS = (1, 2, 3, 4)
@@ -23,7 +23,7 @@ PORT_IDS = (1, 2, 3, 4)
 VARIABLE = "KHEP_PORT_"
 """Prefix of the environment variable of a port, before the port's number."""
 
-_LISTEN_S = 0.3
+_REPLY_TIMEOUT_S = 0.3
 """Wait for a reply at each baud rate [s]; the reply to B takes 0.03 s at 9600 baud."""
 
 _VERSIONS = re.compile(rb"b,([0-9][0-9.]*,[0-9][0-9.]*|[A-P],[0-9]+)\r?\n$")
@@ -38,12 +38,12 @@ def resolve_port(port: str) -> str:
     """
     if port not in map(str, PORT_IDS):
         return port
-    if not (named_port := os.environ.get(f"{VARIABLE}{port}")):
+    if not (assigned_port := os.environ.get(f"{VARIABLE}{port}")):
         raise PortError(
             f"port {port}: no port is chosen for this number; expected {VARIABLE}{port}=/dev/ttyUSB0 in the "
             "environment, or a port such as /dev/ttyUSB0 in its place"
         )
-    return named_port
+    return assigned_port
 
 
 def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool = False) -> serial.Serial:
@@ -74,58 +74,58 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
     except (*PORT_FAILURES, re.error) as error:
         if isinstance(error, serial.SerialException) and error.errno in (errno.EBUSY, errno.EAGAIN):
             raise PortInUse(f"{url}: in use by a program that has locked it") from None
-        raise PortError(*_why_not_opened(url, error)) from None
+        raise PortError(*_explain_failure(url, error)) from None
 
 
-def find_speed(port: serial.Serial, name: str, now: Callable[[], float]) -> int:
+def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -> int:
     """Set a port to the baud rate at which its robot replies to command B.
 
     Args:
         port: Open port of pyserial.
         name: Name of the port, for messages.
-        now: Function that returns the port's time [s].
+        clock: Function that returns the port's time [s].
 
     Returns:
         The baud rate. A network socket or a twin that is not strict accepts any, so it is the first.
 
     Raises:
-        PortTimeout: There is no reply at any of `SPEEDS`.
+        PortTimeout: There is no reply at any of `BAUD_RATES`.
         PortError: The port failed.
     """
     timeout, first_baudrate = port.timeout, port.baudrate
-    refused_speeds: list[int] = []
+    refused_rates: list[int] = []
     try:
-        port.timeout = _LISTEN_S
-        for speed in SPEEDS:
+        port.timeout = _REPLY_TIMEOUT_S
+        for baud_rate in BAUD_RATES:
             try:
-                port.baudrate = speed
+                port.baudrate = baud_rate
             except ValueError:  # a converter on the network may not support it
-                refused_speeds.append(speed)
+                refused_rates.append(baud_rate)
                 port.baudrate = first_baudrate
                 continue
-            if _is_answered(port, now):
+            if _has_valid_reply(port, clock):
                 port.timeout = timeout
-                return speed
+                return baud_rate
         port.timeout = timeout
     except PORT_FAILURES as error:
         raise PortError(f"{name}: the port failed at 'B': {error}") from error
-    tried_speeds = ", ".join(str(speed) for speed in SPEEDS if speed not in refused_speeds)
+    tried_rates = ", ".join(str(speed) for speed in BAUD_RATES if speed not in refused_rates)
     raise PortTimeout(
-        f"{name}: no answer to 'B' at {tried_speeds or 'any'} baud; is the robot on, in a serial mode?"
-        + (f" The port refuses {', '.join(map(str, refused_speeds))} baud" if refused_speeds else "")
+        f"{name}: no answer to 'B' at {tried_rates or 'any'} baud; is the robot on, in a serial mode?"
+        + (f" The port refuses {', '.join(map(str, refused_rates))} baud" if refused_rates else "")
     )
 
 
-def _is_answered(port: serial.Serial, now: Callable[[], float]) -> bool:
+def _has_valid_reply(port: serial.Serial, clock: Callable[[], float]) -> bool:
     # A twin in this process warns of a wrong baud rate, but replies.
     with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always")
         port.reset_input_buffer()
         # The leading line feed ends an incomplete line of an attempt at another baud rate.
         port.write(b"\nB\n")
-        end = now() + _LISTEN_S
+        end = clock() + _REPLY_TIMEOUT_S
         is_answered = False
-        while not is_answered and now() <= end and (line := port.read_until(b"\n", None)):
+        while not is_answered and clock() <= end and (line := port.read_until(b"\n", None)):
             is_answered = _VERSIONS.search(line) is not None
     return is_answered and not caught_warnings
 
@@ -139,12 +139,12 @@ def _find_link(name: str) -> str:
     return ""
 
 
-def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
+def _explain_failure(url: str, error: Exception) -> tuple[str, str]:
     """Return the reason, and a hint that the command line appends."""
     from khep_twin.files.toml_files import names
     from khep_twin.ports.network import address_fault
 
-    text = str(error)
+    message = str(error)
     if fault := address_fault(url):
         return fault, ""
     if "://" not in url and isinstance(error, serial.SerialException):
@@ -157,6 +157,6 @@ def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
             "khep://default needs none"
         )
         # Only the system's reason: pyserial's text repeats it, with the name of the port.
-        reason = os.strerror(error.errno) if error.errno else text
+        reason = os.strerror(error.errno) if error.errno else message
         return f"{url}: cannot open this port: {reason}", hint
-    return (text if text.startswith(url) else f"{url}: {text}"), ""
+    return (message if message.startswith(url) else f"{url}: {message}"), ""

@@ -15,7 +15,7 @@ from khep_twin.errors import PortTimeout, ProtocolError
 from khep_twin.host.turret import HostTurret
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
 
-_PAUSE = 0.02
+_POLL_INTERVAL_S = 0.02
 """Time between two reads of the status [s]."""
 
 
@@ -101,6 +101,7 @@ class Radio(HostTurret):
         return message
 
     def _pause(self, end: float, problem: str) -> None:
+        """Pause between two reads; raise PortTimeout with the problem after `end` [s]."""
         if not self._robot.time <= end:
             raise PortTimeout(f"{self._robot.name}: {problem}")
-        self._robot.sleep(_PAUSE)
+        self._robot.sleep(_POLL_INTERVAL_S)

@@ -34,8 +34,8 @@ def read_image() -> HostCommand[Greys]:
 @cache
 def read_light() -> HostCommand[int]:
     """Return the command for the reading of the light sensor."""
-    values = _values("L", 2, 255)
-    return HostCommand(values.request, lambda reply: int.from_bytes(values.read(reply)), repeatable=True)
+    command = _values("L", 2, 255)
+    return HostCommand(command.request, lambda reply: int.from_bytes(command.read(reply)), repeatable=True)
 
 
 def read_region(start: int, count: int) -> HostCommand[Greys]:
@@ -115,13 +115,13 @@ def _greys(letter: str, count: int, arguments: str = "") -> HostCommand[Greys]:
 
 def _values(letter: str, count: int, limit: int, arguments: str = "") -> HostCommand[Greys]:
     """Return a command whose answer is its letter and `count` numbers from 0 to a limit."""
-    message = turret(K213_NUMBER, letter + arguments)
+    turret_command = turret(K213_NUMBER, letter + arguments)
 
     def read(reply: str) -> Greys:
-        head, *fields = message.read(reply).split(",")
+        head, *fields = turret_command.read(reply).split(",")
         values = tuple(int(field) for field in fields if field.isdecimal())
         if head != letter.lower() or len(values) != count or len(fields) != count or max(values) > limit:
             raise ValueError(f"expected {letter.lower()!r} and {count} numbers from 0 to {limit}")
         return values
 
-    return HostCommand(message.request, read, repeatable=True)
+    return HostCommand(turret_command.request, read, repeatable=True)

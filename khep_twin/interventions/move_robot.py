@@ -16,7 +16,7 @@ from khep_twin.playpen import Block, Cylinder, Playpen
 from khep_twin.playpen.starts import find_obstruction
 from khep_twin.world import World
 
-_PLACE = struct.Struct("<3d")
+_POSE = struct.Struct("<3d")
 _RESET = b"\1"
 
 
@@ -42,13 +42,13 @@ def place_robot(
         )
     if reason := find_obstruction(current_playpen(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
-    position = _PLACE.pack(x_mm, y_mm, heading_deg) + (_RESET if reset else b"")
-    world.on_host_event(index, HostEvent(HostEventKind.MOVE_ROBOT, world.time_ns, None, position))
+    event_data = _POSE.pack(x_mm, y_mm, heading_deg) + (_RESET if reset else b"")
+    world.on_host_event(index, HostEvent(HostEventKind.MOVE_ROBOT, world.time_ns, None, event_data))
     model, data = world.model, world.data
     robot, half = world.robots[index].indices, math.radians(heading_deg) / 2
-    at = robot.pose
-    data.qpos[at : at + 3] = x_mm / 1e3, y_mm / 1e3, model.qpos0[at + 2]
-    data.qpos[at + 3 : at + 7] = math.cos(half), 0, 0, math.sin(half)
+    start = robot.pose
+    data.qpos[start : start + 3] = x_mm / 1e3, y_mm / 1e3, model.qpos0[start + 2]
+    data.qpos[start + 3 : start + 7] = math.cos(half), 0, 0, math.sin(half)
     data.qvel[model.body_rootid[model.dof_bodyid] == robot.base] = 0
     # Update the positions that the robots are read from.
     mujoco.mj_kinematics(model, data)
@@ -59,8 +59,8 @@ def place_robot(
 
 def repeat_move(world: World, index: int, event: HostEvent) -> None:
     """Move a robot as recorded in a log."""
-    position, rest = event.data[: _PLACE.size], event.data[_PLACE.size :]
-    place_robot(world, index, *_PLACE.unpack(position), reset=rest == _RESET)
+    pose_data, reset_data = event.data[: _POSE.size], event.data[_POSE.size :]
+    place_robot(world, index, *_POSE.unpack(pose_data), reset=reset_data == _RESET)
 
 
 def scan(world: World) -> None:
@@ -72,9 +72,9 @@ def scan(world: World) -> None:
 def current_playpen(world: World) -> Playpen:
     """Return the playpen with the current poses of its robots and movable objects, all assumed upright."""
 
-    def moved(items: Iterable[Block | Cylinder], kind: str) -> tuple[Block | Cylinder, ...]:
+    def with_current_poses(items: Iterable[Block | Cylinder], kind: str) -> tuple[Block | Cylinder, ...]:
         return tuple(
-            item.model_copy(update=_place(world, f"{kind}{number}", item)) if item.movable else item
+            item.model_copy(update=_current_pose(world, f"{kind}{number}", item)) if item.movable else item
             for number, item in enumerate(items)
         )
 
@@ -85,15 +85,16 @@ def current_playpen(world: World) -> Playpen:
         entry.model_copy(update={"x_mm": x * 1e3, "y_mm": y * 1e3, "heading_deg": math.degrees(heading)})
         for entry, (x, y, heading) in zip(playpen.robots, (robot.pose for robot in world.robots), strict=True)
     )
-    objects = {f"{kind}s": moved(items, kind) for kind, items in playpen.objects.items()}
+    objects = {f"{kind}s": with_current_poses(items, kind) for kind, items in playpen.objects.items()}
     return playpen.model_copy(update={**objects, "robots": robots})
 
 
-def _place(world: World, name: str, item: Block | Cylinder) -> dict[str, float]:
+def _current_pose(world: World, name: str, item: Block | Cylinder) -> dict[str, float]:
+    """Return the current pose of a movable object by its keys in the playpen."""
     body = world.model.body(name).id
     x, y, _ = world.data.xpos[body].tolist()
-    position = {"x_mm": x * 1e3, "y_mm": y * 1e3}
+    pose = {"x_mm": x * 1e3, "y_mm": y * 1e3}
     if isinstance(item, Block):
         along_x, along_y = world.data.xmat[body].reshape(3, 3)[:2, 0].tolist()
-        position["angle_deg"] = math.degrees(math.atan2(along_y, along_x))
-    return position
+        pose["angle_deg"] = math.degrees(math.atan2(along_y, along_x))
+    return pose

@@ -54,15 +54,15 @@ def set_lamps(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
         "lamp": [lamp.model_dump(mode="json") for lamp in lamps],
         "lighting": lighting.model_dump(mode="json"),
     }
-    before = world.playpen
-    bare = {"version": before.version, "name": before.name, "arena": before.arena.model_dump()}
-    checked = check(Playpen, freeze(bare | lamp_values), before.name, PlaypenError)
+    current = world.playpen
+    arena_data = {"version": current.version, "name": current.name, "arena": current.arena.model_dump()}
+    checked = check(Playpen, freeze(arena_data | lamp_values), current.name, PlaypenError)
     world.on_host_event(
         0, HostEvent(HostEventKind.SET_LAMPS, world.time_ns, None, json.dumps(lamp_values).encode("utf-8"))
     )
     world.set_lamps(checked.lamps, checked.lighting)
-    places = ", ".join(f"{lamp.power_w:g} W at ({lamp.x_mm:g}, {lamp.y_mm:g})" for lamp in checked.lamps)
-    world.on_event(None, f"the lamps are {places or 'gone'}; on: {lighting.mode}")
+    lamps_text = ", ".join(f"{lamp.power_w:g} W at ({lamp.x_mm:g}, {lamp.y_mm:g})" for lamp in checked.lamps)
+    world.on_event(None, f"the lamps are {lamps_text or 'gone'}; on: {lighting.mode}")
 
 
 def repeat_set_lamps(world: World, event: HostEvent) -> None:

@@ -8,13 +8,13 @@ from khep_twin.units import BODIES
 ULTRASONIC = ("left", "front left", "front", "front right", "right")
 """Names of the ultrasonic sensors, in the order of the registers."""
 
-CODES = (0, 1000, 2000)
+ULTRASONIC_CODES = (0, 1000, 2000)
 """Ultrasonic readings without a distance: too near, no echo, disabled (library)."""
 
 LEDS = ("left", "right", "back")
 """Names of the LEDs of three colours, in the order of the registers."""
 
-_SETPOINTS = "left, right, setpoint left, setpoint right"
+_WHEEL_LABELS = "left, right, setpoint left, setpoint right"
 _AXES = "x, y, z"
 _INFRARED = ", ".join(BODIES["khepera4"].sensors)
 
@@ -22,8 +22,8 @@ CHANNELS = {
     "proximity": f"{_INFRARED} [counts]",
     "ambient": f"{_INFRARED} [counts]",
     "ultrasonic": f"{', '.join(ULTRASONIC)} [cm]",
-    "speed": f"{_SETPOINTS} [pulses/10 ms]",
-    "position": f"{_SETPOINTS} [pulses]",
+    "speed": f"{_WHEEL_LABELS} [pulses/10 ms]",
+    "position": f"{_WHEEL_LABELS} [pulses]",
     "duty": "left, right [-2940 to 2940]",
     "leds": ", ".join(f"{led} {colour}" for led in LEDS for colour in ("red", "green", "blue"))
     + " [0 to 63]",

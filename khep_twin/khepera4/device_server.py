@@ -30,8 +30,8 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from khep_twin.khepera4.machine import BYTE_NS, READS, Machine
-from khep_twin.khepera4.scheduler import NEVER_NS, TIME_REQUEST_NS, ThreadConnection, Scheduler
+from khep_twin.khepera4.machine import BYTE_NS, READ_FLAG, Machine
+from khep_twin.khepera4.scheduler import NEVER_NS, TIME_REQUEST_NS, Scheduler, ThreadConnection
 from khep_twin.khepera4.thread_watch import ThreadWatch
 
 MAX_BYTES = 1 << 20
@@ -40,16 +40,16 @@ MAX_BYTES = 1 << 20
 _RECEIVE_TIMEOUT_S = 2.0
 """Longest wait for the rest of a request [s]; the preload library sends it in one piece."""
 
-_FAMILY: Any = getattr(socket, "AF_UNIX", None)  # which Windows lacks
+_SOCKET_FAMILY: Any = getattr(socket, "AF_UNIX", None)  # which Windows lacks
 _PEER_CREDENTIALS = getattr(socket, "SO_PEERCRED", 17)
-_REQUEST, _MESSAGE, _REPLY = struct.Struct("<III"), struct.Struct("<HHH"), struct.Struct("<iIq")
+_REQUEST, _I2C_HEADER, _REPLY = struct.Struct("<III"), struct.Struct("<HHH"), struct.Struct("<iIq")
 _SLEEP, _WAKE = struct.Struct("<qQQ"), struct.Struct("<QQ")
 
 
 Request = IntEnum("Request", "TRANSFER GPIO_SET GPIO_GET NOW SLEEP HELLO CANCEL WAKE")
 """Kinds of requests, from 1."""
 
-_LENGTHS = {Request.SLEEP: _SLEEP.size, Request.WAKE: _WAKE.size}
+_CONTENT_SIZES = {Request.SLEEP: _SLEEP.size, Request.WAKE: _WAKE.size}
 
 
 class DeviceServer:
@@ -69,7 +69,7 @@ class DeviceServer:
         self._selector = selectors.DefaultSelector()
         self._listeners: dict[socket.socket, int] = {}
         for index, path in enumerate(paths):
-            listener = socket.socket(_FAMILY, socket.SOCK_STREAM)
+            listener = socket.socket(_SOCKET_FAMILY, socket.SOCK_STREAM)
             listener.bind(str(path))
             listener.listen(64)
             self._listeners[listener] = index
@@ -86,7 +86,7 @@ class DeviceServer:
             listener.close()
 
     def serve(
-        self, processes: Collection[int], is_over: Callable[[], bool], end_ns: int = NEVER_NS
+        self, processes: Collection[int], should_stop: Callable[[], bool], end_ns: int = NEVER_NS
     ) -> set[int]:
         """Serve processes and their children until a function returns True, or until a time [ns].
 
@@ -94,43 +94,43 @@ class DeviceServer:
             Numbers of the processes that still exist.
         """
         with contextlib.closing(ThreadWatch(processes)) as watch:
-            self._scheduler.run(watch, is_over, end_ns)
+            self._scheduler.run(watch, should_stop, end_ns)
         return watch.processes
 
     def _poll(self, timeout: float) -> bool:
         """Receive requests until a time-out [s]; return whether anything arrived."""
         events = self._selector.select(timeout)
         for key, _ in events:
-            ready = key.fileobj
-            if not isinstance(ready, socket.socket):
+            ready_socket = key.fileobj
+            if not isinstance(ready_socket, socket.socket):
                 continue
-            if ready in self._listeners:
-                peer, _ = ready.accept()
+            if ready_socket in self._listeners:
+                peer, _ = ready_socket.accept()
                 peer.settimeout(_RECEIVE_TIMEOUT_S)
                 credentials = peer.getsockopt(socket.SOL_SOCKET, _PEER_CREDENTIALS, 4)
                 process = int.from_bytes(credentials, sys.byteorder)
-                self._connections[peer] = ThreadConnection(peer, self._listeners[ready], process)
+                self._connections[peer] = ThreadConnection(peer, self._listeners[ready_socket], process)
                 self._selector.register(peer, selectors.EVENT_READ)
-            elif not self._receive(self._connections[ready]):
-                self._disconnect(ready)
+            elif not self._receive(self._connections[ready_socket]):
+                self._disconnect(ready_socket)
         return bool(events)
 
     def _receive(self, connection: ThreadConnection) -> bool:
         """Receive a request; return False at the end of the connection."""
-        header = _read(connection.socket, _REQUEST.size)
+        header = _receive_bytes(connection.socket, _REQUEST.size)
         if header is None:
             return False
         kind, number, length = _REQUEST.unpack(header)
-        content = _read(connection.socket, length) if length <= MAX_BYTES else None
-        if content is None or length != _LENGTHS.get(kind, length):
+        content = _receive_bytes(connection.socket, length) if length <= MAX_BYTES else None
+        if content is None or length != _CONTENT_SIZES.get(kind, length):
             return False
         now_ns = self._machines[0].time_ns
         if kind == Request.CANCEL:
             connection.due_ns = now_ns
             return True
         if kind == Request.WAKE:
-            futex_address, wake = _WAKE.unpack(content)
-            self._scheduler.wake((connection.process, futex_address), number, wake)
+            futex_address, wake_number = _WAKE.unpack(content)
+            self._scheduler.wake((connection.process, futex_address), number, wake_number)
             return True
         if kind == Request.HELLO:
             connection.thread = number
@@ -140,8 +140,9 @@ class DeviceServer:
         connection.due_ns = now_ns
         connection.ticket = 0
         if connection.is_sleeping:
-            ns, futex_address, last_wake = _SLEEP.unpack(content)
-            self._scheduler.sleep(connection, ns if number else now_ns + ns, futex_address, last_wake)
+            sleep_ns, futex_address, last_wake = _SLEEP.unpack(content)
+            end_ns = sleep_ns if number else now_ns + sleep_ns
+            self._scheduler.sleep(connection, end_ns, futex_address, last_wake)
         return True
 
     def _reply(self, connection: ThreadConnection) -> None:
@@ -168,7 +169,7 @@ class DeviceServer:
             machine.advance_to(machine.time_ns + TIME_REQUEST_NS)
         if kind == Request.TRANSFER:
             byte_ns = BYTE_NS if self._clock is None else 0
-            return number, 0, machine.transfer(_messages(number, content), byte_ns)
+            return number, 0, machine.transfer(_parse_i2c_messages(number, content), byte_ns)
         if kind == Request.GPIO_SET:
             machine.set_pin(number, int.from_bytes(content, "little"))
         elif kind == Request.GPIO_GET:
@@ -185,28 +186,28 @@ class DeviceServer:
             peer.close()
 
 
-def _read(peer: socket.socket, count: int) -> bytes | None:
+def _receive_bytes(peer: socket.socket, count: int) -> bytes | None:
     """Return a number of bytes; None at the end of the stream."""
     content = b""
     while len(content) < count:
         try:
-            part = peer.recv(count - len(content))
+            chunk = peer.recv(count - len(content))
         except OSError:
             return None
-        if not part:
+        if not chunk:
             return None
-        content += part
+        content += chunk
     return content
 
 
-def _messages(count: int, content: bytes) -> list[tuple[int, int, bytes]]:
+def _parse_i2c_messages(count: int, content: bytes) -> list[tuple[int, int, bytes]]:
     """Return address, flags and content of I2C messages."""
     messages: list[tuple[int, int, bytes]] = []
-    start = 0
+    offset = 0
     for _ in range(count):
-        address, flags, length = _MESSAGE.unpack_from(content, start)
-        start += _MESSAGE.size
-        is_read = flags & READS
-        messages.append((address, flags, bytes(length) if is_read else content[start : start + length]))
-        start += 0 if is_read else length
+        address, flags, length = _I2C_HEADER.unpack_from(content, offset)
+        offset += _I2C_HEADER.size
+        is_read = flags & READ_FLAG
+        messages.append((address, flags, bytes(length) if is_read else content[offset : offset + length]))
+        offset += 0 if is_read else length
     return messages

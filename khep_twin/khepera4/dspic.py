@@ -43,16 +43,16 @@ class Dspic:
 
     def __init__(self) -> None:
         self.before_read: Callable[[int, int], None] = lambda first, end: None
-        self._bytes = bytearray(N_BYTES + BATTERY_BYTES)
+        self._memory = bytearray(N_BYTES + BATTERY_BYTES)
         self.counts = 0, 0
         self.is_powered = True
         self.reset()
 
     def reset(self) -> None:
         """Return to the state at power-up, except for the last readings of sensors and gauge."""
-        self._bytes[: DspicRegister.AMBIENT] = bytes(DspicRegister.AMBIENT)
+        self._memory[: DspicRegister.AMBIENT] = bytes(DspicRegister.AMBIENT)
         for register, content in RESET_VALUES.items():
-            self._bytes[register : register + len(content)] = content
+            self._memory[register : register + len(content)] = content
         self._left, self._right = Motor(), Motor()
 
     def write(self, message: bytes) -> None:
@@ -61,57 +61,52 @@ class Dspic:
             return
         for register, byte in enumerate(message[1:], message[0]):
             if register in WRITABLE or register == DspicRegister.ULTRASONIC_ENABLED:
-                self._bytes[register] = byte
-        written = range(message[0], message[0] + len(message) - 1)
-        if DspicRegister.RESET_ENCODERS in written:
+                self._memory[register] = byte
+        written_registers = range(message[0], message[0] + len(message) - 1)
+        if DspicRegister.RESET_ENCODERS in written_registers:
             self._left.position = self._right.position = 0
             self._update_registers()
-        if set(written) & _POSITION_ORDERS:
+        if set(written_registers) & _POSITION_ORDERS:
             self._left.is_on_target = self._right.is_on_target = False
-        if DspicRegister.CONTROL in written:
+        if DspicRegister.CONTROL in written_registers:
             self._left.stop()
             self._right.stop()
 
     def read(self, register: int, count: int) -> bytes:
         """Return bytes from a register on, zeros after the end of the map (assumed)."""
         self.before_read(register, register + count)
-        content = bytes(self._bytes[register : register + count])
+        content = bytes(self._memory[register : register + count])
         return content + bytes(count - len(content))
 
     def tick(self, left_pulses: int, right_pulses: int) -> tuple[int, int]:
-        """Run a control period of 10 ms; return the PWM of the motors, left and right.
-
-        Args:
-            left_pulses: Pulses of the left encoder since power-up.
-            right_pulses: Pulses of the right encoder since power-up.
-        """
+        """Run a control period of 10 ms with the encoders' pulses since power-up; return both motors' PWM."""
         counts = left_pulses, right_pulses
-        control_type = self._bytes[DspicRegister.CONTROL]
+        control_type = self._memory[DspicRegister.CONTROL]
         control = Control(control_type) if control_type <= Control.OPEN_LOOP else Control.IDLE
-        settings = self._settings()
-        orders = {
+        settings = self._read_settings()
+        order_registers = {
             Control.POSITION: (DspicRegister.POSITION_ORDER_LEFT, 4),
             Control.OPEN_LOOP: (DspicRegister.PWM_ORDER_LEFT, 2),
         }
-        first, size = orders.get(control, (DspicRegister.SPEED_ORDER_LEFT, 2))
+        left_order, size = order_registers.get(control, (DspicRegister.SPEED_ORDER_LEFT, 2))
         for side, motor in enumerate((self._left, self._right)):
             motor.speed = counts[side] - self.counts[side]
             motor.position = wrap(motor.position + motor.speed)
-            motor.tick(settings, control, self._signed(first + side * size, size))
+            motor.tick(settings, control, self._read_signed(left_order + side * size, size))
         self.counts = counts
         self._update_registers()
         return self._left.pwm, self._right.pwm
 
-    def sense(self, register: DspicRegister, values: Sequence[int]) -> None:
-        """Set sensor registers of 2 bytes each, from one on."""
+    def set_words(self, register: DspicRegister, values: Sequence[int]) -> None:
+        """Set registers of 2 bytes each to readings, from a register on."""
         content = b"".join((value & 0xFFFF).to_bytes(2, "little") for value in values)
-        self._bytes[register : register + len(content)] = content
+        self._memory[register : register + len(content)] = content
 
     def set_battery(self, block: bytes) -> None:
         """Set the block of the battery gauge (12 bytes)."""
         if len(block) != BATTERY_BYTES:
             raise ValueError(f"a battery block of {len(block)} bytes; expected {BATTERY_BYTES}")
-        self._bytes[DspicRegister.BATTERY : DspicRegister.BATTERY + BATTERY_BYTES] = block
+        self._memory[DspicRegister.BATTERY : DspicRegister.BATTERY + BATTERY_BYTES] = block
 
     def read_words(self, register: int, count: int) -> list[int]:
         """Read unsigned registers of 2 bytes."""
@@ -120,14 +115,14 @@ class Dspic:
 
     def words(self, register: int, count: int) -> list[int]:
         """Return unsigned registers of 2 bytes, without a call of `before_read`."""
-        return [self._bytes[i] | self._bytes[i + 1] << 8 for i in range(register, register + 2 * count, 2)]
+        return [self._memory[i] | self._memory[i + 1] << 8 for i in range(register, register + 2 * count, 2)]
 
     @property
     def motor_numbers(self) -> tuple[Sequence[int], Sequence[int], Sequence[int]]:
         """Speeds and their orders, positions and their orders, left before right, and PWM."""
         left, right = self._left, self._right
-        speeds = [self._signed(DspicRegister.SPEED_ORDER_LEFT + at, 2) for at in (0, 2)]
-        positions = [self._signed(DspicRegister.POSITION_ORDER_LEFT + at, 4) for at in (0, 4)]
+        speeds = [self._read_signed(DspicRegister.SPEED_ORDER_LEFT + at, 2) for at in (0, 2)]
+        positions = [self._read_signed(DspicRegister.POSITION_ORDER_LEFT + at, 4) for at in (0, 4)]
         return (
             (left.speed, right.speed, *speeds),
             (left.position, right.position, *positions),
@@ -136,50 +131,50 @@ class Dspic:
 
     def state(self) -> list[int]:
         """Return the complete state."""
-        return [*self.counts, *astuple(self._left), *astuple(self._right), *self._bytes]
+        return [*self.counts, *astuple(self._left), *astuple(self._right), *self._memory]
 
     def set_state(self, state: Sequence[int]) -> None:
         """Restore a state."""
-        count = len(astuple(self._left))
-        motors = [state[first : first + count] for first in (2, 2 + count)]
-        self._left, self._right = (_motor(numbers) for numbers in motors)
+        n_numbers = len(astuple(self._left))
+        motors = [state[start : start + n_numbers] for start in (2, 2 + n_numbers)]
+        self._left, self._right = (_make_motor(numbers) for numbers in motors)
         self.counts = state[0], state[1]
-        self._bytes[:] = bytes(state[2 + 2 * count :])
+        self._memory[:] = bytes(state[2 + 2 * n_numbers :])
 
     @property
     def leds(self) -> bytes:
         """Red, green and blue of the LEDs front left, front right and back, 0 to 63 (9,)."""
-        return bytes(self._bytes[DspicRegister.LEDS : DspicRegister.LEDS + 9])
+        return bytes(self._memory[DspicRegister.LEDS : DspicRegister.LEDS + 9])
 
     @property
     def ultrasonic_enabled(self) -> int:
         """Mask of the enabled ultrasonic sensors, bit 0 left to bit 4 right."""
-        return self._bytes[DspicRegister.ULTRASONIC_ENABLED]
+        return self._memory[DspicRegister.ULTRASONIC_ENABLED]
 
-    def _settings(self) -> Settings:
-        kp, ki, kd, *ramp = self._bytes[DspicRegister.KP : DspicRegister.LEAST_DECELERATING + 1]
-        step, divider, accelerating, decelerating = ramp
-        margin = self._signed(DspicRegister.POSITION_MARGIN, 2)
-        speed = self._signed(DspicRegister.POSITION_SPEED, 2)
+    def _read_settings(self) -> Settings:
+        kp, ki, kd, *profile = self._memory[DspicRegister.KP : DspicRegister.LEAST_DECELERATING + 1]
+        step, divider, accelerating, decelerating = profile
+        margin = self._read_signed(DspicRegister.POSITION_MARGIN, 2)
+        speed = self._read_signed(DspicRegister.POSITION_SPEED, 2)
         return Settings(kp, ki, kd, step, divider, accelerating, decelerating, margin, speed)
 
-    def _signed(self, register: int, size: int) -> int:
-        return int.from_bytes(self._bytes[register : register + size], "little", signed=True)
+    def _read_signed(self, register: int, size: int) -> int:
+        return int.from_bytes(self._memory[register : register + size], "little", signed=True)
 
     def _update_registers(self) -> None:
         """Set the registers of the motors' state."""
-        left, right, registers = self._left, self._right, self._bytes
+        left, right, registers = self._left, self._right, self._memory
         registers[DspicRegister.ON_TARGET] = left.is_on_target | right.is_on_target << 1
-        for first, size, values in (
+        for left_register, size, values in (
             (DspicRegister.SPEED_LEFT, 2, (left.speed, right.speed)),
             (DspicRegister.POSITION_LEFT, 4, (left.position, right.position)),
         ):
             for side, value in enumerate(values):
-                start = first + side * size
+                start = left_register + side * size
                 registers[start : start + size] = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
 
 
-def _motor(numbers: Sequence[int]) -> Motor:
+def _make_motor(numbers: Sequence[int]) -> Motor:
     """Return a motor from the numbers of its state."""
     position, speed, pwm, is_on_target, *controller = numbers
     return Motor(position, speed, pwm, bool(is_on_target), *controller)

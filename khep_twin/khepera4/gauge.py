@@ -25,7 +25,7 @@ _CURRENT_UNIT, _CHARGE_UNIT, _VOLTAGE_UNIT, _DEGREE_UNIT = 78.125e-6, 1.6e-3 * 3
 """Units of the registers [A, C, V, degree Celsius] (manual). The gauge has its voltage in the upper 11 bits;
 the dsPIC returns a plain number, as all public programs expect."""
 
-_DEGREES = 25.0
+_TEMPERATURE = 25.0
 """Temperature (assumed)."""
 
 
@@ -38,18 +38,18 @@ class Gauge:
     """
 
     def __init__(self, used_min: float | None) -> None:
-        self._runs_down = used_min is not None
+        self._is_discharged = used_min is not None
         self._used_charge = CAPACITY * min((used_min or 0.0) / 300, 1)
         self._current_sum = self._ticks = 0.0
-        self._current = self._average = 0.0
+        self._current = self._average_current = 0.0
 
     @property
     def voltage(self) -> float:
         """Present voltage [V]."""
         level = self.level
-        for (low, low_v), (high, high_v) in pairwise(VOLTAGES):
-            if level <= high:
-                return low_v + (high_v - low_v) * (level - low) / (high - low)
+        for (low_level, low_v), (high_level, high_v) in pairwise(VOLTAGES):
+            if level <= high_level:
+                return low_v + (high_v - low_v) * (level - low_level) / (high_level - low_level)
         return VOLTAGES[-1][1]
 
     @property
@@ -59,14 +59,14 @@ class Gauge:
 
     def tick(self, current: float) -> bool:
         """Draw a current [A] for a control period; return whether the gauge has a new value."""
-        if self._runs_down:
+        if self._is_discharged:
             self._used_charge = min(self._used_charge + current * TICK_NS * 1e-9, CAPACITY)
         self._current_sum += current
         self._ticks += 1
         if self._ticks < CURRENT_TICKS:
             return False
         self._current = self._current_sum / self._ticks
-        self._average += (self._current - self._average) * CURRENT_TICKS / AVERAGE_TICKS
+        self._average_current += (self._current - self._average_current) * CURRENT_TICKS / AVERAGE_TICKS
         self._current_sum = self._ticks = 0.0
         return True
 
@@ -77,8 +77,8 @@ class Gauge:
             (round(self.level * CAPACITY / _CHARGE_UNIT), 2),
             (round(100 * self.level), 1),
             (round(-self._current / _CURRENT_UNIT), 2),
-            (round(-self._average / _CURRENT_UNIT), 2),
-            (round(_DEGREES / _DEGREE_UNIT) & ~0x1F, 2),
+            (round(-self._average_current / _CURRENT_UNIT), 2),
+            (round(_TEMPERATURE / _DEGREE_UNIT) & ~0x1F, 2),
             (round(self.voltage / _VOLTAGE_UNIT), 2),
         )
         registers = b"".join((value & (1 << 8 * size) - 1).to_bytes(size, "little") for value, size in values)
@@ -86,8 +86,8 @@ class Gauge:
 
     def state(self) -> list[float]:
         """Return the state."""
-        return [self._used_charge, self._current_sum, self._ticks, self._current, self._average]
+        return [self._used_charge, self._current_sum, self._ticks, self._current, self._average_current]
 
     def set_state(self, state: Sequence[float]) -> None:
         """Restore a state."""
-        self._used_charge, self._current_sum, self._ticks, self._current, self._average = state
+        self._used_charge, self._current_sum, self._ticks, self._current, self._average_current = state

@@ -17,7 +17,7 @@ COUNTS_PER_G = 16_384
 DEGREES_PER_COUNT = 0.066
 """Scale of the gyroscope [deg/s] (manual)."""
 
-PACKET = 10
+PACKET_SIZE = 10
 """Values of a packet, the newest first (manual)."""
 
 _GYROSCOPE_NS = 1_000_000_000 // 95
@@ -25,10 +25,10 @@ _ACCELERATION_NOISE, _RATE_NOISE = 26.0, 2.0
 """Standard deviations [counts]: 0.22 mg and 0.03 deg/s per root Hz (data sheet of a similar chip, LSM330DLC)
 over half of the rates."""
 
-_KEY = 0x85EBCA6B
+_KEY_MASK = 0x85EBCA6B
 """Arbitrary word that separates their random draws from those of other sensors."""
 
-_DEGREES = 57.29577951308232
+_DEGREES_PER_RADIAN = 57.29577951308232
 _COUNTS_LIMIT = 1 << 15
 
 
@@ -45,12 +45,12 @@ class Inertial:
     """
 
     def __init__(self, key: Sequence[int], is_noisy: bool) -> None:
-        self._key = [key[0] ^ _KEY, key[1]]
+        self._key = [key[0] ^ _KEY_MASK, key[1]]
         self._tables = TABLES[is_noisy]
-        self.accelerations, self.rates = _make_packets(), _make_packets()
-        self._partial = [_make_packets(0), _make_packets(0)]
+        self.accelerations, self.rates = _zero_packets(), _zero_packets()
+        self._partials = [_zero_packets(0), _zero_packets(0)]
         self._velocity: list[float] = [0.0, 0.0, 0.0]
-        self._n_rates = 0
+        self._n_rate_samples = 0
 
     def tick(
         self, time_ns: int, rotation: Sequence[float], velocity: Sequence[float], rate: Sequence[float]
@@ -66,57 +66,57 @@ class Inertial:
         force = [(new - old) / (TICK_NS * 1e-9) for new, old in zip(velocity, self._velocity, strict=True)]
         self._velocity = list(velocity)
         force[2] += GRAVITY
-        local = [
+        local_force = [
             sum(rotation[3 * row + axis] * force[row] for row in range(3)) / GRAVITY for axis in range(3)
         ]
-        local[2] = -local[2]
-        scaled = [axis_force * COUNTS_PER_G for axis_force in local]
+        local_force[2] = -local_force[2]
+        scaled = [axis_force * COUNTS_PER_G for axis_force in local_force]
         counts = self._add_noise(time_ns, 0, scaled, _ACCELERATION_NOISE)
         self.accelerations = self._add_to_packet(0, [count >> 4 << 4 for count in counts], self.accelerations)
-        if time_ns // _GYROSCOPE_NS > self._n_rates:
-            self._n_rates = time_ns // _GYROSCOPE_NS
-            scaled = [axis_rate * _DEGREES / DEGREES_PER_COUNT for axis_rate in rate]
+        if time_ns // _GYROSCOPE_NS > self._n_rate_samples:
+            self._n_rate_samples = time_ns // _GYROSCOPE_NS
+            scaled = [axis_rate * _DEGREES_PER_RADIAN / DEGREES_PER_COUNT for axis_rate in rate]
             self.rates = self._add_to_packet(1, self._add_noise(time_ns, 2, scaled, _RATE_NOISE), self.rates)
 
-    def rest(self) -> None:
+    def reset_velocity(self) -> None:
         """Set the velocity to zero."""
         self._velocity = [0.0, 0.0, 0.0]
 
     def state(self) -> tuple[list[int], list[float]]:
         """Return the state as integers and as floats."""
         packets = [value for axis in (*self.accelerations, *self.rates) for value in axis]
-        lengths = [len(self._partial[0][0]), len(self._partial[1][0])]
-        partial = [value for kind in self._partial for axis in kind for value in axis]
-        return [self._n_rates, *packets, *lengths, *partial], self._velocity
+        lengths = [len(self._partials[0][0]), len(self._partials[1][0])]
+        partial = [value for kind in self._partials for axis in kind for value in axis]
+        return [self._n_rate_samples, *packets, *lengths, *partial], self._velocity
 
     def set_state(self, integers: Sequence[int], floats: Sequence[float]) -> None:
         """Restore a state."""
         numbers = iter(integers)
-        self._n_rates, self._velocity = next(numbers), list(floats)
-        packets = [[next(numbers) for _ in range(PACKET)] for _ in range(6)]
+        self._n_rate_samples, self._velocity = next(numbers), list(floats)
+        packets = [[next(numbers) for _ in range(PACKET_SIZE)] for _ in range(6)]
         self.accelerations, self.rates = packets[:3], packets[3:]
         lengths = [next(numbers), next(numbers)]
-        self._partial = [[[next(numbers) for _ in range(count)] for _ in range(3)] for count in lengths]
+        self._partials = [[[next(numbers) for _ in range(count)] for _ in range(3)] for count in lengths]
 
-    def _add_noise(self, time_ns: int, first: int, values: Sequence[float], noise: float) -> list[int]:
-        """Return values with noise, rounded, and clipped to 16 bits."""
-        number = 4 * (time_ns // TICK_NS) + first
+    def _add_noise(self, time_ns: int, offset: int, values: Sequence[float], noise: float) -> list[int]:
+        """Return values with noise of a standard noise [counts], rounded, and clipped to 16 bits."""
+        number = 4 * (time_ns // TICK_NS) + offset
         normal = (*draws(self._tables, self._key, number)[:2], draws(self._tables, self._key, number + 1)[0])
         return [
             min(max(round(value + noise * draw), -_COUNTS_LIMIT), _COUNTS_LIMIT - 1)
             for value, draw in zip(values, normal, strict=True)
         ]
 
-    def _add_to_packet(self, kind: int, values: Sequence[int], packets: list[list[int]]) -> list[list[int]]:
-        """Add values to the incomplete packet; return the last complete one."""
-        partial = self._partial[kind]
+    def _add_to_packet(self, sensor: int, values: Sequence[int], packets: list[list[int]]) -> list[list[int]]:
+        """Add x, y, z of a sensor (0 accelerometer, 1 gyroscope); return its last complete packets."""
+        partial = self._partials[sensor]
         for axis, value in zip(partial, values, strict=True):
             axis.insert(0, value)
-        if len(partial[0]) < PACKET:
+        if len(partial[0]) < PACKET_SIZE:
             return packets
-        self._partial[kind] = _make_packets(0)
+        self._partials[sensor] = _zero_packets(0)
         return partial
 
 
-def _make_packets(count: int = PACKET) -> list[list[int]]:
+def _zero_packets(count: int = PACKET_SIZE) -> list[list[int]]:
     return [[0] * count for _ in range(3)]

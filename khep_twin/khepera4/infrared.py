@@ -34,7 +34,7 @@ _HEIGHT, _LENS = 0.0047, 0.002
 """Height of the sensors above the floor (manual), and length in the law of their distance (assumed) [m]."""
 
 _ANGLES = np.arange(8) * (math.pi / 4)
-_SPOT = np.vstack([[0.0, 0.0], 0.7 * np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])])
+_SPOT_POINTS = np.vstack([[0.0, 0.0], 0.7 * np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])])
 """Sample points of a spot of radius 1."""
 
 
@@ -74,39 +74,39 @@ class Infrared:
         """Return proximity and ambient counts of all sensors at a moment (12,)."""
         scene, sensors = self._scene, self._sensors
         scene.move_to(moment)
-        first = moment.time_ns // PERIOD_NS * len(self._indices.cameras)
+        first_draw = moment.time_ns // PERIOD_NS * len(self._indices.cameras)
         proximity_counts: list[int] = []
         ambient_counts: list[int] = []
         for channel in range(N_AROUND):
-            random = draws(self._tables, self._key, first + channel)
+            noise_draws = draws(self._tables, self._key, first_draw + channel)
             reflected, ambient = convert(
-                scene.mujoco_scene, sensors, moment.light, moment.powers, moment.time_ns, channel, random
+                scene.mujoco_scene, sensors, moment.light, moment.powers, moment.time_ns, channel, noise_draws
             )
             proximity_counts.append(reflected)
             ambient_counts.append(ambient)
         for channel, camera in enumerate(self._indices.cameras[N_AROUND:]):
-            random = draws(self._tables, self._key, first + N_AROUND + channel)
+            noise_draws = draws(self._tables, self._key, first_draw + N_AROUND + channel)
             if self._ground is not None:
-                proximity_counts.append(self._floor_counts(self._ground, channel, camera, random[0]))
+                proximity_counts.append(self._floor_counts(self._ground, channel, camera, noise_draws[0]))
             # In the shadow of the robot (assumed).
-            dark = sensors.ambient.dark + sensors.ambient.noise * random[1]
-            ambient_counts.append(min(max(round(dark), 0), COUNTS_LIMIT))
+            dark_reading = sensors.ambient.dark + sensors.ambient.noise * noise_draws[1]
+            ambient_counts.append(min(max(round(dark_reading), 0), COUNTS_LIMIT))
         if self._rises_with_light:
             ambient_counts = [COUNTS_LIMIT - count for count in ambient_counts]
         return proximity_counts, ambient_counts
 
-    def _floor_counts(self, ground: GroundCalibration, channel: int, camera: int, random: float) -> int:
+    def _floor_counts(self, ground: GroundCalibration, channel: int, camera: int, noise_draw: float) -> int:
         """Return the counts of a sensor that looks at the floor."""
         model, data = self._scene.model, self._scene.data
         position, rotation = data.cam_xpos[camera], data.cam_xmat[camera]
         right, up, down = rotation[0::3], rotation[1::3], -rotation[2::3]
         geom, total = np.zeros(1, np.int32), 0.0
-        for x, y in (ground.spot_mm * 1e-3 * _SPOT).tolist():
+        for x, y in (ground.spot_mm * 1e-3 * _SPOT_POINTS).tolist():
             distance = mujoco.mj_ray(
                 model, data, position + x * right + y * up, down, None, True, self._indices.base, geom
             )
             if distance >= 0:
                 total += model.geom_user[geom[0], 0] * min((_HEIGHT + _LENS) / (distance + _LENS), 1.0) ** 2
         white, dark = ground.white_counts[channel], ground.nothing_counts
-        counts = dark + (white - dark) * total / len(_SPOT) + ground.noise_counts * random
+        counts = dark + (white - dark) * total / len(_SPOT_POINTS) + ground.noise_counts * noise_draw
         return min(max(round(counts), 0), COUNTS_LIMIT)

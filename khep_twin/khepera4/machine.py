@@ -13,7 +13,7 @@ BYTE_NS = 25_000
 RESET_PIN, CHARGER_PIN = 90, 65
 """Pins: 0 holds the dsPIC in reset; 0 while the charger is plugged in (library)."""
 
-READS = 1
+READ_FLAG = 1
 """Flag of a read message."""
 
 
@@ -39,7 +39,7 @@ class Machine:
         self._dspic = dspic
         self._clock = clock
         self._pins = {CHARGER_PIN: 1, RESET_PIN: 1}
-        self._register = 0
+        self._next_register = 0
 
     @property
     def time_ns(self) -> int:
@@ -66,10 +66,10 @@ class Machine:
             if address != ADDRESS or not (self._pins[RESET_PIN] and self._dspic.is_powered):
                 raise OSError(errno.ENXIO, "no device has answered")
             self.advance_to(self.time_ns + (len(content) + 1) * byte_ns)
-            if flags & READS:
-                reply += self._dspic.read(self._register, len(content))
+            if flags & READ_FLAG:
+                reply += self._dspic.read(self._next_register, len(content))
             elif content:
-                self._register = content[0]
+                self._next_register = content[0]
                 self._dspic.write(content)
         return reply
 

@@ -2,8 +2,8 @@
 
 The law and its scale follow from four step responses of a real robot, all to a speed of 500 (recording): with
 Kp 10 alone the speed settles at 199, with Kp 40 at 370; Kp 10 and Ki 10 peak at 750; Kp 10 and Ki 1 settle.
-A PWM of (Kp e + Ki sum(e) + Kd (e - last e)) / 8 on wheels with a lag of 195 ms, a free speed of 0.625
-pulses/10 ms per unit of PWM, and a friction worth 36 pulses/10 ms does all four.
+A PWM of (Kp e + Ki sum(e) + Kd (e - last e)) / 8 reproduces all four, on wheels with a first-order lag (time
+constant 195 ms), a no-load speed of 0.625 pulses/10 ms per unit of PWM, and friction that lowers it by 36.
 """
 
 import math
@@ -98,9 +98,9 @@ class Motor:
         error = order - self.speed
         if settings.ki:
             self.error_sum = clip(self.error_sum + error, PWM_LIMIT * GAIN_SCALE // settings.ki)
-        drive = settings.kp * error + settings.ki * self.error_sum + settings.kd * (error - self.error)
+        control_sum = settings.kp * error + settings.ki * self.error_sum + settings.kd * (error - self.error)
         self.error = error
-        self.pwm = clip(divide(drive, GAIN_SCALE), PWM_LIMIT)
+        self.pwm = clip(divide(control_sum, GAIN_SCALE), PWM_LIMIT)
 
     def _ramp_to(self, settings: Settings, order: int) -> None:
         """Change the ramp's speed by one step towards an order, unless it waits.
@@ -112,16 +112,16 @@ class Motor:
             self.wait -= 1
             return
         min_speed = settings.least_accelerating
-        reverses = self.ramp * order <= 0
+        is_reversal = self.ramp * order <= 0
         if self.ramp == 0:
             self.ramp = clip(order, min_speed)
             self.wait = HOLD_TICKS if order else 0
-        elif reverses and abs(self.ramp) <= min_speed:
+        elif is_reversal and abs(self.ramp) <= min_speed:
             self.ramp = 0
         else:
-            target = (min_speed if self.ramp > 0 else -min_speed) if reverses else order
-            self.ramp += clip(target - self.ramp, max(settings.acceleration, 1))
-            self.wait = HOLD_TICKS if reverses and self.ramp == target else settings.acceleration_divider
+            goal = (min_speed if self.ramp > 0 else -min_speed) if is_reversal else order
+            self.ramp += clip(goal - self.ramp, max(settings.acceleration, 1))
+            self.wait = HOLD_TICKS if is_reversal and self.ramp == goal else settings.acceleration_divider
 
     def _approach(self, settings: Settings, distance: int) -> None:
         """Follow a trapezoidal speed profile to a target at a distance [pulses], and stop there."""

@@ -76,12 +76,12 @@ def run_programs(
     Raises:
         KhepTwinError: A program cannot be started, or there is no C compiler.
     """
-    libraries = [_library_for(program.arguments[0]) for program in programs]
+    libraries = [_find_preload_library(program.arguments[0]) for program in programs]
     # The loader splits its list of libraries at spaces and colons, and sockets have short paths.
-    parent = tempfile.gettempdir()
-    parent = "/tmp" if len(parent) > 60 or set(parent) & set(" :") else parent
+    parent_folder = tempfile.gettempdir()
+    parent_folder = "/tmp" if len(parent_folder) > 60 or set(parent_folder) & set(" :") else parent_folder
     with (
-        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=parent) as folder,
+        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=parent_folder) as folder,
         contextlib.ExitStack() as stack,
     ):
         paths = [Path(folder, f"devices{index}") for index in range(len(programs))]
@@ -90,7 +90,7 @@ def run_programs(
         clock = None if simulated else lambda: time.monotonic_ns() + offset_ns
         server = stack.enter_context(contextlib.closing(DeviceServer(machines, paths, clock)))
         if simulated:
-            stack.enter_context(_one_processor())
+            stack.enter_context(_pin_to_one_processor())
         processes: list[subprocess.Popen[bytes]] = []
         stack.callback(_kill, processes)
         for program, library, path in zip(programs, libraries, paths, strict=True):
@@ -107,28 +107,28 @@ def run_programs(
             except OSError as error:
                 raise KhepTwinError(f"{program.arguments[0]}: cannot be started: {error.strerror}") from error
         stack.enter_context(_forward_signals(processes))
-        ids = [process.pid for process in processes]
+        process_ids = [process.pid for process in processes]
         end_ns = NEVER_NS if until_ns is None else until_ns
-        live_ids = server.serve(ids, lambda: _have_ended(processes), end_ns)
+        live_ids = server.serve(process_ids, lambda: _have_ended(processes), end_ns)
         if any(process.poll() is None for process in processes):
             _terminate(processes)
             deadline = time.monotonic() + TERMINATE_S
             end_ns = machines[0].time_ns + round(TERMINATE_S * 1e9)
             live_ids |= server.serve(
-                ids, lambda: _have_ended(processes) or time.monotonic() > deadline, end_ns
+                process_ids, lambda: _have_ended(processes) or time.monotonic() > deadline, end_ns
             )
         _kill(processes)
         server.close()
-        _kill_orphans(live_ids - {*ids})
+        _kill_orphans(live_ids - {*process_ids})
     return [process.returncode for process in processes]
 
 
-def _library_for(program: str) -> Path:
+def _find_preload_library(program: str) -> Path:
     """Return the preload library for a program's word size."""
-    if bits(program) == 64:
-        return library()
+    if word_size(program) == 64:
+        return preload_library()
     try:
-        return library(32)
+        return preload_library(32)
     except KhepTwinError as error:
         raise KhepTwinError(f"{program}: a program of 32 bits, and {error}") from error
 
@@ -161,17 +161,17 @@ def _kill_orphans(process_ids: set[int]) -> None:
             os.kill(orphan, signal.SIGKILL)
 
 
-def bits(program: str) -> int:
+def word_size(program: str) -> int:
     """Return the word size of a program [bits], 64 if it is unknown."""
     for _ in range(5):  # a script, its interpreter's script and so on
         try:
             with open(shutil.which(program) or program, "rb") as file:
-                head = file.read(256)
+                first_bytes = file.read(256)
         except OSError:
             return 64
-        if not head.startswith(b"#!"):
-            return 32 if head[:5] == b"\x7fELF\x01" else 64
-        words = head[2:].partition(b"\n")[0].decode(errors="replace").split()
+        if not first_bytes.startswith(b"#!"):
+            return 32 if first_bytes[:5] == b"\x7fELF\x01" else 64
+        words = first_bytes[2:].partition(b"\n")[0].decode(errors="replace").split()
         if len(words) > 1 and words[0].endswith("/env"):
             words = words[1:]
         program = words[0] if words else ""
@@ -179,7 +179,7 @@ def bits(program: str) -> int:
 
 
 @contextlib.contextmanager
-def _one_processor() -> Generator[None, None, None]:
+def _pin_to_one_processor() -> Generator[None, None, None]:
     """Keep this thread and its programs on one processor: they run in turn, and migration is slow."""
     assert sys.platform == "linux"
     affinity = os.sched_getaffinity(0)
@@ -221,11 +221,8 @@ def _forward_signals(processes: Sequence["subprocess.Popen[bytes]"]) -> Generato
             signal.signal(number, handler)
 
 
-def library(bits: int = 64) -> Path:
-    """Return the preload library, compiled into the user's cache if it is missing.
-
-    Args:
-        bits: Word size of the program, 32 or 64.
+def preload_library(bits: int = 64) -> Path:
+    """Return the preload library of a word size, 32 or 64 bits, compiled into the user's cache if missing.
 
     Raises:
         KhepTwinError: This is not Linux, there is no C compiler, or it fails.

@@ -28,7 +28,7 @@ from khep_twin.khepera4.inertial import Inertial
 from khep_twin.khepera4.infrared import Infrared
 from khep_twin.khepera4.moments import Moment, PastScene
 from khep_twin.khepera4.motor_control import PWM_LIMIT
-from khep_twin.khepera4.registers import DspicRegister
+from khep_twin.khepera4.registers import BATTERY_BYTES, DspicRegister
 from khep_twin.khepera4.server import Kh4Server
 from khep_twin.khepera4.ultrasonic import Ultrasonic
 from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
@@ -40,11 +40,11 @@ from khep_twin.units import BODIES
 PULSES_PER_TURN = BODIES["khepera4"].pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""
 
-_ENDS = [0, *accumulate(label.count(",") + 1 for label in CHANNELS.values())]
+_CHANNEL_ENDS = [0, *accumulate(label.count(",") + 1 for label in CHANNELS.values())]
 
 SAMPLED = tuple(
     SampledRegisters(name, label, range(start, end))
-    for (name, label), start, end in zip(CHANNELS.items(), _ENDS, _ENDS[1:], strict=False)
+    for (name, label), start, end in zip(CHANNELS.items(), _CHANNEL_ENDS, _CHANNEL_ENDS[1:], strict=False)
 )
 """Channels of a log, consecutive in the robot's registers."""
 
@@ -85,19 +85,19 @@ class Khepera4Robot(Robot):
                 )
         self.dspic = Dspic()
         super().__init__(context, index, indices, Kh4Server(self.dspic), make_rng, settings)
-        self.dspic.before_read = self._before_read
-        self.registers = np.zeros(_ENDS[-1], np.int64)
+        self.dspic.before_read = self._evaluate_pending
+        self.registers = np.zeros(_CHANNEL_ENDS[-1], np.int64)
         self._calibration = calibration
         self._motor_constant = calibration.motors.constant
-        entry = context.playpen.robots[index]
-        self._idle_current = entry.body.idle_current
-        self._gauge = Gauge(entry.battery_used_min)
+        robot_entry = context.playpen.robots[index]
+        self._idle_current = robot_entry.body.idle_current
+        self._gauge = Gauge(robot_entry.battery_used_min)
         self._encoder_zeros = [0, 0]
         self._has_stopped = False
-        self._infrared_due: Moment | None = None
-        self._echoes_due: dict[int, Moment] = {}
-        self._burst: tuple[int, Moment] | None = None
-        self._echoes = [ultrasonic.NO_ECHO] * N_ULTRASONIC
+        self._pending_infrared: Moment | None = None
+        self._pending_bursts: dict[int, Moment] = {}
+        self._burst: tuple[int, Moment] | None = None  # sensor and time of the last burst
+        self._distance_readings = [ultrasonic.NO_ECHO] * N_ULTRASONIC
         self._make_sensors()
 
     def switch_on(self) -> None:
@@ -112,29 +112,29 @@ class Khepera4Robot(Robot):
         if reason == step.Reason.STEPPED:
             self._measure(context.time_ns)
         elif reason == step.Reason.TICKED:
-            changed = self.faults.update(("",), context.time_ns)
-            if any(fault.kind == "brown-out" for fault in changed):
+            changed_faults = self.faults.update(("",), context.time_ns)
+            if any(fault.kind == "brown-out" for fault in changed_faults):
                 self.reset_processor()
             if not self._has_stopped:
-                self._tick(context.time_ns)
+                self._run_control_period(context.time_ns)
 
     def refresh(self) -> None:
         """Update `registers` to the present."""
-        self._before_read(0, DspicRegister.BATTERY)
+        self._evaluate_pending(0, DspicRegister.BATTERY)
         dspic, values = self.dspic, self.registers
-        motors = [number for numbers in dspic.motor_numbers for number in numbers]
-        battery = dspic.read(DspicRegister.BATTERY, 12)
-        block = [int.from_bytes(battery[at : at + 2], "little", signed=at in (4, 8)) for at in (10, 4, 1, 8)]
+        motor_values = [number for numbers in dspic.motor_numbers for number in numbers]
+        battery = dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)  # voltage, current, charge, temperature
+        gauge = [int.from_bytes(battery[i : i + 2], "little", signed=i in (4, 8)) for i in (10, 4, 1, 8)]
         control = dspic.read(DspicRegister.CONTROL, 1)[0], dspic.read(DspicRegister.ON_TARGET, 1)[0]
-        newest = [axis[0] for axis in (*self._inertial.accelerations, *self._inertial.rates)]
+        newest_inertial = [axis[0] for axis in (*self._inertial.accelerations, *self._inertial.rates)]
         values[:] = [
             *dspic.words(DspicRegister.PROXIMITY, N_INFRARED),
             *dspic.words(DspicRegister.AMBIENT, N_INFRARED),
             *dspic.words(DspicRegister.ULTRASONIC, N_ULTRASONIC),
-            *motors,
+            *motor_values,
             *dspic.leds,
-            *newest,
-            *block,
+            *newest_inertial,
+            *gauge,
             *control,
             dspic.ultrasonic_enabled,
             dspic.read(DspicRegister.STATUS_LED, 1)[0],
@@ -146,7 +146,7 @@ class Khepera4Robot(Robot):
         inertial, velocity = self._inertial.state()
         burst = -1 if self._burst is None else self._burst[0]
         dspic = self.dspic.state()
-        sonar = burst, *self._echoes
+        sonar = burst, *self._distance_readings
         integers = [*self._encoder_zeros, *sonar, *self.firmware.numbers, len(inertial), *inertial, *dspic]
         qpos: list[float] = [] if self._burst is None else self._burst[1].qpos.tolist()
         return RobotSnapshot(
@@ -170,24 +170,24 @@ class Khepera4Robot(Robot):
         self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
         self._encoder_zeros = [next(numbers), next(numbers)]
         burst = next(numbers)
-        self._echoes = [next(numbers) for _ in range(N_ULTRASONIC)]
+        self._distance_readings = [next(numbers) for _ in range(N_ULTRASONIC)]
         self.firmware.numbers = [next(numbers) for _ in self.firmware.numbers]
         self._make_sensors()
         self._inertial.set_state([next(numbers) for _ in range(next(numbers))], floats[:3])
         self.dspic.set_state(list(numbers))
         self._gauge.set_state(floats[3:8])
-        self._infrared_due = None
-        self._echoes_due = {}
+        self._pending_infrared = None
+        self._pending_bursts = {}
         time_ns = self._context.time_ns // ultrasonic.PERIOD_NS * ultrasonic.PERIOD_NS
-        self._burst = None if burst < 0 else (burst, self._moment(time_ns, np.array(floats[8:])))
+        self._burst = None if burst < 0 else (burst, self._record_moment(time_ns, np.array(floats[8:])))
         self._has_stopped = state.is_stopped
         self.dspic.is_powered = not state.is_stopped
-        self._show(state.leds)
+        self._set_led_lights(state.leds)
 
     def reseed(self, make_rng: Callable[..., np.random.Generator]) -> None:
         """Replace the random streams."""
         super().reseed(make_rng)
-        self._before_read(0, DspicRegister.BATTERY)
+        self._evaluate_pending(0, DspicRegister.BATTERY)
         self.fit_turrets()
 
     def fit_turrets(self) -> None:
@@ -198,7 +198,7 @@ class Khepera4Robot(Robot):
 
     def scan(self) -> None:
         """Measure with all infrared sensors now."""
-        self._infrared_due = self._moment(self._context.time_ns)
+        self._pending_infrared = self._record_moment(self._context.time_ns)
 
     def apply_faults(self) -> None:
         """Do nothing: only the line has faults."""
@@ -207,13 +207,13 @@ class Khepera4Robot(Robot):
     def lit_leds(self) -> list[int]:
         """State of each LED in the registers, 0 for off."""
         leds = self.dspic.leds
-        return [int(any(leds[first : first + 3])) for first in range(0, 9, 3)]
+        return [int(any(leds[start : start + 3])) for start in range(0, 9, 3)]
 
     def reset_motion(self) -> None:
         """Reset the dsPIC, and cut the motors' voltage."""
         self.dspic.reset()
         self.zero_encoders()
-        self._inertial.rest()
+        self._inertial.reset_velocity()
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
 
     def zero_encoders(self) -> None:
@@ -231,10 +231,10 @@ class Khepera4Robot(Robot):
         self._inertial = Inertial(key, is_noisy)
 
     def _wheel_pulses(self) -> list[int]:
-        angles: Sequence[float] = self._context.data.qpos[list(self.indices.wheel_angles)].tolist()
+        angles: Sequence[float] = self._context.data.qpos[list(self.indices.wheel_qpos)].tolist()
         return [math.floor(angle * (PULSES_PER_TURN / math.tau) + 0.5) for angle in angles]
 
-    def _moment(self, time_ns: int, qpos: NDArray[np.float64] | None = None) -> Moment:
+    def _record_moment(self, time_ns: int, qpos: NDArray[np.float64] | None = None) -> Moment:
         context = self._context
         simulation = context.simulation
         positions = context.data.qpos.copy() if qpos is None else qpos
@@ -244,41 +244,41 @@ class Khepera4Robot(Robot):
         """Record the measurements that are due at the end of a physics step."""
         if time_ns % infrared.PERIOD_NS:
             return
-        self._infrared_due = moment = self._moment(time_ns)
+        self._pending_infrared = moment = self._record_moment(time_ns)
         if time_ns % ultrasonic.PERIOD_NS:
             return
         if self._burst is not None:
             sensor, burst_moment = self._burst
-            self._echoes_due[sensor] = burst_moment
-        enabled = self.dspic.ultrasonic_enabled
+            self._pending_bursts[sensor] = burst_moment
+        enabled_mask = self.dspic.ultrasonic_enabled
         last_sensor = -1 if self._burst is None else self._burst[0]
         candidates = [(last_sensor + 1 + offset) % N_ULTRASONIC for offset in range(N_ULTRASONIC)]
-        sensor = next((candidate for candidate in candidates if enabled >> candidate & 1), None)
+        sensor = next((candidate for candidate in candidates if enabled_mask >> candidate & 1), None)
         self._burst = None if sensor is None else (sensor, moment)
 
-    def _before_read(self, first: int, end: int) -> None:
+    def _evaluate_pending(self, first: int, end: int) -> None:
         """Evaluate pending measurements of the registers from `first` to before `end`."""
-        dspic, infrared_due = self.dspic, self._infrared_due
+        dspic, infrared_due = self.dspic, self._pending_infrared
         if infrared_due is not None and end > DspicRegister.AMBIENT and first < DspicRegister.ULTRASONIC:
             proximity_counts, ambient_counts = self._infrared.measure(infrared_due)
-            self._infrared_due = None
-            dspic.sense(DspicRegister.PROXIMITY, proximity_counts)
-            dspic.sense(DspicRegister.AMBIENT, ambient_counts)
+            self._pending_infrared = None
+            dspic.set_words(DspicRegister.PROXIMITY, proximity_counts)
+            dspic.set_words(DspicRegister.AMBIENT, ambient_counts)
         if end > DspicRegister.ULTRASONIC and first < DspicRegister.ULTRASONIC_ENABLED:
-            for sensor, moment in sorted(self._echoes_due.items()):
-                self._echoes[sensor] = self._ultrasonic.measure(moment, sensor)
-            self._echoes_due = {}
-            enabled = dspic.ultrasonic_enabled
+            for sensor, moment in sorted(self._pending_bursts.items()):
+                self._distance_readings[sensor] = self._ultrasonic.measure(moment, sensor)
+            self._pending_bursts = {}
+            enabled_mask = dspic.ultrasonic_enabled
             readings = [
-                reading if enabled >> channel & 1 else ultrasonic.DISABLED
-                for channel, reading in enumerate(self._echoes)
+                reading if enabled_mask >> channel & 1 else ultrasonic.DISABLED
+                for channel, reading in enumerate(self._distance_readings)
             ]
-            dspic.sense(DspicRegister.ULTRASONIC, readings)
+            dspic.set_words(DspicRegister.ULTRASONIC, readings)
         if end > DspicRegister.ACCELEROMETER and first < DspicRegister.BATTERY:
-            dspic.sense(DspicRegister.ACCELEROMETER, [*chain(*self._inertial.accelerations)])
-            dspic.sense(DspicRegister.GYROSCOPE, [*chain(*self._inertial.rates)])
+            dspic.set_words(DspicRegister.ACCELEROMETER, [*chain(*self._inertial.accelerations)])
+            dspic.set_words(DspicRegister.GYROSCOPE, [*chain(*self._inertial.rates)])
 
-    def _tick(self, time_ns: int) -> None:
+    def _run_control_period(self, time_ns: int) -> None:
         """Run a control period."""
         data, indices = self._context.data, self.indices
         pulses = [count - zero for count, zero in zip(self._wheel_pulses(), self._encoder_zeros, strict=True)]
@@ -289,8 +289,8 @@ class Khepera4Robot(Robot):
             data.ctrl[motor] = motor_pwm / PWM_LIMIT * voltage
             motor_current = motor_pwm / PWM_LIMIT * float(data.actuator_force[motor]) / self._motor_constant
             current += max(motor_current, 0.0)
-        first = indices.velocity
-        velocity: Sequence[float] = data.qvel[first : first + 6].tolist()
+        start = indices.velocity
+        velocity: Sequence[float] = data.qvel[start : start + 6].tolist()
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, data.qpos[indices.pose + 3 : indices.pose + 7])
         self._inertial.tick(time_ns, rotation.tolist(), velocity[:3], velocity[3:])

@@ -107,14 +107,14 @@ class Scheduler:
 
     def __post_init__(self) -> None:
         self._last_ticket = 0
-        self._wakes: dict[tuple[int, int], int] = {}  # last WAKE of each process and futex address
+        self._last_wakes: dict[tuple[int, int], int] = {}  # last WAKE of each process and futex address
 
-    def run(self, watch: ThreadWatch, is_over: Callable[[], bool], end_ns: int) -> None:
+    def run(self, watch: ThreadWatch, should_stop: Callable[[], bool], end_ns: int) -> None:
         """Serve requests until a function returns True, or until a time [ns]."""
         assert sys.platform == "linux"
         start_ns, start_cpu_ns = 0, -1  # of a computation; -1 while all wait
         n_idle, waited = 0, True  # polls without a request that is due, and the threads' state at the last
-        while self.machine.time_ns < end_ns and not is_over():
+        while self.machine.time_ns < end_ns and not should_stop():
             pending = [connection for connection in self.connections if connection.is_pending]
             due_ns = min((connection.due_ns for connection in pending), default=NEVER_NS)
             if due_ns == NEVER_NS:
@@ -141,7 +141,7 @@ class Scheduler:
                 if spent_ns < PATIENCE_S * 1e9 or due_ns > start_ns + spent_ns:
                     self.poll(0.0001)
                     continue
-            self._serve_first(pending, end_ns)
+            self._serve_next(pending, end_ns)
             os.sched_yield()  # to the thread with the reply, which mostly sends its next request
             self.poll(0.0)
 
@@ -153,12 +153,12 @@ class Scheduler:
         connection.end_ns = end_ns
         connection.futex = futex
         connection.ticket = self._last_ticket if futex_address else 0
-        connection.is_woken = futex_address != 0 and last_wake < self._wakes.get(futex, 0)
+        connection.is_woken = futex_address != 0 and last_wake < self._last_wakes.get(futex, 0)
         connection.due_ns = now_ns if connection.is_woken else max(end_ns, now_ns)
 
-    def wake(self, futex: tuple[int, int], count: int, number: int) -> None:
+    def wake(self, futex: tuple[int, int], count: int, wake_number: int) -> None:
         """Wake those threads that have waited longest for a futex: a number of them, or all for 0."""
-        self._wakes[futex] = number
+        self._last_wakes[futex] = wake_number
         waiting = [c for c in self.connections if c.is_sleeping and not c.is_woken and c.futex == futex]
         for connection in sorted(waiting, key=attrgetter("ticket"))[: count or None]:
             connection.due_ns = self.machine.time_ns
@@ -170,11 +170,11 @@ class Scheduler:
         blocked = {connection.thread for connection in pending if not connection.is_sleeping}
         return watch.all_wait(threads, blocked, len(self.connections))
 
-    def _serve_first(self, pending: Collection[ThreadConnection], end_ns: int) -> None:
+    def _serve_next(self, pending: Collection[ThreadConnection], end_ns: int) -> None:
         """Reply to the request whose turn it is, or advance by one stride towards its due time."""
-        first = min(pending, key=attrgetter("due_ns", "ticket", "robot", "thread"))
+        next_connection = min(pending, key=attrgetter("due_ns", "ticket", "robot", "thread"))
         next_ns = min(self.machine.time_ns + STRIDE_NS, end_ns)
-        if self.clock is None and first.due_ns > next_ns:
+        if self.clock is None and next_connection.due_ns > next_ns:
             self.machine.advance_to(next_ns)
         else:
-            self.reply(first)
+            self.reply(next_connection)

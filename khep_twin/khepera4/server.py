@@ -4,10 +4,10 @@
     reply = server.receive(b"D,100,100" + END)
 
 A command is a capital letter and numbers, separated by commas; the reply is the small letter and values. The
-published program is reproduced to the byte (library): a reply discards all input after its command, an
-invalid A also ends the vehicle, and X sends 128 bytes, the readings from their second byte on. Uninitialized
-memory of the program is 0 here: missing numbers, the last byte of X's readings, and all bytes of X after the
-first 67. docs/khepera4.md lists the differences.
+published program is reproduced to the byte (library): a reply discards all input after its command; an A
+without argument 0, 1 or 2 stops the Braitenberg vehicle and is answered with an error; X sends 128 bytes, the
+readings from their second byte on. Uninitialized memory of the program is 0 here: missing numbers, the last
+byte of X's readings, and all bytes of X after the first 67. docs/khepera4.md lists the differences.
 """
 
 import re
@@ -84,7 +84,7 @@ class Kh4Server:
         self._line = b""
         self._is_running = self._is_wandering = self._is_turning = False
         self._n_still = 0
-        self._position = 0, 0
+        self._last_position = 0, 0
 
     def forget_line(self) -> None:
         """Discard the incomplete line."""
@@ -96,7 +96,7 @@ class Kh4Server:
         self.forget()
         return b""
 
-    def remedy(self, baud: int) -> str:
+    def baud_rate_hint(self, baud: int) -> str:
         """Return a hint on how to match the baud rates of robot and host."""
         return f"expected {BAUD} baud at the host, not {baud}"
 
@@ -118,13 +118,13 @@ class Kh4Server:
     @property
     def numbers(self) -> list[int]:
         """State of the Braitenberg vehicle."""
-        return [self._is_wandering, self._is_turning, self._n_still, *self._position]
+        return [self._is_wandering, self._is_turning, self._n_still, *self._last_position]
 
     @numbers.setter
     def numbers(self, numbers: Sequence[int]) -> None:
         is_wandering, is_turning, self._n_still, left, right = numbers
         self._is_wandering, self._is_turning = bool(is_wandering), bool(is_turning)
-        self._position = left, right
+        self._last_position = left, right
 
     def receive(self, data: bytes) -> bytes:
         """Receive bytes; return the reply to the command that they complete, if any."""
@@ -132,7 +132,7 @@ class Kh4Server:
             return b""
         if not self._is_running:
             self._is_running = True
-            self._start()
+            self._set_defaults()
         self._line += data
         while end := LINE_END.search(self._line):
             line, self._line = self._line[: end.start()], self._line[end.end() :]
@@ -146,35 +146,35 @@ class Kh4Server:
         """Run the vehicle of A for a control period (assumed; the program loops as fast as it can)."""
         if not self._is_wandering:
             return
-        proximity, position = self._numbers(DspicRegister.PROXIMITY, 8), self._positions()
+        proximity, position = self._read_words(DspicRegister.PROXIMITY, 8), self._read_positions()
         is_still = all(
-            abs(new - old) < MOVED_PULSES for new, old in zip(position, self._position, strict=True)
+            abs(new - old) < MOVED_PULSES for new, old in zip(position, self._last_position, strict=True)
         )
         self._n_still = self._n_still + 1 if is_still else 0
         self._is_turning = proximity[_FRONT] > BLOCKED and (self._is_turning or self._n_still > N_STUCK)
         if self._is_turning:
-            self._drive((TURN_SPEED, -TURN_SPEED))
+            self._order_speeds((TURN_SPEED, -TURN_SPEED))
             return
         if self._n_still > N_STUCK or not is_still:
             self._n_still = 0
-            self._position = position
-        inputs = [
+            self._last_position = position
+        sensor_inputs = [
             0 if count < THRESHOLD else (min(count, SATURATION) - THRESHOLD) // 2 for count in proximity
         ]
         orders = [
-            divide(sum(map(int.__mul__, weights, inputs)), GAIN_DIVISOR) + FORWARD_SPEED
+            divide(sum(map(int.__mul__, weights, sensor_inputs)), GAIN_DIVISOR) + FORWARD_SPEED
             for weights in (LEFT_WEIGHTS, RIGHT_WEIGHTS)
         ]
         orders = [max(speed, MIN_SPEED) if speed >= 0 else min(speed, -MIN_SPEED) for speed in orders]
-        self._drive(orders)
+        self._order_speeds(orders)
 
     def _execute(self, line: bytes) -> bytes:
-        """Execute a command; return its reply."""
+        """Execute a command by its method, `_on_a` for A; return its reply, ERROR if that returns None."""
         fields = [field for field in line[2:].split(b",") if field]
         values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
         letter = line[:1].decode("latin-1")
-        action = getattr(self, f"_on_{letter.lower()}", None) if "A" <= letter <= "Z" else None
-        reply = None if action is None else action(values)
+        handler = getattr(self, f"_on_{letter.lower()}", None) if "A" <= letter <= "Z" else None
+        reply = None if handler is None else handler(values)
         if reply is None:
             return ERROR
         if isinstance(reply, bytes):
@@ -184,7 +184,7 @@ class Kh4Server:
     def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
         if values not in ([0], [1]):
             if self._is_wandering:
-                self._drive((0, 0))
+                self._order_speeds((0, 0))
                 self._set_control(Control.IDLE)
                 self._set_profile(DEFAULT_PROFILE)
             self._is_wandering = False
@@ -192,7 +192,7 @@ class Kh4Server:
         self._set_profile(WANDERING_PROFILE)
         self._set_control(Control.SPEED_PROFILE)
         self._is_wandering, self._is_turning = True, False
-        self._n_still, self._position = 0, self._positions()
+        self._n_still, self._last_position = 0, self._read_positions()
         return ()
 
     def _on_b(self, values: Sequence[int]) -> Sequence[object]:
@@ -201,26 +201,26 @@ class Kh4Server:
 
     def _on_d(self, values: Sequence[int]) -> Sequence[int]:
         self._set_control(Control.SPEED)
-        return self._write(DspicRegister.SPEED_ORDER_LEFT, _first(values, 2))
+        return self._write(DspicRegister.SPEED_ORDER_LEFT, _pad_values(values, 2))
 
     def _on_e(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(DspicRegister.SPEED_LEFT, 2, signed=True)
+        return self._read_words(DspicRegister.SPEED_LEFT, 2, signed=True)
 
     def _on_f(self, values: Sequence[int]) -> Sequence[int]:
         self._set_control(Control.POSITION)
-        return self._write(DspicRegister.POSITION_ORDER_LEFT, _first(values, 2), size=4)
+        return self._write(DspicRegister.POSITION_ORDER_LEFT, _pad_values(values, 2), size=4)
 
     def _on_g(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(DspicRegister.ULTRASONIC, N_ULTRASONIC)
+        return self._read_words(DspicRegister.ULTRASONIC, N_ULTRASONIC)
 
     def _on_h(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(DspicRegister.KP, _first(values, 3), size=1)
+        return self._write(DspicRegister.KP, _pad_values(values, 3), size=1)
 
     def _on_i(self, values: Sequence[int]) -> Sequence[int]:
         return self._write(DspicRegister.RESET_ENCODERS, [0], size=1)
 
     def _on_j(self, values: Sequence[int]) -> Sequence[int]:
-        return self._set_profile(_first(values, 5))
+        return self._set_profile(_pad_values(values, 5))
 
     def _on_k(self, values: Sequence[int]) -> Sequence[int] | None:
         if len(values) != 9:
@@ -229,40 +229,41 @@ class Kh4Server:
 
     def _on_l(self, values: Sequence[int]) -> Sequence[int]:
         self._set_control(Control.OPEN_LOOP)
-        return self._write(DspicRegister.PWM_ORDER_LEFT, _first(values, 2))
+        return self._write(DspicRegister.PWM_ORDER_LEFT, _pad_values(values, 2))
 
     def _on_m(self, values: Sequence[int]) -> Sequence[int]:
-        self._start()
+        self._set_defaults()
         return ()
 
     def _on_n(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(DspicRegister.PROXIMITY, N_INFRARED)
+        return self._read_words(DspicRegister.PROXIMITY, N_INFRARED)
 
     def _on_o(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(DspicRegister.AMBIENT, N_INFRARED)
+        return self._read_words(DspicRegister.AMBIENT, N_INFRARED)
 
     def _on_p(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(DspicRegister.POSITION_MARGIN, _first(values, 1))
+        return self._write(DspicRegister.POSITION_MARGIN, _pad_values(values, 1))
 
     def _on_r(self, values: Sequence[int]) -> Sequence[int]:
-        return self._positions()
+        return self._read_positions()
 
     def _on_s(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(DspicRegister.GYROSCOPE, 30, signed=True)
+        return self._read_words(DspicRegister.GYROSCOPE, 30, signed=True)
 
     def _on_t(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(DspicRegister.ACCELEROMETER, 30, signed=True)
+        return self._read_words(DspicRegister.ACCELEROMETER, 30, signed=True)
 
     def _on_u(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(DspicRegister.ULTRASONIC_ENABLED, _first(values, 1), size=1)
+        return self._write(DspicRegister.ULTRASONIC_ENABLED, _pad_values(values, 1), size=1)
 
     def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
+        """Return one value of the battery, by its kind: 0 voltage [mV] to 7 status of the gauge."""
         if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
             return None
         block = self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)
-        current, average, temperature = (_signed(block[at : at + 2]) for at in (4, 6, 8))
+        current, average, temperature = (_decode_signed(block[offset : offset + 2]) for offset in (4, 6, 8))
         voltage = int.from_bytes(block[10:12], "little")
-        texts: Sequence[object] = (
+        values_by_kind: Sequence[object] = (
             f"{voltage * 9.76:.0f}",
             f"{current * 0.07813:.0f}",
             f"{average * 0.07813:.0f}",
@@ -272,14 +273,14 @@ class Kh4Server:
             int(self._is_charging()),
             block[0],
         )
-        return [texts[kind]]
+        return [values_by_kind[kind]]
 
     def _on_x(self, values: Sequence[int]) -> bytes:
         readings = [
             self._dspic.read(register, 2 * N_INFRARED)[1:] + b"\0"
             for register in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
         ]
-        motors = (*self._numbers(DspicRegister.SPEED_LEFT, 2, signed=True), *self._positions())
+        motors = (*self._read_words(DspicRegister.SPEED_LEFT, 2, signed=True), *self._read_positions())
         reply = b"".join([b"x", *readings, *(value.to_bytes(4, "little", signed=True) for value in motors)])
         return (reply + b"\n\r").ljust(BINARY_BYTES, b"\0")
 
@@ -287,7 +288,7 @@ class Kh4Server:
         self._dspic.reset()
         return ()
 
-    def _start(self) -> None:
+    def _set_defaults(self) -> None:
         """Set the default settings of the motors."""
         self._write(DspicRegister.POSITION_MARGIN, [MARGIN])
         self._write(DspicRegister.KP, (10, 5, 1), size=1)
@@ -298,7 +299,7 @@ class Kh4Server:
         self._write(DspicRegister.ACCELERATION, profile[:4], size=1)
         return self._write(DspicRegister.POSITION_SPEED, profile[4:])
 
-    def _drive(self, orders: Sequence[int]) -> None:
+    def _order_speeds(self, orders: Sequence[int]) -> None:
         """Order speeds; in open-loop control the library uses them as PWM."""
         is_open = self._dspic.read(DspicRegister.CONTROL, 1)[0] == Control.OPEN_LOOP
         self._write(DspicRegister.PWM_ORDER_LEFT if is_open else DspicRegister.SPEED_ORDER_LEFT, orders)
@@ -308,25 +309,25 @@ class Kh4Server:
 
     def _write(self, register: DspicRegister, values: Sequence[int], size: int = 2) -> Sequence[int]:
         """Write numbers of `size` bytes, truncated as in C; return the values of an empty reply."""
-        limit = (1 << 8 * size) - 1
-        self._dspic.write(bytes([register]) + b"".join((v & limit).to_bytes(size, "little") for v in values))
+        mask = (1 << 8 * size) - 1
+        self._dspic.write(bytes([register]) + b"".join((v & mask).to_bytes(size, "little") for v in values))
         return ()
 
-    def _numbers(self, register: DspicRegister, count: int, *, signed: bool = False) -> tuple[int, ...]:
+    def _read_words(self, register: DspicRegister, count: int, *, signed: bool = False) -> tuple[int, ...]:
         """Return numbers of two bytes."""
         content = self._dspic.read(register, 2 * count)
-        pairs = (content[at : at + 2] for at in range(0, 2 * count, 2))
+        pairs = (content[offset : offset + 2] for offset in range(0, 2 * count, 2))
         return tuple(int.from_bytes(pair, "little", signed=signed) for pair in pairs)
 
-    def _positions(self) -> tuple[int, int]:
+    def _read_positions(self) -> tuple[int, int]:
         content = self._dspic.read(DspicRegister.POSITION_LEFT, 8)
-        return _signed(content[:4]), _signed(content[4:])
+        return _decode_signed(content[:4]), _decode_signed(content[4:])
 
 
-def _first(values: Sequence[int], count: int) -> list[int]:
-    """Return the first values, 0 for missing ones."""
+def _pad_values(values: Sequence[int], count: int) -> list[int]:
+    """Return the first `count` values, 0 for missing ones."""
     return [*values, *[0] * count][:count]
 
 
-def _signed(content: bytes) -> int:
+def _decode_signed(content: bytes) -> int:
     return int.from_bytes(content, "little", signed=True)

@@ -29,11 +29,11 @@ class ThreadWatch:
 
     def __init__(self, processes: Collection[int]) -> None:
         self.processes = {*processes}
-        self._scanned = {*processes}  # all processes of this computer at the last scan
+        self._known_processes = {*processes}  # all processes of this computer at the last scan
         self._files: dict[ThreadId, tuple[int, int]] = {}  # descriptors of `stat` and of `_run_file`
         self._newest_thread = b""
         # The fastest file that changes whenever a thread runs; some kernels count nothing in it.
-        run_counts = _read(Path("/proc/thread-self/schedstat")).split()
+        run_counts = _read_file(Path("/proc/thread-self/schedstat")).split()
         self._run_file = "schedstat" if any(map(int, run_counts)) else "status"
         self._load_file = os.open("/proc/loadavg", os.O_RDONLY)
 
@@ -47,19 +47,19 @@ class ThreadWatch:
 
         Args:
             pending: Threads with an open request.
-            blocked: Numbers of those that no signal wakes, so that they need not be read.
+            blocked: Numbers of pending threads that no signal wakes; their files need not be read.
             n_connections: Number of connections to the twin.
         """
         self._find_threads(pending)
         if len(pending) == n_connections == len(self._files) == 1:
             return True
-        watched = [thread for thread in self._files if thread[1] not in blocked]
+        watched_threads = [thread for thread in self._files if thread[1] not in blocked]
         run_counts: list[bytes] = []
-        for thread in watched:
-            if (run_count := self._run_count(thread)) is None:
+        for thread in watched_threads:
+            if (run_count := self._read_run_count(thread)) is None:
                 return False
             run_counts.append(run_count)
-        return run_counts == [self._run_count(thread) for thread in watched]
+        return run_counts == [self._read_run_count(thread) for thread in watched_threads]
 
     def cpu_ns(self) -> int:
         """Return the processor time of all processes [ns]."""
@@ -76,16 +76,16 @@ class ThreadWatch:
         newest_thread = os.pread(self._load_file, 256, 0).rpartition(b" ")[2]
         if newest_thread == self._newest_thread and pending <= self._files.keys():
             return
-        live = {int(name) for name in os.listdir("/proc") if name.isdigit()}
-        new = live - self._scanned
-        parents = {process: _parent(process) for process in new}
+        live_processes = {int(name) for name in os.listdir("/proc") if name.isdigit()}
+        new_processes = live_processes - self._known_processes
+        parents = {process: _parent_process(process) for process in new_processes}
         self.processes |= {process for process, _ in pending}
-        while children := {p for p in new - self.processes if parents[p] in self.processes}:
+        while children := {p for p in new_processes - self.processes if parents[p] in self.processes}:
             self.processes |= children
-        self.processes &= live
-        self._scanned = live
+        self.processes &= live_processes
+        self._known_processes = live_processes
         self._newest_thread = newest_thread
-        threads = {(process, thread) for process in self.processes for thread in _threads(process)}
+        threads = {(process, thread) for process in self.processes for thread in _thread_numbers(process)}
         for thread in self._files.keys() - threads:
             for file in self._files.pop(thread):
                 os.close(file)
@@ -100,7 +100,7 @@ class ThreadWatch:
                     raise
                 self._files[process, thread] = state_file, run_file
 
-    def _run_count(self, thread: ThreadId) -> bytes | None:
+    def _read_run_count(self, thread: ThreadId) -> bytes | None:
         """Return the counters of a waiting thread's runs; None for a running thread."""
         assert sys.platform == "linux"
         state_file, run_file = self._files[thread]
@@ -112,7 +112,7 @@ class ThreadWatch:
             return b""
 
 
-def _read(path: Path) -> bytes:
+def _read_file(path: Path) -> bytes:
     """Return the content of a file, empty if there is none."""
     try:
         return path.read_bytes()
@@ -120,13 +120,13 @@ def _read(path: Path) -> bytes:
         return b""
 
 
-def _parent(process: int) -> int:
+def _parent_process(process: int) -> int:
     """Return the number of a process's parent, 0 if the process has ended."""
-    fields = _read(Path(f"/proc/{process}/stat")).rpartition(b")")[2].split()
+    fields = _read_file(Path(f"/proc/{process}/stat")).rpartition(b")")[2].split()
     return int(fields[1]) if fields else 0
 
 
-def _threads(process: int) -> list[int]:
+def _thread_numbers(process: int) -> list[int]:
     """Return the numbers of the threads of a process."""
     try:
         return [int(name) for name in os.listdir(f"/proc/{process}/task")]

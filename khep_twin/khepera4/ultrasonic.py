@@ -8,8 +8,8 @@ incidence phi returns
 
 relative to a perpendicular wall at the range R = 2.5 m (manual), whose loudness 1 is the detection threshold.
 The first term is specular reflection; the second, s = 0.03, is scattered by edges and roughness (s and phi0 =
-12 degrees assumed). The beam is half as strong 42.5 degrees off its axis (typical, assumed), so k = 2.27.
-Oblique walls beyond half a metre are missed, and the floor and its paint always.
+12 degrees assumed). The amplitude D is 0.5 at 42.5 degrees off the axis (typical, assumed), so k = 2.27.
+Walls turned by 55 degrees or more are missed beyond some 0.4 m; the floor and its paint are always missed.
 """
 
 import math
@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.khepera4.channels import CODES
+from khep_twin.khepera4.channels import ULTRASONIC_CODES
 from khep_twin.khepera4.moments import Moment, PastScene
 from khep_twin.sensing.mujoco_scene import PAINT_HEIGHT
 from khep_twin.sensing.noise import TABLES, draws
@@ -32,7 +32,7 @@ PERIOD_NS = 20_000_000
 RANGE, NEAREST = 2.5, 0.25
 """Longest and shortest measured distance [m] (manual)."""
 
-TOO_NEAR, NO_ECHO, DISABLED = CODES
+TOO_NEAR, NO_ECHO, DISABLED = ULTRASONIC_CODES
 
 HEADINGS_DEG = (90, 45, 0, -45, -90)
 """Heading of each sensor, left to right (manual)."""
@@ -44,7 +44,7 @@ _BEAM_EXPONENT, _REFLECTION_RAD, _SCATTER = 2.27, math.radians(12), 0.03
 _NOISE_CM = 0.4
 """Standard deviation of a distance [cm] (assumed; the manual states an error of 2 cm)."""
 
-_KEY = 0x9E3779B9
+_KEY_MASK = 0x9E3779B9
 """Arbitrary word that separates their random draws from those of other sensors."""
 
 _AZIMUTHS, _ELEVATIONS = np.radians(np.arange(-42, 43, 3)), np.radians(np.arange(-12, 13, 6))
@@ -65,13 +65,13 @@ class Ultrasonic:
         self._base = indices.base
         model = scene.model
         self._is_floor = (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT_HEIGHT)
-        self._key = [key[0] ^ _KEY, key[1]]
+        self._key = [key[0] ^ _KEY_MASK, key[1]]
         self._tables = TABLES[is_noisy]
-        self._positions, self._rays, self._beam = _beams()
-        count = len(self._beam)
-        self._geoms = np.zeros(count, np.int32)
-        self._ray_lengths = np.zeros(count)
-        self._normals = np.zeros((count, 3))
+        self._positions, self._rays, self._ray_gains = _make_beams()
+        n_rays = len(self._ray_gains)
+        self._geoms = np.zeros(n_rays, np.int32)
+        self._ray_lengths = np.zeros(n_rays)
+        self._normals = np.zeros((n_rays, 3))
 
     def measure(self, moment: Moment, channel: int) -> int:
         """Return the reading of a sensor at a moment [cm], or a code."""
@@ -82,9 +82,9 @@ class Ultrasonic:
         rays = _rotate(rotation, self._rays[channel])
         ray_lengths, normals = self._ray_lengths, self._normals
         model, data, base, geoms = scene.model, scene.data, self._base, self._geoms
-        vectors, count = np.ascontiguousarray(rays).ravel(), len(rays)
+        vectors, n_rays = np.ascontiguousarray(rays).ravel(), len(rays)
         outputs = geoms, ray_lengths, normals.ravel()
-        mujoco.mj_multiRay(model, data, position, vectors, None, True, base, *outputs, count, RANGE * 1.1)
+        mujoco.mj_multiRay(model, data, position, vectors, None, True, base, *outputs, n_rays, RANGE * 1.1)
         is_echo = (ray_lengths > 0) & ~self._is_floor[self._geoms]
         if not is_echo.any():
             return NO_ECHO
@@ -92,11 +92,11 @@ class Ultrasonic:
         cosines = np.abs((normals[is_echo] * rays[is_echo]).sum(axis=1)).clip(0, 1)
         range_ratio = RANGE / distances
         reflected = np.exp(-((np.arccos(cosines) / _REFLECTION_RAD) ** 2)) * range_ratio
-        is_audible = self._beam[is_echo] * (reflected + _SCATTER * cosines**2 * range_ratio**2) >= 1
+        is_audible = self._ray_gains[is_echo] * (reflected + _SCATTER * cosines**2 * range_ratio**2) >= 1
         if not is_audible.any():
             return NO_ECHO
-        number = moment.time_ns // PERIOD_NS
-        noise = _NOISE_CM * draws(self._tables, self._key, number)[0]
+        burst_number = moment.time_ns // PERIOD_NS
+        noise = _NOISE_CM * draws(self._tables, self._key, burst_number)[0]
         distance = float(distances[is_audible].min())
         if distance < NEAREST:
             return TOO_NEAR
@@ -104,7 +104,7 @@ class Ultrasonic:
         return NO_ECHO if reading > RANGE * 100 else max(reading, round(NEAREST * 100))
 
 
-def _beams() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _make_beams() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return positions (5, 3), rays (5, n, 3) in the robot's frame, and gains of the rays (n,)."""
     angles = [(el, az) for el in _ELEVATIONS.tolist() for az in _AZIMUTHS.tolist()]
     positions: list[tuple[float, float, float]] = []
@@ -114,8 +114,8 @@ def _beams() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float
         rays.append(
             [(cos(el) * cos(heading + az), cos(el) * sin(heading + az), sin(el)) for el, az in angles]
         )
-    beam = [(cos(el) * cos(az)) ** (2 * _BEAM_EXPONENT) for el, az in angles]
-    return np.array(positions), np.array(rays), np.array(beam)
+    ray_gains = [(cos(el) * cos(az)) ** (2 * _BEAM_EXPONENT) for el, az in angles]
+    return np.array(positions), np.array(rays), np.array(ray_gains)
 
 
 def _rotate(matrix: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:

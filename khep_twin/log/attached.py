@@ -60,7 +60,7 @@ def compile_shapes(attachments: Mapping[str, str], robots: Sequence[str], source
     """Compile the scene of a log, reduced to its shapes, and check that it contains these robots."""
     bodies = bodies_of(attachments, robots, source)
     with _attachment_errors(source, "scene.xml"):
-        model = _compile(_attachment_text(attachments, "scene.xml"))
+        model = _compile_mjcf(_attachment_text(attachments, "scene.xml"))
         names = {model.body(index).name for index in range(model.nbody)}
         names |= {model.cam(index).name for index in range(model.ncam)}
         for robot, body in bodies.items():
@@ -90,7 +90,8 @@ def _attachment_text(attachments: Mapping[str, str], name: str) -> str:
     return text
 
 
-def _compile(text: str) -> mujoco.MjModel:
+def _compile_mjcf(text: str) -> mujoco.MjModel:
+    """Check a scene in MJCF, and compile its shapes only."""
     depth, root = 0, None
     try:
         for event, element in ElementTree.iterparse(BytesIO(text.encode("utf-8")), ("start", "end")):

@@ -35,7 +35,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from khep_twin.log.chunk_index import COMPRESSION, ENTRY_BYTES, ChunkIndex
-from khep_twin.log.record_bytes import LARGEST_CHUNK
+from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK
 
 _MESSAGE_FIELDS = [
     ("opcode", "u1"),
@@ -48,9 +48,9 @@ _MESSAGE_FIELDS = [
 """Fields before a message's data."""
 
 _HEAD_SIZE = np.dtype(_MESSAGE_FIELDS).itemsize
-_LENGTH_WITHOUT_DATA = _HEAD_SIZE - 9
+_LENGTH_WITHOUT_DATA = _HEAD_SIZE - HEAD.size
 
-_INDEX_HEAD = struct.Struct("<BQHI")
+_INDEX_HEAD = struct.Struct("<BQHI")  # opcode, length, channel ID, size of the entries [bytes]
 
 
 class Sink(Protocol):
@@ -192,7 +192,7 @@ class BatchWriter:
             message_end_time=end_ns,
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[Opcode, Iterable[bytes]]] = [
+        summary_groups: list[tuple[Opcode, Iterable[bytes]]] = [
             (Opcode.SCHEMA, map(_encode, self._schemas.values())),
             (Opcode.CHANNEL, map(_encode, self._channels.values())),
             (Opcode.STATISTICS, [_encode(statistics)]),
@@ -203,7 +203,7 @@ class BatchWriter:
         summary_start = self._sink.tell()
         crc, offsets = 0, b""
         # Written in parts: for a day it is 30 MB.
-        for opcode, records in groups:
+        for opcode, records in summary_groups:
             start = self._sink.tell()
             for record in records:
                 crc = zlib.crc32(record, crc)

@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 
 CDR_HEADER = b"\x00\x01\x00\x00"
-_RULE = "=" * 80
+_SEPARATOR = "=" * 80
 _TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
 _ARRAY = """std_msgs/MultiArrayLayout layout
 {type}[] data
@@ -56,23 +56,23 @@ string label
 uint32 size
 uint32 stride"""
 
-_HEADER = f"""{_RULE}
+_HEADER = f"""{_SEPARATOR}
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
-{_RULE}
+{_SEPARATOR}
 {_TIME}"""
-_QUATERNION = f"""{_RULE}
+_QUATERNION = f"""{_SEPARATOR}
 MSG: geometry_msgs/Quaternion
 float64 x
 float64 y
 float64 z
 float64 w"""
-_POSE = f"""{_RULE}
+_POSE = f"""{_SEPARATOR}
 MSG: geometry_msgs/Pose
 geometry_msgs/Point position
 geometry_msgs/Quaternion orientation
-{_RULE}
+{_SEPARATOR}
 MSG: geometry_msgs/Point
 float64 x
 float64 y
@@ -89,9 +89,9 @@ POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 SCHEMAS = {
     "std_msgs/msg/String": "string data",
-    FLOATS: _ARRAY.format(type="float64", rule=_RULE),
-    INTEGERS: _ARRAY.format(type="int64", rule=_RULE),
-    BYTES: _ARRAY.format(type="uint8", rule=_RULE),
+    FLOATS: _ARRAY.format(type="float64", rule=_SEPARATOR),
+    INTEGERS: _ARRAY.format(type="int64", rule=_SEPARATOR),
+    BYTES: _ARRAY.format(type="uint8", rule=_SEPARATOR),
     IMAGE: f"""std_msgs/Header header
 uint32 height
 uint32 width
@@ -104,23 +104,23 @@ uint8[] data
     POSE_WITH_COVARIANCE: f"""std_msgs/Header header
 geometry_msgs/PoseWithCovariance pose
 {_HEADER}
-{_RULE}
+{_SEPARATOR}
 MSG: geometry_msgs/PoseWithCovariance
 geometry_msgs/Pose pose
 float64[36] covariance
 {_POSE}""",
     "tf2_msgs/msg/TFMessage": f"""geometry_msgs/TransformStamped[] transforms
-{_RULE}
+{_SEPARATOR}
 MSG: geometry_msgs/TransformStamped
 std_msgs/Header header
 string child_frame_id
 geometry_msgs/Transform transform
 {_HEADER}
-{_RULE}
+{_SEPARATOR}
 MSG: geometry_msgs/Transform
 geometry_msgs/Vector3 translation
 geometry_msgs/Quaternion rotation
-{_RULE}
+{_SEPARATOR}
 MSG: geometry_msgs/Vector3
 float64 x
 float64 y
@@ -138,7 +138,7 @@ string msg
 string file
 string function
 uint32 line
-{_RULE}
+{_SEPARATOR}
 {_TIME}""",
 }
 """Definition of each message type, as text of a `ros2msg` schema."""
@@ -208,11 +208,11 @@ class ArrayFrame:
     def __init__(self, length: int, kind: str, label: str) -> None:
         head = _array_head(length, label)
         self._frame = head + bytes(8 * length)
-        self._type = _message_type(len(self._frame), {"values": (f"<{kind}", length, len(head))})
+        self._dtype = _message_type(len(self._frame), {"values": (f"<{kind}", length, len(head))})
 
     def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
         """Return one message for each row of values (n, length), as rows of bytes (n,)."""
-        rows = _copies(self._frame, len(values), self._type)
+        rows = _repeat_frame(self._frame, len(values), self._dtype)
         rows["values"] = values
         return rows
 
@@ -222,16 +222,16 @@ class ImageFrame:
 
     def __init__(self, width: int, name: str) -> None:
         encoder = Encoder()
-        stamp = encoder.align(4)
+        stamp_offset = encoder.align(4)
         encoder.time(0).text(name).append("I", 1, width).text("mono8")
         encoder.append("B", 0).append("I", width, width)
         self._frame = encoder.message() + bytes(width)
-        fields = {"stamp": ("<i4", 2, stamp), "data": ("u1", width, len(self._frame) - width)}
-        self._type = _message_type(len(self._frame), fields)
+        fields = {"stamp": ("<i4", 2, stamp_offset), "data": ("u1", width, len(self._frame) - width)}
+        self._dtype = _message_type(len(self._frame), fields)
 
     def messages(self, times_ns: NDArray[np.int64], images: NDArray[Any]) -> NDArray[np.void]:
         """Return one message for each time (n,) [ns] and image: greys from the left, 0 to 255 (n, width)."""
-        rows = _copies(self._frame, len(times_ns), self._type)
+        rows = _repeat_frame(self._frame, len(times_ns), self._dtype)
         rows["stamp"] = np.column_stack(np.divmod(times_ns, NS_PER_S))
         rows["data"] = images
         return rows
@@ -266,18 +266,18 @@ class TransformFrame:
             encoder.time(0).text("world").text(name)
             fields[f"pose {index}"] = ("<f8", 7, encoder.align(8))
             encoder.append("d", 0, 0, 0, 0, 0, 0, 1)
-        self._size = len(names)
+        self._n_bodies = len(names)
         self._frame = encoder.message()
-        self._type = _message_type(len(self._frame), fields)
+        self._dtype = _message_type(len(self._frame), fields)
 
     def messages(self, times_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> NDArray[np.void]:
         """Return one message for each time (n,) [ns], as rows of bytes (n,).
 
         The poses are position [m] and quaternion x, y, z, w of each body (n, bodies, 7).
         """
-        rows = _copies(self._frame, len(times_ns), self._type)
+        rows = _repeat_frame(self._frame, len(times_ns), self._dtype)
         stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
-        for index in range(self._size):
+        for index in range(self._n_bodies):
             rows[f"stamp {index}"] = stamps
             rows[f"pose {index}"] = poses[:, index]
         return rows
@@ -285,17 +285,17 @@ class TransformFrame:
 
 def _message_type(size: int, fields: dict[str, tuple[str, int, int]]) -> np.dtype[np.void]:
     """Return the type of a message of `size` bytes with named fields: format, length and offset."""
-    formats = [(kind, (length,)) for kind, length, _ in fields.values()]
+    formats = [(number_format, (length,)) for number_format, length, _ in fields.values()]
     offsets = [offset for _, _, offset in fields.values()]
     return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-def _copies(frame: bytes, count: int, layout: np.dtype[np.void]) -> NDArray[np.void]:
+def _repeat_frame(frame: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     """Return `count` copies of a message, to be filled in."""
-    return np.frombuffer(bytearray(frame * count), layout)
+    return np.frombuffer(bytearray(frame * count), dtype)
 
 
-PLANAR = [0, 1, 5]
+PLANAR_ROWS = [0, 1, 5]
 """Rows of x, y and heading in the covariance of a 3-D pose."""
 
 
@@ -308,7 +308,7 @@ def pose_message(
     encoder.append("d", x, y, 0.0, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
     if covariance is not None:
         full_covariance = np.zeros((6, 6))
-        full_covariance[np.ix_(PLANAR, PLANAR)] = covariance
+        full_covariance[np.ix_(PLANAR_ROWS, PLANAR_ROWS)] = covariance
         encoder.append("d", *full_covariance.ravel().tolist())
     return encoder.message()
 

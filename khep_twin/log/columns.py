@@ -48,7 +48,7 @@ KHEPERA4_COLUMNS: dict[str, Columns] = {name: _parse_columns(name, label) for na
 KHEPERA4_COLUMNS["registers"] = tuple(
     (f"register_{name}", "") for columns in KHEPERA4_COLUMNS.values() for name, _ in columns
 )
-"""The same for a Khepera IV."""
+"""Name and unit of each column by channel of a Khepera IV."""
 
 KHEPERA4_PREFIX = "khepera4_"
 """Prefix of a Khepera IV's channels and columns in a table with a Khepera's different ones."""
@@ -57,7 +57,7 @@ _LAST_CHANNELS = ("lamps", "registers")
 
 
 def columns_of(name: str, count: int, *, khepera4: bool = False) -> Columns:
-    """Return the `count` columns of a channel, of a Khepera IV or another robot."""
+    """Return the `count` columns of a robot's channel by its name; unknown ones are numbered."""
     turret = installed_turrets().get(name)
     known_columns = KHEPERA_COLUMNS | (KHEPERA4_COLUMNS if khepera4 else {})
     columns = known_columns.get(name, ())
@@ -67,7 +67,7 @@ def columns_of(name: str, count: int, *, khepera4: bool = False) -> Columns:
         return columns
     if name == "lamps":
         return tuple((f"lamp_{index}_w", "W") for index in range(count))
-    return tuple((f"{identifier(name)}_{index}", "") for index in range(count))
+    return tuple((f"{to_identifier(name)}_{index}", "") for index in range(count))
 
 
 def is_khepera4(robot: str, topics: Container[str]) -> bool:
@@ -91,7 +91,7 @@ def order_channels(names: set[str]) -> list[str]:
     return [name for name in order if name in names]
 
 
-def identifier(name: str) -> str:
+def to_identifier(name: str) -> str:
     """Return a name as a Matlab identifier."""
     text = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return (text if text[:1].isalpha() else f"c{text}")[:20]

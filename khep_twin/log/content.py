@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Header, Metadata, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from khep_twin.log.chunk_index import ENTRY_BYTES, INDEX_FRAME
+from khep_twin.log.chunk_index import ENTRY_BYTES, INDEX_OVERHEAD
 from khep_twin.log.decoding import LATEST_NS, DecodeError
 from khep_twin.log.entries import Entry, EntryReader
 from khep_twin.log.record_bytes import (
@@ -59,13 +59,13 @@ class Content:
         self._reader = EntryReader()
         self._end_ns = 0
         self._n_messages: int | None = None
-        self._chunks: list[tuple[int, int, int]] = []
+        self._chunks: list[tuple[int, int, int]] = []  # start [ns], offset and length in the file [bytes]
         self._loose_offsets: set[int] = set()
         self._first_chunks: dict[int, tuple[int, tuple[int, int, int]]] = {}
         self._locations: dict[int, list[tuple[int, int]]] = {Opcode.ATTACHMENT: [], Opcode.METADATA: []}
         self._footer_offset = self._size - len(MCAP0_MAGIC) - HEAD.size - _FOOTER.size
         self._has_all_chunks = self._has_all_locations = False
-        self._times_ns: dict[int, int] = {}
+        self._last_times_ns: dict[int, int] = {}
         self._in_order = True
         self._read_summary()
 
@@ -84,7 +84,7 @@ class Content:
         for number in reversed([*candidates] if self._reader.has_channel(topic) else []):
             parts = self.chunks(chunks[number : number + 1])
             chunk_entries = [entry for _, messages in parts for entry in messages]
-            if (index := _last_index(chunk_entries, topic, time_ns)) is not None:
+            if (index := _find_last(chunk_entries, topic, time_ns)) is not None:
                 yield [chunk_entries[index]]
                 yield chunk_entries[index + 1 :]
                 break
@@ -105,31 +105,31 @@ class Content:
                     topics.add(entry.topic)
                     yield entry
 
-    def batches(self, length: int) -> Iterator[tuple[float, list[Entry]]]:
-        """Yield the fraction read, 0 to 1, and a batch of about `length` bytes and a chunk.
+    def batches(self, batch_bytes: int) -> Iterator[tuple[float, list[Entry]]]:
+        """Yield the fraction read, 0 to 1, and a batch of messages: about `batch_bytes`, plus a chunk.
 
         No message of a batch is earlier than those of the previous batch.
         """
         batch: list[Entry] = []
-        size, count, split_ns = 0, 0, 0
+        n_bytes, n_messages, split_ns = 0, 0, 0
         self._find_chunks()
         # A chunk with only a late reply may precede a chunk that starts earlier.
         for number, (start_ns, entries) in enumerate(self.chunks(sorted(self._chunks))):
-            if size > length and start_ns > split_ns:
-                split_ns, size = start_ns, 0
+            if n_bytes > batch_bytes and start_ns > split_ns:
+                split_ns, n_bytes = start_ns, 0
                 yield number / len(self._chunks), [message for message in batch if message.time_ns < split_ns]
                 batch = [message for message in batch if message.time_ns >= split_ns]
             for entry in entries:
-                size += MESSAGE.size + len(entry.data)
-                count += 1
+                n_bytes += MESSAGE.size + len(entry.data)
+                n_messages += 1
                 batch.append(entry)
-        if self._n_messages is not None and count != self._n_messages:
-            raise DecodeError(f"{count} messages", f"{self._n_messages}, as its statistics say")
+        if self._n_messages is not None and n_messages != self._n_messages:
+            raise DecodeError(f"{n_messages} messages", f"{self._n_messages}, as its statistics say")
         yield 1.0, batch
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the attachments."""
-        for offset, content in self._records(Opcode.ATTACHMENT):
+        for offset, content in self._read_records(Opcode.ATTACHMENT):
             attachment = parse_record(Opcode.ATTACHMENT, content)
             crc = int.from_bytes(content[-4:], "little")
             if not isinstance(attachment, Attachment) or (crc and zlib.crc32(content[:-4]) != crc):
@@ -138,7 +138,7 @@ class Content:
 
     def metadata(self) -> Iterator[Metadata]:
         """Yield the metadata records."""
-        for offset, content in self._records(Opcode.METADATA):
+        for offset, content in self._read_records(Opcode.METADATA):
             record = parse_record(Opcode.METADATA, content)
             if not isinstance(record, Metadata):
                 raise DecodeError(f"metadata at byte {offset}", "texts of the lengths that they say")
@@ -153,36 +153,35 @@ class Content:
 
     def _read_summary(self) -> None:
         """Read the summary, and check by its statistics whether the index is complete."""
-        magic = len(MCAP0_MAGIC)
-        if self._footer_offset < magic or self._bytes(0, magic) != MCAP0_MAGIC:
+        magic = len(MCAP0_MAGIC)  # [bytes]
+        if self._footer_offset < magic or self._read_bytes(0, magic) != MCAP0_MAGIC:
             raise DecodeError("no MCAP file", "one that begins and ends as such")
-        if self._bytes(self._size - magic, magic) != MCAP0_MAGIC:
+        if self._read_bytes(self._size - magic, magic) != MCAP0_MAGIC:
             raise DecodeError("no end", "a finished .mcap file")
-        opcode, length = HEAD.unpack(self._bytes(self._footer_offset, HEAD.size))
+        opcode, length = HEAD.unpack(self._read_bytes(self._footer_offset, HEAD.size))
         if (opcode, length) != (Opcode.FOOTER, _FOOTER.size):
             raise DecodeError(f"record {opcode} of {length} bytes at the end", "a footer")
-        start, _, _ = _FOOTER.unpack(self._bytes(self._footer_offset + HEAD.size, _FOOTER.size))
+        start, _, _ = _FOOTER.unpack(self._read_bytes(self._footer_offset + HEAD.size, _FOOTER.size))
         if start == 0:
             return
         if not magic <= start <= self._footer_offset:
             raise DecodeError(f"index at byte {start}", f"it between {magic} and {self._footer_offset}")
-        lengths: dict[int, int] = {}
+        lengths_by_offset: dict[int, int] = {}
         statistics, n_messages, has_definitions = None, 0, True
-        for opcode, offset, size in self._walk(start, self._footer_offset):
+        for opcode, offset, size in self._iterate_heads(start, self._footer_offset):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 try:
-                    self._reader.define(opcode, self._content(offset, size), offset)
+                    self._reader.define(opcode, self._read_content(offset, size), offset)
                 except DecodeError:
                     has_definitions = False
                 continue
             if opcode == Opcode.STATISTICS:
-                record = parse_record(opcode, self._content(offset, size))
-                if not isinstance(record, Statistics):
+                statistics = parse_record(opcode, self._read_content(offset, size))
+                if not isinstance(statistics, Statistics):
                     raise DecodeError(f"definition at byte {offset}", "texts of the lengths that they say")
-                statistics = record
                 continue
             if opcode == Opcode.CHUNK_INDEX:
-                content = self._content(offset, size)
+                content = self._read_content(offset, size)
                 start_ns, _, *location, channels_size = _unpack(_CHUNK_INDEX, content, offset)
                 self._chunks.append(chunk := (start_ns, location[0], location[1]))
                 if channels_size % _CHANNEL_OFFSET.size or channels_size > len(content) - _CHUNK_INDEX.size:
@@ -193,16 +192,16 @@ class Content:
                     self._add_first_chunk(channel, start_ns, chunk)
                 n_messages += _count_messages(content, _CHUNK_INDEX.size + channels_size, len(channel_ids))
             elif opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
-                location = _unpack(_LOCATION, self._content(offset, size), offset)
-                kind = Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA
-                self._locations[kind].append((location[0], location[1]))
+                location = _unpack(_LOCATION, self._read_content(offset, size), offset)
+                record_opcode = Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA
+                self._locations[record_opcode].append((location[0], location[1]))
             else:
                 continue
-            if location[0] in lengths:
+            if location[0] in lengths_by_offset:
                 raise DecodeError(f"record at byte {location[0]} named twice in the index", "each once")
-            lengths[location[0]] = location[1]
+            lengths_by_offset[location[0]] = location[1]
         previous_end = magic
-        for offset, length in sorted(lengths.items()):
+        for offset, length in sorted(lengths_by_offset.items()):
             if offset < previous_end or offset + length > start:
                 actual = f"record at byte {offset} of {length} bytes in the index"
                 raise DecodeError(actual, f"it between {previous_end} and {start}")
@@ -226,16 +225,16 @@ class Content:
         self._find_chunks()
         if not self._in_order:
             if chunks is None or chunks:
-                entries = chain.from_iterable(self._entries(chunk) for chunk in self._chunks)
+                entries = chain.from_iterable(self._chunk_entries(chunk) for chunk in self._chunks)
                 yield 0, iter(sorted(entries, key=lambda entry: (entry.time_ns, entry.topic)))
             return
         for chunk in self._chunks if chunks is None else chunks:
-            yield chunk[0], self._entries(chunk)
+            yield chunk[0], self._chunk_entries(chunk)
 
-    def _entries(self, chunk: tuple[int, int, int]) -> Iterator[Entry]:
+    def _chunk_entries(self, chunk: tuple[int, int, int]) -> Iterator[Entry]:
         start_ns, offset, length = chunk
-        read = self._bytes if offset in self._loose_offsets else self._chunk
-        return self._reader.entries(read(offset, length), offset, start_ns)
+        read = self._read_bytes if offset in self._loose_offsets else self._read_chunk
+        return self._reader.parse_entries(read(offset, length), offset, start_ns)
 
     def _find_chunks(self) -> None:
         """Find all chunks if the index, which MCAP does not require, may be incomplete.
@@ -252,12 +251,12 @@ class Content:
             is_loose = opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
             if end > start and not (is_loose and record_end - start <= _LOOSE_LIMIT):
                 self._loose_offsets.add(start)
-                self._add_chunk(start, end - start, self._bytes(start, end - start))
+                self._add_chunk(start, end - start, self._read_bytes(start, end - start))
                 start = end
             if is_loose:
                 start, end = (start if end == offset and start < end else offset), record_end
             elif opcode == Opcode.CHUNK:
-                self._add_chunk(offset, record_end - offset, self._chunk(offset, record_end - offset))
+                self._add_chunk(offset, record_end - offset, self._read_chunk(offset, record_end - offset))
         _check_indexed([chunk[1:] for chunk in indexed_chunks], [chunk[1:] for chunk in self._chunks])
         self._has_all_chunks = True
         self._in_order = self._in_order or self._is_khep_twin()
@@ -279,9 +278,9 @@ class Content:
 
     def _data_records(self) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, offset and content length of all records up to the end of the data section."""
-        for record in self._walk(len(MCAP0_MAGIC), self._footer_offset):
-            yield record
-            if record[0] == Opcode.DATA_END:
+        for opcode, offset, size in self._iterate_heads(len(MCAP0_MAGIC), self._footer_offset):
+            yield opcode, offset, size
+            if opcode == Opcode.DATA_END:
                 return
         yield Opcode.DATA_END, self._footer_offset, 0
 
@@ -295,8 +294,8 @@ class Content:
                 channel, _, time_ns, _ = MESSAGE.unpack_from(records, start)
                 first_ns[channel] = min(time_ns, first_ns.get(channel, time_ns))
                 self._end_ns = max(self._end_ns, time_ns)
-                self._in_order &= time_ns >= self._times_ns.get(channel, 0)
-                self._times_ns[channel] = time_ns
+                self._in_order &= time_ns >= self._last_times_ns.get(channel, 0)
+                self._last_times_ns[channel] = time_ns
         chunk = min(first_ns.values(), default=0), offset, length
         self._chunks.append(chunk)
         for channel, time_ns in first_ns.items():
@@ -308,15 +307,15 @@ class Content:
     def _is_khep_twin(self) -> bool:
         """Return whether khep_twin wrote the file, by its header."""
         offset = len(MCAP0_MAGIC)
-        opcode, size = HEAD.unpack(self._bytes(offset, HEAD.size))
-        header = parse_record(opcode, self._content(offset, size)) if opcode == Opcode.HEADER else None
+        opcode, size = HEAD.unpack(self._read_bytes(offset, HEAD.size))
+        header = parse_record(opcode, self._read_content(offset, size)) if opcode == Opcode.HEADER else None
         return isinstance(header, Header) and header.library.startswith("khep_twin ")
 
-    def _chunk(self, offset: int, length: int) -> bytes:
+    def _read_chunk(self, offset: int, length: int) -> bytes:
         """Return the decompressed records of a chunk."""
         self._check_head(offset, length, Opcode.CHUNK, "a chunk")
-        record = self._bytes(offset, length)
-        head = RecordBytes(record).chunk_head(0)
+        record = self._read_bytes(offset, length)
+        head = RecordBytes(record).read_chunk_head(0)
         if head is None:
             raise DecodeError(f"chunk at byte {offset}", "one that is packed with zstd or lz4, or not at all")
         size, crc, compression, start, end = head
@@ -330,24 +329,24 @@ class Content:
             raise DecodeError(f"chunk at byte {offset}", "one that holds what its size and checksum say")
         return records
 
-    def _records(self, opcode: Opcode) -> Iterator[tuple[int, bytes]]:
+    def _read_records(self, opcode: Opcode) -> Iterator[tuple[int, bytes]]:
         """Yield offsets and contents of the records with an opcode."""
         self._find_locations()
         for offset, length in self._locations[opcode]:
             self._check_head(offset, length, opcode, f"record {opcode:d}")
-            yield offset, self._content(offset, length - HEAD.size)
+            yield offset, self._read_content(offset, length - HEAD.size)
 
-    def _check_head(self, offset: int, length: int, opcode: Opcode, name: str) -> None:
+    def _check_head(self, offset: int, length: int, opcode: Opcode, record_name: str) -> None:
         """Check that the record at an offset is the one named by the index."""
-        actual_opcode, size = HEAD.unpack(self._bytes(offset, HEAD.size))
+        actual_opcode, size = HEAD.unpack(self._read_bytes(offset, HEAD.size))
         if actual_opcode != opcode or HEAD.size + size != length:
             actual = f"record {actual_opcode} of {HEAD.size + size} bytes at byte {offset}"
-            raise DecodeError(actual, f"{name} of {length}, as the index says")
+            raise DecodeError(actual, f"{record_name} of {length}, as the index says")
 
-    def _walk(self, offset: int, end: int) -> Iterator[tuple[int, int, int]]:
-        """Yield opcode, offset and content length of consecutive records."""
+    def _iterate_heads(self, offset: int, end: int) -> Iterator[tuple[int, int, int]]:
+        """Yield opcode, offset and content length of the records from `offset` to `end`."""
         while offset < end:
-            opcode, size = HEAD.unpack(self._bytes(offset, HEAD.size))
+            opcode, size = HEAD.unpack(self._read_bytes(offset, HEAD.size))
             if size > end - offset - HEAD.size:
                 actual = f"record {opcode} of {size} bytes at byte {offset}"
                 available = max(end - offset - HEAD.size, 0)
@@ -355,10 +354,10 @@ class Content:
             yield opcode, offset, size
             offset += HEAD.size + size
 
-    def _content(self, offset: int, size: int) -> bytes:
-        return self._bytes(offset + HEAD.size, size)
+    def _read_content(self, offset: int, size: int) -> bytes:
+        return self._read_bytes(offset + HEAD.size, size)
 
-    def _bytes(self, offset: int, size: int) -> bytes:
+    def _read_bytes(self, offset: int, size: int) -> bytes:
         """Read `size` bytes of the file."""
         if size > LARGEST_RECORD:
             raise DecodeError(f"record of {size} bytes at byte {offset}", f"at most {LARGEST_RECORD}")
@@ -369,8 +368,8 @@ class Content:
         return data
 
 
-def _last_index(entries: Sequence[Entry], topic: str, time_ns: int) -> int | None:
-    """Return the index of the last message of a topic up to a time [ns]; None if there is none."""
+def _find_last(entries: Sequence[Entry], topic: str, time_ns: int) -> int | None:
+    """Return the row of the last of `entries` with a topic up to a time [ns]; None if there is none."""
     for index in reversed(range(len(entries))):
         if entries[index].topic == topic and entries[index].time_ns <= time_ns:
             return index
@@ -380,11 +379,11 @@ def _last_index(entries: Sequence[Entry], topic: str, time_ns: int) -> int | Non
 def _count_messages(content: bytes, offset: int, n_channels: int) -> int:
     """Return the number of messages of a chunk, from the size of the message indexes in its chunk index."""
     size = int.from_bytes(content[offset : offset + 8], "little")
-    return max(size - n_channels * INDEX_FRAME, 0) // ENTRY_BYTES
+    return max(size - n_channels * INDEX_OVERHEAD, 0) // ENTRY_BYTES
 
 
 def _check_indexed(indexed: Sequence[tuple[int, ...]], actual: Sequence[tuple[int, ...]]) -> None:
-    """Check that each record named by the index exists."""
+    """Check that each indexed record (offset, length) is among the actual ones."""
     for offset, length in sorted({*indexed}.difference(actual)):
         raise DecodeError(f"record at byte {offset} of {length} bytes in the index", "one that is there")
 

@@ -1,7 +1,7 @@
 """Decoding of a log's messages to typed values, with all checks of untrusted bytes.
 
 A log may come from anyone. A missing, invalid or non-finite value raises a `DecodeError` with the actual and
-the expected value. The caller that reads a file adds the file and the position.
+the expected value. The caller that reads the file adds its path and the position.
 """
 
 import struct
@@ -49,8 +49,8 @@ class DecodeError(ValueError):
 
     def to_log_error(self, path: Path, location: str, time_ns: int | None = None) -> LogError:
         """Return the error that names the file and the position in it."""
-        when = "" if time_ns is None else f" at {time_ns / NS_PER_S:.4f} s"
-        text = f"{printable(location)}{when}: {self.actual}"
+        time_text = "" if time_ns is None else f" at {time_ns / NS_PER_S:.4f} s"
+        text = f"{printable(location)}{time_text}: {self.actual}"
         return LogError(text, file=path, key=location, value=self.actual, expected=self.expected)
 
 
@@ -104,23 +104,23 @@ class Decoder:
         self._data = message[len(CDR_HEADER) :]
         self._offset = 0
 
-    def get(self, kind: str, count: int = 1) -> tuple[Any, ...]:
-        """Return consecutive numbers of a `struct` format."""
-        size = struct.calcsize(kind)
+    def numbers(self, type_code: str, count: int = 1) -> tuple[Any, ...]:
+        """Return `count` consecutive numbers of a type, by its `struct` format character."""
+        size = struct.calcsize(type_code)
         self._offset += -self._offset % size
-        self._check(count, size)
-        values = struct.unpack_from(f"<{count}{kind}", self._data, self._offset)
+        self._check_available(count, size)
+        values = struct.unpack_from(f"<{count}{type_code}", self._data, self._offset)
         self._offset += count * size
         return values
 
-    def number(self) -> int:
+    def uint32(self) -> int:
         """Return a uint32."""
-        return self.get("I")[0]
+        return self.numbers("I")[0]
 
     def text(self) -> str:
         """Return a string."""
-        length = self.number()
-        self._check(length, 1)
+        length = self.uint32()
+        self._check_available(length, 1)
         data = self._data[self._offset : self._offset + max(length - 1, 0)]
         self._offset += length
         try:
@@ -130,38 +130,38 @@ class Decoder:
 
     def time(self) -> int:
         """Return a time [ns]."""
-        seconds, nanoseconds = self.get("i")[0], self.number()
+        seconds, nanoseconds = self.numbers("i")[0], self.uint32()
         if seconds < 0 or nanoseconds >= NS_PER_S:
             actual = f"time of {seconds} s and {nanoseconds} ns"
             raise DecodeError(actual, f"0 s and later, with less than {NS_PER_S} ns")
         return seconds * NS_PER_S + nanoseconds
 
-    def end(self) -> None:
+    def check_end(self) -> None:
         """Check that no bytes follow the decoded values."""
         if self._offset != len(self._data):
             raise DecodeError(f"{len(self._data)} bytes", f"{self._offset}, as its lengths say")
 
-    def _check(self, count: int, size: int) -> None:
+    def _check_available(self, count: int, size: int) -> None:
         # Check before allocating memory of this size.
         if count * size > len(self._data) - self._offset:
             n_left = max(len(self._data) - self._offset, 0)
             raise DecodeError(f"{count} values of {size} bytes", f"at most the {n_left} bytes that are there")
 
 
-def read_array(message: bytes, kind: str) -> tuple[Any, ...]:
+def read_array(message: bytes, type_code: str) -> tuple[Any, ...]:
     """Return the values of a Float64MultiArray ("d"), Int64MultiArray ("q") or UInt8MultiArray ("B")."""
     decoder = Decoder(message)
-    for _ in range(decoder.number()):
+    for _ in range(decoder.uint32()):
         decoder.text()
-        decoder.get("I", 2)
-    decoder.number()
-    values = decoder.get(kind, decoder.number())
-    decoder.end()
+        decoder.numbers("I", 2)
+    decoder.uint32()
+    values = decoder.numbers(type_code, decoder.uint32())
+    decoder.check_end()
     return values
 
 
 def read_all(read: Callable[[bytes], _T], messages: Iterable[bytes]) -> list[_T]:
-    """Decode several messages."""
+    """Return the decoded contents of several messages; an error has the `row` of its message."""
     values: list[_T] = []
     for message in messages:
         try:
@@ -172,24 +172,24 @@ def read_all(read: Callable[[bytes], _T], messages: Iterable[bytes]) -> list[_T]
 
 
 def stack_arrays(
-    messages: Sequence[bytes], kind: str, width: int = 0, reason: str = ", as in the channel's first message"
+    messages: Sequence[bytes], code: str, width: int = 0, reason: str = ", as in the channel's first message"
 ) -> NDArray[np.int64] | NDArray[np.float64]:
-    """Return the values of one or more messages of a channel (n, width), `kind` as for `read_array`.
+    """Return the values of messages of a channel (n, width); `code` is "d" or "q", as for `read_array`.
 
     For width 0, the first message defines it; error messages give `reason` for the width.
     """
-    width = width or len(read_array(messages[0], kind))
+    width = width or len(read_array(messages[0], code))
 
     def read_row(message: bytes) -> tuple[Any, ...]:
-        values = read_array(message, kind)
+        values = read_array(message, code)
         if len(values) != width:
             raise DecodeError(f"{len(values)} values", f"{width}{reason}")
         return values
 
     read_row(messages[0])
-    # If all start alike, as khep_twin writes them, the values are at the same offset in each message.
+    # If all messages start with the same bytes, as khep_twin writes them, their values have one offset.
     size = len(messages[0])
-    dtype = "<i8" if kind == "q" else "<f8"
+    dtype = "<i8" if code == "q" else "<f8"
     head = messages[0][: size - 8 * width]
     if width and all(len(message) == size and message.startswith(head) for message in messages):
         raw = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
@@ -213,15 +213,15 @@ def _read_image(message: bytes) -> bytes:
     decoder = Decoder(message)
     decoder.time()
     decoder.text()
-    height, width = decoder.get("I", 2)
+    height, width = decoder.numbers("I", 2)
     encoding = decoder.text()
-    decoder.get("B")
-    step, size = decoder.get("I", 2)
+    decoder.numbers("B")
+    step, size = decoder.numbers("I", 2)
     if (height, encoding) != (1, "mono8") or not width == step == size:
         actual = f"an image of {width} x {height} pixels {printable(encoding)} in {size} bytes"
         raise DecodeError(actual, "one row of mono8, with a byte for each pixel")
-    pixels = bytes(decoder.get("B", size))
-    decoder.end()
+    pixels = bytes(decoder.numbers("B", size))
+    decoder.check_end()
     return pixels
 
 
@@ -229,12 +229,12 @@ def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
     """Return the poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w."""
     decoder = Decoder(message)
     poses: dict[str, tuple[float, ...]] = {}
-    for _ in range(decoder.number()):
+    for _ in range(decoder.uint32()):
         decoder.time()
         decoder.text()
         name = decoder.text()
-        poses[name] = decoder.get("d", 7)
-    decoder.end()
+        poses[name] = decoder.numbers("d", 7)
+    decoder.check_end()
     return poses
 
 
@@ -242,5 +242,5 @@ def read_line(message: bytes) -> TextLine:
     """Return a line of a transcript or of the events."""
     decoder = Decoder(message)
     time_ns = decoder.time()
-    (level,) = decoder.get("B")
+    (level,) = decoder.numbers("B")
     return TextLine(time_ns, level, decoder.text(), decoder.text())

@@ -26,9 +26,9 @@ _KINDS: dict[int, Kind] = {
 }
 """Shape names of the kinds of `mujoco.mjtGeom` that are drawn; ellipsoids and meshes are left out."""
 
-_PLANE_THICKNESS = 0.0002
-_INFINITE_PLANE_SIZE = 10.0
-_HIDDEN_GROUP = 3
+_PLANE_THICKNESS = 0.0002  # [m]
+_INFINITE_PLANE_SIZE = 10.0  # [m]
+_HIDDEN_GROUP = 3  # of geoms that only have contacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,46 +78,46 @@ def shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:
         if model.geom_group[geom] != _HIDDEN_GROUP:
             name = model.geom(geom).name or f"geom{geom}"
             pose = model.geom_pos[geom], model.geom_quat[geom]
-            kind, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
-            yield from _shape(name, kind, size, *pose, model.geom_rgba[geom])
+            geom_type, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
+            yield from _shape(name, geom_type, size, *pose, model.geom_rgba[geom])
     for site in np.flatnonzero(model.site_bodyid == body).tolist():
         name = model.site(site).name or f"site{site}"
         pose = model.site_pos[site], model.site_quat[site]
-        kind, size = int(model.site_type[site]), model.site_size[site].tolist()
-        yield from _shape(name, kind, size, *pose, model.site_rgba[site])
+        geom_type, size = int(model.site_type[site]), model.site_size[site].tolist()
+        yield from _shape(name, geom_type, size, *pose, model.site_rgba[site])
 
 
 def _shape(
     name: str,
-    kind: int,
-    halves: list[float],
+    geom_type: int,
+    half_sizes: list[float],
     position: NDArray[np.float64],
     quaternion: NDArray[np.float64],
     rgba: NDArray[np.float32],
 ) -> Iterator[Shape]:
     """Yield a shape of MuJoCo, which stores half sizes; nothing for one that is invisible or not drawn."""
-    if rgba[3] <= 0 or kind not in _KINDS:
+    if rgba[3] <= 0 or geom_type not in _KINDS:
         return
-    if kind == _PLANE:
+    if geom_type == _PLANE:
         # Size 0 is an infinite plane.
-        length, width = (2 * half or _INFINITE_PLANE_SIZE for half in halves[:2])
+        length, width = (2 * half or _INFINITE_PLANE_SIZE for half in half_sizes[:2])
         size = length, width, _PLANE_THICKNESS
-    elif kind == _BOX:
-        size = 2 * halves[0], 2 * halves[1], 2 * halves[2]
+    elif geom_type == _BOX:
+        size = 2 * half_sizes[0], 2 * half_sizes[1], 2 * half_sizes[2]
     else:
-        height = halves[0] if kind == _SPHERE else halves[1]
-        size = 2 * halves[0], 2 * halves[0], 2 * height
-    yield Shape(name, _KINDS[kind], size, position, quaternion, rgba)
+        height = half_sizes[0] if geom_type == _SPHERE else half_sizes[1]
+        size = 2 * half_sizes[0], 2 * half_sizes[0], 2 * height
+    yield Shape(name, _KINDS[geom_type], size, position, quaternion, rgba)
 
 
 def _geometry(shape: Shape) -> ElementTree.Element:
     """Return a shape as a URDF geometry."""
     if shape.kind == "box":
-        return ElementTree.Element("box", size=_numbers(shape.size))
-    radius = _numbers([shape.size[0] / 2])
+        return ElementTree.Element("box", size=_join_numbers(shape.size))
+    radius = _join_numbers([shape.size[0] / 2])
     if shape.kind == "sphere":
         return ElementTree.Element("sphere", radius=radius)
-    return ElementTree.Element(shape.kind, radius=radius, length=_numbers([shape.size[2]]))
+    return ElementTree.Element(shape.kind, radius=radius, length=_join_numbers([shape.size[2]]))
 
 
 def _visual(shape: Shape) -> ElementTree.Element:
@@ -125,16 +125,16 @@ def _visual(shape: Shape) -> ElementTree.Element:
     ElementTree.SubElement(
         visual,
         "origin",
-        xyz=_numbers(shape.position.tolist()),
-        rpy=_numbers(_roll_pitch_yaw(shape.quaternion)),
+        xyz=_join_numbers(shape.position.tolist()),
+        rpy=_join_numbers(_roll_pitch_yaw(shape.quaternion)),
     )
     ElementTree.SubElement(visual, "geometry").append(_geometry(shape))
     material = ElementTree.SubElement(visual, "material", name=f"{shape.name}_colour")
-    ElementTree.SubElement(material, "color", rgba=_numbers(shape.rgba.tolist()))
+    ElementTree.SubElement(material, "color", rgba=_join_numbers(shape.rgba.tolist()))
     return visual
 
 
-def _numbers(values: Sequence[float]) -> str:
+def _join_numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value:.9g}" for value in values)
 
 

@@ -1,4 +1,4 @@
-"""Content of a log: its label, and messages with the topic and type that its channels and schemas define."""
+"""Content of a log: its messages, and its label, i.e. its metadata and attachments."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -13,11 +13,11 @@ from khep_twin.files.toml_files import NAME_RULE
 from khep_twin.log.decoding import DecodeError, printable
 from khep_twin.log.record_bytes import MESSAGE, iterate_records, parse_record
 
-_NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")
+_ROBOT_NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")
 
 
 class Entry(NamedTuple):
-    """One message.
+    """One message; in MCAP, its channel has a topic, and a schema that defines the message type.
 
     Attributes:
         topic: Topic of its channel.
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
 
 
 class EntryReader:
-    """Reader of messages, after the schemas and channels that define them.
+    """Parser of messages, by the schemas and channels before them.
 
     Raises:
         DecodeError: In each method: a record is invalid; `offset` is its file offset in the error message.
@@ -70,7 +70,7 @@ class EntryReader:
         """Return whether a channel of a topic is defined."""
         return any(channel_topic == topic for channel_topic, _, _ in self._channels.values())
 
-    def entry(self, records: bytes, start: int, end: int, offset: int) -> Entry:
+    def parse_entry(self, records: bytes, start: int, end: int, offset: int) -> Entry:
         """Return the message between two offsets of `records`."""
         if end - start < MESSAGE.size:
             raise DecodeError(f"message of {end - start} bytes at byte {offset}", f"at least {MESSAGE.size}")
@@ -81,13 +81,13 @@ class EntryReader:
             raise DecodeError(actual, "a channel that is defined")
         return Entry(*channel, time_ns, records[start + MESSAGE.size : end])
 
-    def entries(self, records: bytes, offset: int, start_ns: int = 0) -> Iterator[Entry]:
+    def parse_entries(self, records: bytes, offset: int, start_ns: int = 0) -> Iterator[Entry]:
         """Yield the messages of a chunk; none may be earlier than `start_ns`, its start in the index."""
         last_end = 0
         for opcode, start, end in iterate_records(records):
             last_end = end
             if opcode == Opcode.MESSAGE:
-                entry = self.entry(records, start, end, offset)
+                entry = self.parse_entry(records, start, end, offset)
                 if entry.time_ns < start_ns:
                     actual = f"message at {entry.time_ns} ns in the chunk at byte {offset}"
                     raise DecodeError(actual, f"none before {start_ns} ns, as the index says")
@@ -137,8 +137,8 @@ def run_metadata(records: Iterable[Metadata]) -> dict[str, str]:
 
 
 def robot_names(text: str) -> tuple[str, ...]:
-    """Return the names of a log's robots from its metadata."""
-    if not _NAMES.fullmatch(text):
+    """Return the names of a log's robots from their comma-separated list in its metadata."""
+    if not _ROBOT_NAMES.fullmatch(text):
         raise DecodeError(f"robots = {printable(text)}", f"names with commas between, each {NAME_RULE}")
     names = tuple(text.split(","))
     if len(set(names)) < len(names):

@@ -167,7 +167,7 @@ class Dialogue:
         return time_ns - max(exchange.sent_ns, self._last_line_ns) - line_time_ns
 
     def _close_pending(self, count: int, time_ns: int | None = None) -> list[Exchange]:
-        """Remove the first pending exchanges; return them with the unmatched lines, then further lines."""
+        """Remove the first `count` pending exchanges; return them, with other lines as replies."""
         exchanges: list[Exchange] = []
         for _ in range(count):
             exchange = self._pending.popleft()

@@ -16,7 +16,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import MissingExtraError, PortError
 from khep_twin.log.channels import LINES, SCHEMAS
 from khep_twin.log.foxglove_scene import SCHEMA
-from khep_twin.log.output import messages_of
+from khep_twin.log.output import split_rows
 from khep_twin.log.recorder import LiveRecorder
 from khep_twin.world import World
 
@@ -122,17 +122,17 @@ class FoxgloveServer:
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Send messages of one size, one per row."""
         if len(messages) and self._channels[channel].base.has_sinks():
-            self.add_lines(channel, times_ns.tolist(), messages_of(messages))
+            self.add_lines(channel, times_ns.tolist(), split_rows(messages))
 
     def set_time(self, time_ns: int) -> None:
         """Send the time of the run to all clients [ns]."""
         self._time_ns = time_ns
         self._server.broadcast_time(time_ns)
 
-    def resend(self, channel: int) -> None:
+    def resend(self, channel_id: int) -> None:
         """Send the last message of a latched channel again, by the server's channel ID."""
-        if (message := self._latched.get(channel)) is not None:
-            target = next(candidate for candidate in self._channels if candidate.id() == channel)
+        if (message := self._latched.get(channel_id)) is not None:
+            target = next(candidate for candidate in self._channels if candidate.id() == channel_id)
             target.base.log(message, self._time_ns)
 
     def flush(self) -> None:

@@ -19,8 +19,7 @@ from khep_twin.log.description import Shape, body_name, shapes
 SCHEMA = "foxglove.SceneUpdate"
 """Name of the message type."""
 
-_IDENTITY = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-"""Identity pose."""
+_IDENTITY = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])  # position, quaternion w, x, y, z
 
 
 def descriptors() -> bytes:
@@ -42,7 +41,7 @@ def scene_update(model: mujoco.MjModel) -> bytes:
                 name = frame if is_moving else f"world/{shape.name}"
                 # The timestamp is the start of the run; without a lifetime it has no end.
                 entity = scene.entities.add(timestamp={}, frame_id=frame, id=name, frame_locked=True)
-            _draw(entity, shape, *_compose(*pose, shape.position, shape.quaternion))
+            _add(entity, shape, *_compose(*pose, shape.position, shape.quaternion))
     return scene.SerializeToString(deterministic=True)
 
 
@@ -77,7 +76,7 @@ def _compose(
     return origin, rotation
 
 
-def _draw(entity: Any, shape: Shape, position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> None:
+def _add(entity: Any, shape: Shape, position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> None:
     """Add a shape to an entity; a capsule is a cylinder with a sphere at either end."""
     width, _, length = shape.size
     orientation, colour = _components("wxyz", quaternion), _components("rgba", shape.rgba)

@@ -1,4 +1,4 @@
-"""Host events of a log, the inputs for a repetition of the run.
+"""Host events of a log: the actions of hosts and users, which are the inputs for a repetition of the run.
 
     /khepera0/host_events   std_msgs/Int64MultiArray
 
@@ -18,7 +18,7 @@ from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.log.channels import array_message
 from khep_twin.log.decoding import LATEST_NS, DecodeError, read_array
 
-_LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
+_FIELD_NAMES = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
 FLUSHING_KINDS = (
     HostEventKind.MOVE_ROBOT,
@@ -33,7 +33,6 @@ _N_FIELDS = 6
 """Numbers before the bytes of an event."""
 
 _MAX_BAUD = 10**9
-"""Highest accepted baud rate."""
 
 _SIZES = {
     HostEventKind.DISCONNECT: (0,),
@@ -43,47 +42,47 @@ _SIZES = {
     HostEventKind.SWITCH_LAMP: (5,),
     HostEventKind.SCAN: (0,),
 }
-"""Numbers of bytes of events, as of `move_robot` and `switching`; other kinds have any number."""
+"""Numbers of bytes by kind, of `move_robot` and `switching` as these encode them; other kinds: any."""
 
 
 def events_message(events: Sequence[tuple[int, HostEvent]]) -> bytes:
     """Return the message of host events with the times when the world received them [ns]."""
     numbers = array("q")
-    for time_ns, (kind, at_ns, host, data) in events:
+    for time_ns, (kind, effect_ns, host, data) in events:
         baud, stop_bits = (-1, -1) if host is None else (host.baud, host.stop_bits)
-        numbers.extend((time_ns, kind, at_ns, baud, stop_bits, len(data), *data))
-    return array_message(np.frombuffer(numbers, np.int64), _LABEL)
+        numbers.extend((time_ns, kind, effect_ns, baud, stop_bits, len(data), *data))
+    return array_message(np.frombuffer(numbers, np.int64), _FIELD_NAMES)
 
 
 def read_events(message: bytes) -> Iterator[tuple[int, HostEvent]]:
     """Yield the host events of a message with their times [ns]."""
     numbers: tuple[int, ...] = read_array(message, "q")
-    index = 0
-    while index < len(numbers):
-        header = numbers[index : index + _N_FIELDS]
-        if len(header) < _N_FIELDS:
-            raise DecodeError(f"{len(header)} numbers at {index}", f"{_N_FIELDS} that begin an event")
-        time_ns, kind, at_ns, baud, stop_bits, size = header
-        index += _N_FIELDS
+    offset = 0
+    while offset < len(numbers):
+        fields = numbers[offset : offset + _N_FIELDS]
+        if len(fields) < _N_FIELDS:
+            raise DecodeError(f"{len(fields)} numbers at {offset}", f"{_N_FIELDS} that begin an event")
+        time_ns, kind, effect_ns, baud, stop_bits, size = fields
+        offset += _N_FIELDS
         for name, value, lowest, highest in (
             ("time", time_ns, 0, LATEST_NS),
             ("kind", kind, 0, len(HostEventKind) - 1),
-            ("from", at_ns, 0, LATEST_NS),
+            ("from", effect_ns, 0, LATEST_NS),
             ("baud", baud, -1, _MAX_BAUD),
             ("stop bits", stop_bits, -1, 2),
-            ("size", size, 0, len(numbers) - index),
+            ("size", size, 0, len(numbers) - offset),
         ):
             if not lowest <= value <= highest:
-                actual = f"{name} = {value} at number {index - _N_FIELDS}"
+                actual = f"{name} = {value} at number {offset - _N_FIELDS}"
                 raise DecodeError(actual, f"{lowest} to {highest}")
-        values = numbers[index : index + size]
+        values = numbers[offset : offset + size]
         if invalid := next((byte for byte in values if not 0 <= byte <= 255), None):
-            raise DecodeError(f"byte = {invalid} after number {index - 1}", "0 to 255")
+            raise DecodeError(f"byte = {invalid} after number {offset - 1}", "0 to 255")
         sizes = _SIZES.get(HostEventKind(kind))
         if sizes is not None and size not in sizes:
             expected = " or ".join(map(str, sizes))
-            actual = f"size = {size} of kind {kind} at number {index - _N_FIELDS}"
+            actual = f"size = {size} of kind {kind} at number {offset - _N_FIELDS}"
             raise DecodeError(actual, f"{expected} bytes")
-        index += size
+        offset += size
         host = None if baud < 0 else LineSettings(baud, stop_bits)
-        yield time_ns, HostEvent(HostEventKind(kind), at_ns, host, bytes(values))
+        yield time_ns, HostEvent(HostEventKind(kind), effect_ns, host, bytes(values))

@@ -20,7 +20,7 @@ from khep_twin.khepera_robot import SAMPLED
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import FileRecorder, LogFile
-from khep_twin.log.sample_layout import channel_names
+from khep_twin.log.sample_layout import channel_names_message
 from khep_twin.log.transcript import Transcript
 from khep_twin.units import K213_NUMBER, K213_PIXELS
 
@@ -70,11 +70,11 @@ class LineRecorder(FileRecorder):
         self._host_events: list[tuple[int, HostEvent]] = []
         self._setpoints: tuple[int, ...] = (0, 0)
         self._frames = {name: ArrayFrame(len(registers), "f8", label) for name, label, registers in SAMPLED}
-        self._image = ImageFrame(K213_PIXELS, f"{ROBOT}/k213")
+        self._image_frame = ImageFrame(K213_PIXELS, f"{ROBOT}/k213")
         attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
         facts = {"robots": ROBOT, "khep_twin": __version__, **settings}
         self._file.describe({"configuration.json": attachment}, facts)
-        self._file.add("/channel_names", "std_msgs/msg/String", 0, channel_names(SAMPLED))
+        self._file.add("/channel_names", "std_msgs/msg/String", 0, channel_names_message(SAMPLED))
         self._file.flush()
         self._file.on_failure = on_failure
         self._file.on_exit = self.close
@@ -119,7 +119,8 @@ class LineRecorder(FileRecorder):
             self._file.add(f"/{ROBOT}/host_events", INTEGERS, events[0][0], events_message(events))
 
     def _record_values(self, time_ns: int, line: bytes) -> None:
-        prefix = next((head for head in _REPLIES if line.startswith(head)), None)
+        """Record the values of a reply of `_REPLIES`; ignore other lines."""
+        prefix = next((candidate for candidate in _REPLIES if line.startswith(candidate)), None)
         if prefix is None:
             return
         topic, count = _REPLIES[prefix]
@@ -129,7 +130,7 @@ class LineRecorder(FileRecorder):
         values = [int(field) for field in fields]
         if topic == "vision":
             if all(0 <= value <= 255 for value in values):
-                image = self._image.messages(np.array([time_ns]), np.array([values]))[0].tobytes()
+                image = self._image_frame.messages(np.array([time_ns]), np.array([values]))[0].tobytes()
                 self._file.add(f"/{ROBOT}/vision", IMAGE, time_ns, image)
             return
         if topic == "speed":

@@ -1,6 +1,6 @@
 """File of a log: checks of its path, writing, and handling of write errors.
 
-It is written as NAME.mcap.part and renamed when it is complete. Written data is never lost: a full disk, a
+A log is written as NAME.mcap.part and renamed when it is complete. Written data is never lost: a full disk, a
 concurrent run of the same name, the remains of a crash and a file created under the name during the run leave
 existing data unchanged.
 """
@@ -27,7 +27,7 @@ from khep_twin.files.atomic import (
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.output import Output
 from khep_twin.machine import flags, lock, n_forks
-from khep_twin.signals import clear_at_end, undisturbed
+from khep_twin.signals import block_signals, register_cleanup
 
 
 class PartFile:
@@ -63,10 +63,10 @@ class PartFile:
         """Append `data`; on an error, remove the partial write and raise."""
         if n_forks() != self._n_forks:
             raise OSError(errno.EBADF, "a fork of the process that writes it cannot do so")
-        rest = memoryview(data)
+        remaining = memoryview(data)
         try:
-            while rest:
-                rest = rest[os.write(self._descriptor, rest) :]
+            while remaining:
+                remaining = remaining[os.write(self._descriptor, remaining) :]
         except OSError:
             with suppress(OSError):
                 os.ftruncate(self._descriptor, self._size)
@@ -90,8 +90,8 @@ class PartFile:
             os.close(descriptor)
 
 
-def set_aside(part: Path) -> Path | None:
-    """Rename an unfinished log, so that it can still be recovered; return the new path, None without a log.
+def rename_unfinished(part: Path) -> Path | None:
+    """Rename the unfinished log at `part` to NAME.mcap.part.1, .2 ...; return that path, None without a log.
 
     Raises:
         LogError: Another run is writing the file, or it is no log.
@@ -110,8 +110,8 @@ def set_aside(part: Path) -> Path | None:
             raise _busy_error(part) from None
         # The run that wrote it may have just ended, and another one started.
         if not _is_same_file(part, file.fileno()):
-            return set_aside(part)
-        # It may be cut off early; any other file is the user's, such as the playpen of this run.
+            return rename_unfinished(part)
+        # A log may be cut off early; a file of another format is the user's, e.g. the playpen of this run.
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
             raise LogError(f"{part}: this is no unfinished log; expected another name for the log")
         number = 1
@@ -123,7 +123,7 @@ def set_aside(part: Path) -> Path | None:
 
 
 def _is_same_file(path: Path, descriptor: int) -> bool:
-    """Return whether a path is that of an open file."""
+    """Return whether the file at a path is the one open with this descriptor."""
     try:
         return os.path.samestat(os.stat(path), os.fstat(descriptor))
     except FileNotFoundError:
@@ -156,21 +156,21 @@ class LogFile(Output):
     """
 
     def __init__(self, path: Path, clock: Callable[[], int]) -> None:
-        if reason := unusable(path) or _refusal(path):
+        if reason := unusable(path) or _existing_file_error(path):
             raise LogError(f"{path}: cannot write a log here: {reason}")
         self.path = path
         # Links are followed, so that they stay links; a controller may change the directory later.
         self._target = resolve(path) if path.is_symlink() else path.absolute()
         self.part = self._target.with_name(self._target.name + ".part")
-        self._original = Identity.of(self._target)
+        self._target_identity = Identity.of(self._target)
         self._clock = clock
         self.on_failure: Callable[[str], None] | None = None
         self.on_exit = self.discard
         try:
-            with undisturbed():
-                self.previous_part = set_aside(self.part)
+            with block_signals():
+                self.previous_part = rename_unfinished(self.part)
                 self._file = PartFile(self.part)
-                self._unregister = clear_at_end(lambda: self.on_exit())
+                self._unregister = register_cleanup(lambda: self.on_exit())
         except OSError as error:
             raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
         with self.error_guard():
@@ -182,14 +182,14 @@ class LogFile(Output):
             self._writer.finish()
             # A log under its final name is complete, even after a power failure, which may undo the renaming.
             self._file.synchronize()
-            final_path = rename_into_place(self.part, self._target, self._original)
+            final_path = rename_into_place(self.part, self._target, self._target_identity)
             self._close()
             if final_path != self._target:
                 self._fail(LogError(name_taken_message(self.path, final_path)))
 
     def discard(self) -> None:
         """Remove the file of a run that has not started; on a disk error it remains."""
-        with undisturbed():
+        with block_signals():
             if self.open:
                 # While it is locked, the name is that of no other run's file.
                 with suppress(OSError):
@@ -199,9 +199,9 @@ class LogFile(Output):
 
     @contextmanager
     def error_guard(self) -> Generator[None, None, None]:
-        """Convert the first error of the file to a `LogError` or a message; then write no more."""
+        """Close the file at its first error, and raise it as a `LogError` or pass it to `on_failure`."""
         try:
-            with undisturbed():
+            with block_signals():
                 yield
         except OSError as error:
             if not self.open:  # another thread has completed it
@@ -246,8 +246,8 @@ class FileRecorder:
         self._file.discard()
 
 
-def _refusal(path: Path) -> str:
-    """Return why an existing file must not be replaced by a log; empty if it may."""
+def _existing_file_error(path: Path) -> str:
+    """Return why a log must not replace the file at a path; empty if it may."""
     try:
         if not path.exists() or path.stat().st_size == 0:
             return ""

@@ -20,7 +20,7 @@ from khep_twin.log.record_bytes import (
     LARGEST_CHUNK,
     LARGEST_RATIO,
     MESSAGE,
-    READERS,
+    RECORD_PARSERS,
     SLACK,
     RecordBytes,
     decompress,
@@ -28,8 +28,7 @@ from khep_twin.log.record_bytes import (
     parse_record,
 )
 
-_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-
+_CHUNK_OPCODES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 Progress = Callable[[float], None] | None
 """Function that takes the completed fraction, 0 to 1."""
@@ -63,7 +62,7 @@ class IntactRecords:
         self.metadata: list[Metadata] = []
         self.n_damaged = 0
         self.is_truncated = False
-        self._sources: list[int | bytes] = []
+        self._message_sources: list[int | bytes] = []  # offset of a chunk, or records
         self._unpacked_size = 0
         # A few wrong bytes in the magic number are ordinary damage.
         if sum(a == b for a, b in zip(data[: len(MCAP0_MAGIC)], MCAP0_MAGIC, strict=False)) >= 5:
@@ -71,12 +70,12 @@ class IntactRecords:
 
     def messages(self, progress: Progress = None) -> Generator[Message, None, None]:
         """Yield the messages of known channels in the order of the file; `progress` as for the class."""
-        for number, source in enumerate(self._sources):
+        for number, source in enumerate(self._message_sources):
             if progress is not None:
-                progress(number / len(self._sources))
-            records = (source if isinstance(source, bytes) else self._bytes.chunk(source)) or b""
+                progress(number / len(self._message_sources))
+            records = (source if isinstance(source, bytes) else self._bytes.read_chunk(source)) or b""
             for opcode, start, end in iterate_records(records):
-                if opcode not in _IN_CHUNKS:
+                if opcode not in _CHUNK_OPCODES:
                     break
                 if opcode == Opcode.MESSAGE and end - start >= MESSAGE.size:
                     channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
@@ -85,6 +84,7 @@ class IntactRecords:
                         yield Message(channel, log_time, data, publish_time, sequence)
 
     def _scan(self) -> None:
+        """Store all intact records of the file."""
         offset = len(MCAP0_MAGIC)
         if self._data[:offset] != MCAP0_MAGIC:
             self.n_damaged += 1
@@ -105,9 +105,9 @@ class IntactRecords:
 
     def _add_record(self, offset: int) -> int | None:
         """Store the content of the record at an offset; return its end, None if it is no valid record."""
-        opcode, end = self._bytes.head(offset)
+        opcode, end = self._bytes.read_head(offset)
         if opcode == Opcode.CHUNK:
-            records = self._bytes.chunk(offset)
+            records = self._bytes.read_chunk(offset)
             if records is None:
                 return None
             self._unpacked_size += len(records)
@@ -115,25 +115,26 @@ class IntactRecords:
                 self.n_damaged += 1  # a decompression bomb, so the rest of the file is not used
                 return len(self._data)
             self._add_definitions(records)
-            self._sources.append(offset)
+            self._message_sources.append(offset)
             return end
         if end is None:
             return None
         if opcode == Opcode.MESSAGE:
-            self._sources.append(self._data[offset:end])
+            self._message_sources.append(self._data[offset:end])
         elif opcode == Opcode.ATTACHMENT:
-            attachment = self._bytes.attachment(offset, end)
+            attachment = self._bytes.read_attachment(offset, end)
             if attachment is None:
                 return None
             self.attachments.append(attachment)
             self.n_damaged += attachment.name.startswith("damaged/")
-        elif opcode in READERS:
+        elif opcode in RECORD_PARSERS:
             return self._store(parse_record(opcode, self._data[offset + HEAD.size : end]), end)
         elif opcode not in INDEX_OPCODES:
             return None
         return end
 
     def _store(self, record: McapRecord | None, end: int) -> int | None:
+        """Store a record that ends at `end`, and return `end`; None for an invalid record."""
         match record:
             case Header():
                 self.header = record
@@ -151,7 +152,7 @@ class IntactRecords:
 
     def _add_definitions(self, records: bytes) -> None:
         for opcode, start, end in iterate_records(records):
-            if opcode not in _IN_CHUNKS:
+            if opcode not in _CHUNK_OPCODES:
                 break
             record = None if opcode == Opcode.MESSAGE else parse_record(opcode, records[start:end])
             if opcode != Opcode.MESSAGE and self._store(record, end) is None:
@@ -160,7 +161,7 @@ class IntactRecords:
     def _recover_truncated(self, offset: int) -> bool:
         """Return whether the file ends within the record at an offset; store the readable part."""
         data = self._data
-        opcode, end = self._bytes.head(offset)
+        opcode, end = self._bytes.read_head(offset)
         if end is not None:
             return False
         if opcode in INDEX_OPCODES and len(data) - offset < HEAD.size:
@@ -168,13 +169,13 @@ class IntactRecords:
         if opcode in INDEX_OPCODES:
             # An index can be lost without loss of data, if it is one and not a wrong length.
             return self._bytes.next_record(offset + 1) is None
-        if opcode == Opcode.CHUNK and (head := self._bytes.chunk_head(offset)) is not None:
+        if opcode == Opcode.CHUNK and (head := self._bytes.read_chunk_head(offset)) is not None:
             size, _, compression, start, chunk_end = head
             if chunk_end != offset + HEAD.size + HEAD.unpack_from(data, offset)[1]:
                 return False
             records = decompress(compression, data[start : start + LARGEST_CHUNK], size)
             self._add_definitions(records)
-            self._sources.append(records)
+            self._message_sources.append(records)
         elif self._bytes.next_record(offset + 1) is not None:
             return False
         self.is_truncated = True

@@ -25,21 +25,20 @@ from khep_twin.log.decoding import (
 from khep_twin.log.entries import Entry
 from khep_twin.log.shadow_channels import LINE_TOPICS
 
-READERS: dict[str, Callable[[list[bytes]], NDArray[np.int64] | NDArray[np.float64]]] = {
-    FLOATS: partial(stack_arrays, kind="d"),
-    INTEGERS: partial(stack_arrays, kind="q"),
+NUMERIC_DECODERS: dict[str, Callable[[list[bytes]], NDArray[np.int64] | NDArray[np.float64]]] = {
+    FLOATS: partial(stack_arrays, code="d"),
+    INTEGERS: partial(stack_arrays, code="q"),
     IMAGE: stack_images,
 }
 """Decoders of the numeric message types, to one row for each message."""
 
 REPEAT_CHANNELS = ("host_events", "state", "snapshot")
-"""Channels for `khep-twin repeat` and `branch`, without samples, in rows of any length."""
+"""Channels that only `khep-twin repeat` and `branch` read; their messages have any length."""
 
-WIDTHS = {"proximity": (8, 12), "ambient": (8, 12), "speed": (4,), "duty": (2,), "registers": (0,)}
+SAMPLE_WIDTHS = {"proximity": (8, 12), "ambient": (8, 12), "speed": (4,), "duty": (2,), "registers": (0,)}
 """Numbers per message by sampled channel of a robot, for each model; 0: as in the first message."""
 
-_MAX_INTEGER = 2**62
-"""Largest number accepted as an integer."""
+_MAX_INTEGER = 2**62  # largest number accepted as an integer
 
 _Values = NDArray[np.int64] | NDArray[np.float64]
 _T = TypeVar("_T")
@@ -76,10 +75,10 @@ class Messages:
     def series(self) -> dict[str, TimeSeries]:
         """Return all channels of numbers by topic."""
         return {
-            topic: TimeSeries(*self._decode(topic, READERS[schema], schema))
+            topic: TimeSeries(*self._decode(topic, NUMERIC_DECODERS[schema], schema))
             for topic, schemas in self._by_topic.items()
             for schema in schemas
-            if schema in READERS
+            if schema in NUMERIC_DECODERS
         }
 
     def samples(self, robot: str, name: str) -> NDArray[np.int64]:
@@ -103,14 +102,14 @@ class Messages:
 
     def poses(self, robots: Sequence[str]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
         """Return the times of the poses (n,) [ns], and x, y [m] and heading [rad] of each robot (n, 3)."""
-        times_ns, frames = self._decode("/tf", partial(read_all, read_transforms))
+        times_ns, frame_poses = self._decode("/tf", partial(read_all, read_transforms))
         poses: list[NDArray[np.float64]] = []
         for base in (f"{name}/base" for name in robots):
-            rows = [bodies[base] for bodies in frames if base in bodies]
-            if len(rows) != len(frames):
-                actual = f"{base} in {len(rows)} of {len(frames)} messages"
+            base_poses = [bodies[base] for bodies in frame_poses if base in bodies]
+            if len(base_poses) != len(frame_poses):
+                actual = f"{base} in {len(base_poses)} of {len(frame_poses)} messages"
                 raise DecodeError(actual, "it in each").to_log_error(self._path, "/tf")
-            values = np.array(rows, np.float64).reshape(-1, 7)
+            values = np.array(base_poses, np.float64).reshape(-1, 7)
             x, y, z, w = values[:, 3:].T
             heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
             poses.append(np.column_stack([values[:, :2], heading]))
@@ -119,16 +118,16 @@ class Messages:
     def _decode(
         self, topic: str, read: Callable[[list[bytes]], _T], schema: str | None = None
     ) -> tuple[NDArray[np.int64], _T]:
-        """Return the times [ns] and the content of a topic's messages, of one type or of all."""
+        """Return times [ns] and content of a topic's messages in order of time, of one type or of all."""
         by_schema = self._by_topic.get(topic, {})
         channels = list(by_schema.values()) if schema is None else [by_schema[schema]]
         times_ns = np.array([time_ns for times_ns, _ in channels for time_ns in times_ns], np.int64)
         messages = [message for _, messages in channels for message in messages]
-        order = np.argsort(times_ns, kind="stable")
+        time_order = np.argsort(times_ns, kind="stable")
         try:
-            return times_ns[order], read([messages[row] for row in order.tolist()])
+            return times_ns[time_order], read([messages[row] for row in time_order.tolist()])
         except DecodeError as error:
-            raise error.to_log_error(self._path, topic, int(times_ns[order][error.row])) from None
+            raise error.to_log_error(self._path, topic, int(times_ns[time_order][error.row])) from None
 
 
 def check_time(path: Path, topic: str, time_ns: int) -> None:
@@ -138,7 +137,7 @@ def check_time(path: Path, topic: str, time_ns: int) -> None:
 
 
 def is_repeat_channel(topic: str) -> bool:
-    """Return whether a channel has no samples, such as /state, unlike /shadow/state."""
+    """Return whether a topic is one of `REPEAT_CHANNELS`, e.g. /state, but not /shadow/state."""
     return topic.rpartition("/")[2] in REPEAT_CHANNELS and topic not in LINE_TOPICS
 
 
@@ -149,7 +148,7 @@ def line_topics(robots: Iterable[str]) -> set[str]:
 
 def read_samples(messages: Sequence[bytes], name: str) -> _Values:
     """Return the values of messages of a robot's sampled channel (n, width)."""
-    width, *other_widths = WIDTHS.get(name, (0,))
+    width, *other_widths = SAMPLE_WIDTHS.get(name, (0,))
     if not messages:
         return np.zeros((0, width))
     if name == "registers":

@@ -48,7 +48,7 @@ class Writer(Protocol):
         ...
 
 
-def messages_of(rows: NDArray[np.void]) -> list[bytes]:
+def split_rows(rows: NDArray[np.void]) -> list[bytes]:
     """Return messages of one size, one per row, as a list."""
     data, size = rows.tobytes(), rows.itemsize
     return [data[start : start + size] for start in range(0, len(data), size)]

@@ -1,6 +1,6 @@
 """Reading of logs: recorded data as arrays, without ROS, rerun or the simulator.
 
-Each function raises a `LogError` for a log that is missing or incomplete.
+A log's label is its metadata and attachments. Functions raise a `LogError` for a missing or incomplete log.
 """
 
 import hashlib
@@ -23,12 +23,12 @@ from khep_twin.log.columns import KHEPERA4_COLUMNS, name_columns
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, read_errors
 from khep_twin.log.entries import Entry, Label, make_label, run_metadata
-from khep_twin.log.messages import WIDTHS, Messages, TimeSeries, check_time, is_repeat_channel
+from khep_twin.log.messages import SAMPLE_WIDTHS, Messages, TimeSeries, check_time, is_repeat_channel
 from khep_twin.playpen import Playpen, parse
 from khep_twin.playpen.checks import require_kheperas
 from khep_twin.renamed import renamed_attribute
 
-_EXTRA = [kind for kind in KHEPERA4_COLUMNS if kind not in WIDTHS]
+_EXTRA_CHANNELS = [kind for kind in KHEPERA4_COLUMNS if kind not in SAMPLE_WIDTHS]
 
 BATCH_BYTES = 32 << 20
 """Messages that `read_batches` reads at a time, besides a chunk [bytes]."""
@@ -155,10 +155,10 @@ def read_log(path: StrPath) -> LoggedRun:
         name: RobotTrack(
             times_ns,
             pose,
-            *(messages.samples(name, kind) for kind in WIDTHS),
+            *(messages.samples(name, kind) for kind in SAMPLE_WIDTHS),
             serial=messages.lines(f"/{name}/serial"),
             extra_channels={
-                kind: messages.samples(name, kind) for kind in _EXTRA if messages.is_khepera4(name)
+                kind: messages.samples(name, kind) for kind in _EXTRA_CHANNELS if messages.is_khepera4(name)
             },
         )
         for name, pose in zip(label.robots, poses, strict=True)
@@ -199,7 +199,7 @@ def hash_file(path: Path) -> str:
 
 
 def read_arrays(path: StrPath) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
-    """Read a log's label and its floats and images by topic: times (n,) [ns] and values (n, length)."""
+    """Read a log's label, and by topic its floats and images: times (n,) [ns] and values (n, length)."""
     path = Path(path)
     with _open_log(path) as content:
         label = _read_label(path, content)
@@ -232,10 +232,10 @@ def read_message_batches(
     """Yield batches as `read_batches` does, with their messages."""
     with _open_log(path) as content:
         label = _read_label(path, content)
-        for share, messages in content.batches(BATCH_BYTES):
+        for fraction, messages in content.batches(BATCH_BYTES):
             yield _make_recording(path, label, messages), messages
             if progress is not None:
-                progress(share)
+                progress(fraction)
 
 
 def _make_recording(path: Path, label: Label, entries: Iterable[Entry]) -> Recording:
@@ -279,14 +279,14 @@ def read_since(path: Path, topic: str, time_ns: int) -> Generator[list[Entry]]:
         yield from content.messages_since(topic, time_ns)
 
 
-def read_until(path: Path, last: Entry) -> Generator[list[Entry]]:
-    """Yield the messages of each chunk in the order of the file, up to and including `last`."""
+def read_until(path: Path, last_entry: Entry) -> Generator[list[Entry]]:
+    """Yield the messages of each chunk in the order of the file, up to and including `last_entry`."""
     with _open_log(path) as content:
         for _, entries in content.chunks():
             messages: list[Entry] = []
             for entry in entries:
                 messages.append(entry)
-                if entry == last:
+                if entry == last_entry:
                     yield messages
                     return
             yield messages

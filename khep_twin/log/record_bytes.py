@@ -21,9 +21,9 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, McapRecord, MessageIndex, Metadata, Schema, Statistics
 
-HEAD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
-MESSAGE = struct.Struct("<HIQQ")
+HEAD = struct.Struct("<BQ")  # of a record: opcode, length of the content [bytes]
+_CHUNK_HEAD = struct.Struct("<QQQI")  # start [ns], end [ns], decompressed size [bytes], checksum
+MESSAGE = struct.Struct("<HIQQ")  # channel ID, sequence number, log time [ns], publish time [ns]
 _PARSE_ERRORS = (McapError, struct.error, ValueError, EOFError, LookupError, OverflowError, MemoryError)
 LARGEST_RATIO = 200
 """Maximum ratio of decompressed content to file size, besides `SLACK`; in khep_twin's logs it is below 40."""
@@ -32,8 +32,7 @@ SLACK = 4 << 20
 """Decompressed content that is accepted for a log of any size [bytes]."""
 
 _BLOCK_BYTES = 1 << 16
-_LZ4 = b"\x04\x22\x4d\x18"
-"""Magic number of an lz4 frame."""
+_LZ4 = b"\x04\x22\x4d\x18"  # magic number of an lz4 frame
 
 _ZSTD_HEADER = 18
 """Largest header of a zstandard frame [bytes]."""
@@ -47,14 +46,14 @@ LARGEST_CHUNK = 64 << 20
 _RECORD_START = re.compile(rb"(?=[\x01\x03-\x0f].{5}\x00\x00\x00)", re.DOTALL)
 """Opcode and upper bytes of a length, at the possible start of a record."""
 
-READERS: Mapping[int, Callable[[ReadDataStream], McapRecord]] = {
+RECORD_PARSERS: Mapping[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.HEADER: Header.read,
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
     Opcode.MESSAGE_INDEX: MessageIndex.read,
     Opcode.METADATA: Metadata.read,
 }
-_READERS = {**READERS, Opcode.ATTACHMENT: Attachment.read, Opcode.STATISTICS: Statistics.read}
+_ALL_PARSERS = {**RECORD_PARSERS, Opcode.ATTACHMENT: Attachment.read, Opcode.STATISTICS: Statistics.read}
 
 INDEX_OPCODES = {
     Opcode.MESSAGE_INDEX,
@@ -86,7 +85,7 @@ class RecordBytes:
                 return match.start()
         return None
 
-    def head(self, offset: int) -> tuple[int, int | None]:
+    def read_head(self, offset: int) -> tuple[int, int | None]:
         """Return the opcode and the end of a record; None if the end is not in the file."""
         if offset < 0 or offset + HEAD.size > len(self._data):
             return self._data[offset] if 0 <= offset < len(self._data) else 0, None
@@ -94,7 +93,7 @@ class RecordBytes:
         end = offset + HEAD.size + length
         return opcode, end if end <= len(self._data) else None
 
-    def chunk_head(self, offset: int) -> tuple[int, int, str, int, int] | None:
+    def read_chunk_head(self, offset: int) -> tuple[int, int, str, int, int] | None:
         """Return decompressed size, checksum and compression, and start and end of the compressed bytes."""
         start = offset + HEAD.size
         try:
@@ -102,23 +101,23 @@ class RecordBytes:
             (length,) = struct.unpack_from("<I", self._data, start + _CHUNK_HEAD.size)
             name_start = start + _CHUNK_HEAD.size + 4
             compression = self._data[name_start : name_start + min(length, 5)].decode("latin-1")
-            (packed_size,) = struct.unpack_from("<Q", self._data, name_start + min(length, 5))
+            (compressed_size,) = struct.unpack_from("<Q", self._data, name_start + min(length, 5))
         except struct.error:
             return None
         if compression not in ("", "lz4", "zstd"):
             return None
         data_start = name_start + len(compression) + 8
-        return size, crc, compression, data_start, data_start + packed_size
+        return size, crc, compression, data_start, data_start + compressed_size
 
-    def chunk(self, offset: int) -> bytes | None:
+    def read_chunk(self, offset: int) -> bytes | None:
         """Return the records in a chunk; None if a length or the checksum does not match."""
-        head = self.chunk_head(offset)
+        head = self.read_chunk_head(offset)
         if head is None:
             return None
         size, crc, compression, start, end = head
         if (
             size > LARGEST_CHUNK
-            or end != self.head(offset)[1]
+            or end != self.read_head(offset)[1]
             or not self._matches_header(compression, start, end, size)
         ):
             return None
@@ -141,7 +140,7 @@ class RecordBytes:
             return False
         return content_size in (size, zstandard.CONTENTSIZE_UNKNOWN)
 
-    def attachment(self, offset: int, end: int) -> Attachment | None:
+    def read_attachment(self, offset: int, end: int) -> Attachment | None:
         """Return an attachment; one that fails its checksum is named damaged/NAME."""
         content = self._data[offset + HEAD.size : end]
         self._n_examined += len(content)
@@ -155,21 +154,21 @@ class RecordBytes:
 
     def is_record(self, offset: int) -> bool:
         """Return whether the record at an offset can be verified by more than its opcode."""
-        opcode, end = self.head(offset)
+        opcode, end = self.read_head(offset)
         if end is None:
             return False
         if opcode == Opcode.CHUNK:
-            return self.chunk(offset) is not None
+            return self.read_chunk(offset) is not None
         if opcode == Opcode.ATTACHMENT:
-            attachment = self.attachment(offset, end)
+            attachment = self.read_attachment(offset, end)
             return attachment is not None and not attachment.name.startswith("damaged/")
         self._n_examined += end - offset
-        if opcode in READERS and parse_record(opcode, self._data[offset + HEAD.size : end]) is None:
+        if opcode in RECORD_PARSERS and parse_record(opcode, self._data[offset + HEAD.size : end]) is None:
             return False
-        if opcode not in READERS and opcode not in INDEX_OPCODES and opcode != Opcode.MESSAGE:
+        if opcode not in RECORD_PARSERS and opcode not in INDEX_OPCODES and opcode != Opcode.MESSAGE:
             return False
-        next_opcode, next_end = self.head(end)
-        is_known = next_opcode in {*READERS, *INDEX_OPCODES, Opcode.CHUNK, Opcode.MESSAGE}
+        next_opcode, next_end = self.read_head(end)
+        is_known = next_opcode in {*RECORD_PARSERS, *INDEX_OPCODES, Opcode.CHUNK, Opcode.MESSAGE}
         return end == len(self._data) or (is_known and next_end is not None)
 
 
@@ -177,7 +176,7 @@ def parse_record(opcode: int, content: bytes) -> McapRecord | None:
     """Parse a record of exactly these bytes, with printable names; return None if they are invalid."""
     stream = ReadDataStream(BytesIO(content))
     try:
-        record = _READERS[opcode](stream)
+        record = _ALL_PARSERS[opcode](stream)
     except _PARSE_ERRORS:
         return None
     if stream.count != len(content):
@@ -199,20 +198,20 @@ def iterate_records(data: bytes) -> Generator[tuple[int, int, int], None, None]:
         yield opcode, start, offset
 
 
-def decompress(compression: str, packed: bytes, limit: int) -> bytes:
-    """Decompress as much as possible, at most one byte more than `limit`, which is bounded."""
+def decompress(compression: str, compressed: bytes, limit: int) -> bytes:
+    """Return at most `limit` + 1 bytes of the decompressed data; damage ends them early."""
     limit = min(limit, LARGEST_CHUNK) + 1
     if not compression:
-        return packed[:limit]
+        return compressed[:limit]
     if compression == "lz4":
         try:
-            return LZ4FrameDecompressor().decompress(packed, max_length=limit)
+            return LZ4FrameDecompressor().decompress(compressed, max_length=limit)
         except (RuntimeError, MemoryError):
             return b""
     blocks: list[bytes] = []
     size = 0
-    unpacker = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
-    with unpacker.stream_reader(packed) as stream:
+    decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+    with decompressor.stream_reader(compressed) as stream:
         while size < limit:
             try:
                 block = stream.read(min(_BLOCK_BYTES, limit - size))

@@ -101,7 +101,7 @@ def read_recorded_run(path: Path) -> RecordedRun:
     """Read the data that a repetition needs from a log."""
     channels = ("/serial", "/state", SNAPSHOT_TOPIC)
     label, messages, is_recovered = read_raw(path, lambda topic: topic.endswith(channels))
-    require_line(path, label)
+    require_serial_line(path, label)
     states: list[int] = []
     for time_ns, hashes in decode_messages(path, "/state", messages, read_states):
         if time_ns != len(states) * SAMPLE_NS:
@@ -117,9 +117,8 @@ def read_recorded_run(path: Path) -> RecordedRun:
     lines_ns = [line.time_ns for transcript in lines for line in transcript]
     for time_ns in (*(at_ns for at_ns, _, _ in events), *lines_ns):
         if time_ns > last_ns:
-            expected = (
-                f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
-            )
+            last_s = last_ns / NS_PER_S
+            expected = f"at most {last_s:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
             actual = f"something at {time_ns / NS_PER_S:.2f} s"
             raise DecodeError(actual, expected).to_log_error(path, "/host_events and /serial")
     changes, end_ns = read_changes(path, label), (len(states) - 1) * SAMPLE_NS
@@ -130,7 +129,7 @@ def read_recorded_run(path: Path) -> RecordedRun:
     return RecordedRun(path, label, events, states, lines, last_ns, is_recovered, changes)
 
 
-def require_line(path: Path, label: Label) -> None:
+def require_serial_line(path: Path, label: Label) -> None:
     """Raise a `LogError` if a log lacks the actions that moved its robots."""
     if PROGRAM in label.metadata:
         raise LogError(f"{path}: cannot be repeated: a program drove it; expected a log of a serial line")
@@ -168,14 +167,14 @@ def order_events(
     khep_twin writes one chunk per flush, with at most one message of each robot. For chunks of other tools, a
     flush ends before the second message of a robot, and after an event of `FLUSHING_KINDS`.
     """
-    topics = {f"/{name}/host_events": index for index, name in enumerate(robots)}
+    indices_by_topic = {f"/{name}/host_events": index for index, name in enumerate(robots)}
     pending: list[RecordedEvent] = []
-    last: RecordedEvent | None = None
-    robot_indices: set[int] = set()
-    last_number = 0
-    for number, entries in enumerate(chunks):
+    trigger: RecordedEvent | None = None
+    pending_robots: set[int] = set()
+    flush_chunk = 0
+    for chunk, entries in enumerate(chunks):
         for entry in entries:
-            if (index := topics.get(entry.topic)) is None:
+            if (index := indices_by_topic.get(entry.topic)) is None:
                 continue
             try:
                 events = [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
@@ -184,18 +183,18 @@ def order_events(
             if not events:
                 continue
             start_ns, end_ns = events[0][0], events[-1][0]
-            if index in robot_indices or (
-                last is not None and start_ns >= last[0] and (number > last_number or end_ns > last[0])
+            if index in pending_robots or (
+                trigger and start_ns >= trigger[0] and (chunk > flush_chunk or end_ns > trigger[0])
             ):
-                yield from _ordered(pending, last)
-                pending, last, robot_indices = [], None, set[int]()
+                yield from _sort_events(pending, trigger)
+                pending, trigger, pending_robots = [], None, set[int]()
             pending += events
-            robot_indices.add(index)
+            pending_robots.add(index)
             if events[-1][2].kind in FLUSHING_KINDS:
-                last, last_number = events[-1], number
-    yield from _ordered(pending, last)
+                trigger, flush_chunk = events[-1], chunk
+    yield from _sort_events(pending, trigger)
 
 
-def _ordered(events: list[RecordedEvent], last: RecordedEvent | None) -> list[RecordedEvent]:
-    # The event that caused the flush was the last of the events at its time.
-    return sorted(events, key=lambda event: (event[0], event is last))
+def _sort_events(events: list[RecordedEvent], trigger: RecordedEvent | None) -> list[RecordedEvent]:
+    """Return events in order of time; the one that triggered the flush is the last of its time."""
+    return sorted(events, key=lambda event: (event[0], event is trigger))

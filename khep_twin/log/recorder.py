@@ -19,7 +19,7 @@ from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.output import Output, Writer
 from khep_twin.log.run_description import RunDescription
-from khep_twin.log.sample_layout import LampsChannel, SampleLayout, channel_names
+from khep_twin.log.sample_layout import LampsChannel, SampleLayout, channel_names_message
 from khep_twin.log.snapshots import (
     SNAPSHOT_NS,
     SNAPSHOT_TOPIC,
@@ -35,7 +35,7 @@ from khep_twin.world import SAMPLE_NS, World
 FLUSH_NS = 5 * NS_PER_S
 """Simulated time between two flushes to the file system [ns]."""
 
-_BATCH_LENGTH = FLUSH_NS // SAMPLE_NS
+_BATCH_SAMPLES = FLUSH_NS // SAMPLE_NS
 
 
 class WorldRecorder:
@@ -56,7 +56,7 @@ class WorldRecorder:
         if run.prefix is None or run.prefix.state is None:
             self._log.add_scene(0, world.model)
             channels = (channel for robot in world.robots for channel in robot.sampled)
-            self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names(channels))
+            self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names_message(channels))
             self._log.flush()
         else:
             for entries in run.prefix.entries:
@@ -87,7 +87,7 @@ class WorldRecorder:
         self._samples.append(_Sample(world.time_ns, state, reply_hashes, tuple(world.lamps.powers)))
         if self._takes_snapshots and world.time_ns and world.time_ns % SNAPSHOT_NS == 0:
             self._flush(snapshot=True)
-        elif len(self._samples) == _BATCH_LENGTH:
+        elif len(self._samples) == _BATCH_SAMPLES:
             self.flush()
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
@@ -140,7 +140,7 @@ class WorldRecorder:
                 self._log.finish()
 
     def _resume(self, state: RecorderState) -> None:
-        """Resume from another recorder's state."""
+        """Resume from the state of the recorder of a previous log."""
         count = len(self._reply_hashes.values)
         if len(state.answered) != count or any(robot >= count for robot, _, _ in state.rests):
             raise ValueError(f"a recorder's state of {len(state.answered)} robots; expected {count}")
@@ -246,7 +246,7 @@ class LiveRecorder(WorldRecorder):
         super().sample(world)
         if time.monotonic_ns() - self._last_flush_wall_ns >= self._flush_interval_wall_ns:
             self.flush()
-        if self._pacer is not None and (delay_s := self._pacer.wait(world.time_ns)) > 0:
+        if self._pacer is not None and (delay_s := self._pacer.wait_s(world.time_ns)) > 0:
             time.sleep(delay_s)
         elif self._pacer is not None:
             self._pacer.slip(world.time_ns)

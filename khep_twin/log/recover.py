@@ -21,15 +21,15 @@ from khep_twin.log.decoding import LATEST_NS, DecodeError, read_errors, read_lin
 from khep_twin.log.entries import robot_names, run_metadata
 from khep_twin.log.host_events import read_events
 from khep_twin.log.mcap_recovery import IntactRecords, Progress
-from khep_twin.log.messages import READERS, REPEAT_CHANNELS, WIDTHS, line_topics, read_samples
+from khep_twin.log.messages import NUMERIC_DECODERS, REPEAT_CHANNELS, SAMPLE_WIDTHS, line_topics, read_samples
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
 from khep_twin.log.snapshots import read_states
 from khep_twin.machine import lock
 
-_PART = re.compile(r"\.part(\.[0-9]+)?$")
-_RECOVERED = "recovered"
+_PART_SUFFIX = re.compile(r"\.part(\.[0-9]+)?$")
+_RECOVERED_SUFFIX = "recovered"
 
-_LIMIT = LARGEST_CHUNK // 4
+_MAX_SIZE = LARGEST_CHUNK // 4
 """Maximum size of a message, of an attachment and of all definitions [bytes]; larger ones are omitted."""
 
 _MAX_RATIO = LARGEST_RATIO // 4
@@ -78,19 +78,19 @@ def recover(path: Path, progress: Progress = None) -> Recovery:
     records = IntactRecords(_map_file(path), progress and (lambda share: progress(share / 2)))
     if not (records.attachments or records.metadata or any(True for _ in records.messages())):
         raise LogError(f"{path}: nothing to rescue: no record of an MCAP file is whole")
-    preferred = path.with_name(_PART.sub("", path.name))
-    target = free_name(preferred, _RECOVERED)
+    preferred_path = path.with_name(_PART_SUFFIX.sub("", path.name))
+    target = free_name(preferred_path, _RECOVERED_SUFFIX)
     if reason := unusable(target):
         raise LogError(f"{target}: cannot be written: {reason}")
     try:
         # It is renamed only when it is complete.
         with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
             temporary = Path(folder) / target.name
-            size, recovery = _write(records, temporary, CompressionType.ZSTD, progress)
+            size, recovery = _write_recovered(records, temporary, CompressionType.ZSTD, progress)
             if size > temporary.stat().st_size * _MAX_RATIO:
                 temporary.unlink()
-                _, recovery = _write(records, temporary, CompressionType.NONE, progress)
-            target = rename_into_place(temporary, preferred, None, _RECOVERED)
+                _, recovery = _write_recovered(records, temporary, CompressionType.NONE, progress)
+            target = rename_into_place(temporary, preferred_path, None, _RECOVERED_SUFFIX)
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
     return replace(recovery, path=target)
@@ -108,7 +108,7 @@ def _map_file(path: Path) -> bytes | mmap:
         return mmap(file.fileno(), 0, access=ACCESS_READ) if os.fstat(file.fileno()).st_size else b""
 
 
-def _write(
+def _write_recovered(
     records: IntactRecords, path: Path, compression: CompressionType, progress: Progress
 ) -> tuple[int, Recovery]:
     """Write a file that the reader accepts; return the size of its content [bytes] and the counts."""
@@ -117,28 +117,28 @@ def _write(
     with path.open("xb") as file:
         writer = Writer(file, compression=compression)
         writer.start(records.header.profile, records.header.library)
-        attachments = [item for item in records.attachments if len(item.data) <= _LIMIT and _is_text(item)]
+        attachments = [item for item in records.attachments if len(item.data) <= _MAX_SIZE and _is_text(item)]
         n_refused = len(records.attachments) - len(attachments)
         for item in attachments:
             writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
         for record in records.metadata:
             writer.add_metadata(record.name, record.metadata)
-        damage = {"damaged": str(records.n_damaged), "torn": str(records.is_truncated).lower()}
-        writer.add_metadata("recovered", {"khep_twin": __version__, **damage})
-        schemas, channels, size = _register(records, writer)
+        damage_facts = {"damaged": str(records.n_damaged), "torn": str(records.is_truncated).lower()}
+        writer.add_metadata("recovered", {"khep_twin": __version__, **damage_facts})
+        schemas, channels, size = _copy_definitions(records, writer)
         for message in records.messages(progress and (lambda share: progress((1 + share) / 2))):
             if message.channel_id not in channels:
                 continue
             channel = records.channels[message.channel_id]
             schema = schemas.get(channel.schema_id, "")
-            if len(message.data) > _LIMIT or not (
+            if len(message.data) > _MAX_SIZE or not (
                 message_filter is None
                 or message_filter.accepts(channel.topic, schema, message.log_time, message.data)
             ):
                 n_refused += 1
                 continue
-            number = channels[message.channel_id]
-            writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+            new_id = channels[message.channel_id]
+            writer.add_message(new_id, message.log_time, message.data, message.publish_time, message.sequence)
             n_messages += 1
             end_ns = max(end_ns, message.log_time)
             size += HEAD.size + MESSAGE.size + len(message.data)
@@ -165,18 +165,18 @@ def _is_text(attachment: Attachment) -> bool:
     return True
 
 
-def _register(records: IntactRecords, writer: Writer) -> tuple[dict[int, str], dict[int, int], int]:
-    """Define schemas and channels; return names of schemas and new channel IDs by old ID, and a size."""
+def _copy_definitions(records: IntactRecords, writer: Writer) -> tuple[dict[int, str], dict[int, int], int]:
+    """Define schemas and channels in `writer`; return names, new channel IDs by old ID, and size."""
     schema_ids, schema_names, channel_ids, size = {0: 0}, {0: ""}, dict[int, int](), 0
-    for number, schema in records.schemas.items():
+    for old_id, schema in records.schemas.items():
         size += len(schema.data)
-        if number and size <= _LIMIT:
-            schema_ids[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
-            schema_names[number] = schema.name
-    for number, channel in records.channels.items():
+        if old_id and size <= _MAX_SIZE:
+            schema_ids[old_id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            schema_names[old_id] = schema.name
+    for old_id, channel in records.channels.items():
         size += len(channel.topic) + sum(map(len, chain.from_iterable(channel.metadata.items())))
-        if channel.schema_id in schema_ids and size <= _LIMIT:
-            channel_ids[number] = writer.register_channel(
+        if channel.schema_id in schema_ids and size <= _MAX_SIZE:
+            channel_ids[old_id] = writer.register_channel(
                 channel.topic, channel.message_encoding, schema_ids[channel.schema_id], channel.metadata
             )
     return schema_names, channel_ids, size
@@ -196,33 +196,33 @@ class MessageFilter:
     """Filter of messages that the reader accepts."""
 
     def __init__(self, robots: Sequence[str]) -> None:
-        self._bases = {f"{robot}/base" for robot in robots}
+        self._base_frames = {f"{robot}/base" for robot in robots}
         self._line_topics = line_topics(robots)
-        self._sampled = {f"/{robot}/{name}" for robot in robots for name in WIDTHS}
+        self._sampled_topics = {f"/{robot}/{name}" for robot in robots for name in SAMPLE_WIDTHS}
         self._widths: dict[tuple[str, str], int] = {}
 
     def accepts(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
-        """Return whether the reader accepts a message after the previous ones."""
+        """Return whether the reader accepts a message, of the width of the channel's first one."""
         try:
             return time_ns <= LATEST_NS and self._is_accepted(topic, schema, message)
         except DecodeError:
             return False
 
     def _is_accepted(self, topic: str, schema: str, message: bytes) -> bool:
-        name = topic.rpartition("/")[2]
-        if name == "host_events":
+        channel_name = topic.rpartition("/")[2]
+        if channel_name == "host_events":
             for _ in read_events(message):
                 pass
         if topic == "/state":
             read_states(message)
         if topic in self._line_topics:
             read_line(message)
-        if topic == "/tf" and not self._bases <= read_transforms(message).keys():
+        if topic == "/tf" and not self._base_frames <= read_transforms(message).keys():
             return False
         widths: dict[str, int] = {}
-        if topic in self._sampled:
-            widths[name] = read_samples([message], name).shape[1]
-        if schema in READERS and not (name in REPEAT_CHANNELS and schema == INTEGERS):
-            widths[schema] = READERS[schema]([message]).shape[1]
+        if topic in self._sampled_topics:
+            widths[channel_name] = read_samples([message], channel_name).shape[1]
+        if schema in NUMERIC_DECODERS and not (channel_name in REPEAT_CHANNELS and schema == INTEGERS):
+            widths[schema] = NUMERIC_DECODERS[schema]([message]).shape[1]
         # The first message of a channel defines the width of the later ones.
         return all(self._widths.setdefault((topic, key), width) == width for key, width in widths.items())

@@ -21,8 +21,8 @@ class LogPrefix(NamedTuple):
     """Start of a run, copied from another log.
 
     Attributes:
-        entries: Messages to copy, in the chunks of that log; empty for a run that starts again.
-        state: State of the recorder after these messages; None for a run that starts again.
+        entries: Messages to copy, by chunk of the other log; empty for a run from time 0.
+        state: State of the recorder after these messages; None for a run from time 0.
     """
 
     entries: Iterable[Sequence[Entry]] = ()
@@ -37,7 +37,7 @@ class RunDescription:
         settings: Configuration of the run, saved in a log as configuration.json.
         facts: Further metadata of the run.
         attachments: Further attachments by name.
-        prefix: Start of the run before the state of the world; facts and attachments are then complete.
+        prefix: Start of the run, copied from another log; `facts` and `attachments` are then complete.
     """
 
     settings: Mapping[str, object]

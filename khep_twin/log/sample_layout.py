@@ -60,17 +60,18 @@ class SampleLayout:
     def __init__(self, world: World) -> None:
         model, data = world.model, world.data
         registers = [board for robot in world.robots for board in board_registers(robot)]
-        sources = [data.qpos, data.qvel, *registers, data.xpos, data.xquat]
-        *starts, self._size = accumulate((source.size for source in sources), initial=0)
-        self._buffers = [source.data for source in sources]
-        columns = iter(starts[2:-2])
-        self.channels = [channel for robot in world.robots for channel in _channels_of(robot, columns)]
+        arrays = [data.qpos, data.qvel, *registers, data.xpos, data.xquat]
+        *offsets, self._size = accumulate((array.size for array in arrays), initial=0)
+        self._buffers = [array.data for array in arrays]
+        starts = iter(offsets[2:-2])
+        self.channels = [channel for robot in world.robots for channel in _make_channels(robot, starts)]
         # Moving bodies have poses in every sample; fixed ones are part of the description.
         moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
-        self._transforms = TransformFrame([body_name(model, body) for body in moving])
-        self._state_size, quaternion_start = starts[-2:]
-        position_columns = np.add.outer(self._state_size + 3 * moving, [0, 1, 2])
-        self._poses = np.hstack([position_columns, np.add.outer(quaternion_start + 4 * moving, [1, 2, 3, 0])])
+        self._transform_frame = TransformFrame([body_name(model, body) for body in moving])
+        self._state_size, quaternion_start = offsets[-2:]
+        positions = np.add.outer(self._state_size + 3 * moving, [0, 1, 2])
+        quaternions = np.add.outer(quaternion_start + 4 * moving, [1, 2, 3, 0])  # in the order x, y, z, w
+        self._pose_columns = np.hstack([positions, quaternions])
 
     def take_sample(self) -> bytes:
         """Return a sample of the present state."""
@@ -86,28 +87,28 @@ class SampleLayout:
 
     def transforms(self, times_ns: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.void]:
         """Return one message of /tf for each sample (n,)."""
-        poses = np.rint(table.view(np.float64)[:, self._poses] * _STEPS_PER_UNIT) / _STEPS_PER_UNIT
-        return self._transforms.messages(times_ns, poses)
+        poses = np.rint(table.view(np.float64)[:, self._pose_columns] * _STEPS_PER_UNIT) / _STEPS_PER_UNIT
+        return self._transform_frame.messages(times_ns, poses)
 
 
-def channel_names(channels: Iterable[SampledRegisters]) -> bytes:
-    """Return a message with the name of each channel's numbers, for viewers that only show indices."""
-    topics: dict[str, dict[str, None]] = {}
+def channel_names_message(channels: Iterable[SampledRegisters]) -> bytes:
+    """Return a message that names the numbers of each channel, for viewers that only show indices."""
+    channels_by_label: dict[str, dict[str, None]] = {}
     for channel in channels:
-        topics.setdefault(channel.label, {})[channel.name] = None
+        channels_by_label.setdefault(channel.label, {})[channel.name] = None
     lines = ["Numbers of each robot's channels:"]
-    for label, channel_members in topics.items():
-        names, _, unit = label.removesuffix("]").partition(" [")
-        lines += ["", f"{', '.join(channel_members)} [{unit}]"]
-        lines += [f"  [{index}]  {name}" for index, name in enumerate(names.split(", "))]
+    for label, label_channels in channels_by_label.items():
+        value_names, _, unit = label.removesuffix("]").partition(" [")
+        lines += ["", f"{', '.join(label_channels)} [{unit}]"]
+        lines += [f"  [{index}]  {name}" for index, name in enumerate(value_names.split(", "))]
     return text_message("\n".join(lines))
 
 
-def _channels_of(robot: Robot, starts: Iterator[int]) -> Iterator[SampledChannel]:
-    """Yield the channels of a robot, whose boards start at the columns `starts`."""
+def _make_channels(robot: Robot, board_offsets: Iterator[int]) -> Iterator[SampledChannel]:
+    """Yield the channels of a robot; `board_offsets` are the first columns of its board and each turret."""
     turrets = [None, *robot.firmware.turrets]
-    # The turrets end first, so that `starts` continues at the next robot.
-    for turret, board, start in zip(turrets, board_registers(robot), starts, strict=False):
+    # `zip` stops at the end of the turrets, so that `board_offsets` continues at the next robot.
+    for turret, board, start in zip(turrets, board_registers(robot), board_offsets, strict=False):
         if turret is None:
             for name, label, registers in robot.sampled:
                 frame = ArrayFrame(len(registers), "f8", label)
@@ -115,22 +116,22 @@ def _channels_of(robot: Robot, starts: Iterator[int]) -> Iterator[SampledChannel
                 yield SampledChannel(f"/{robot.name}/{name}", FLOATS, frame, columns)
         name = "registers" if turret is None else turret.name
         label = ", ".join(turret.names) if turret and turret.names else "registers"
-        board_range = range(start, start + len(board))
+        board_columns = range(start, start + len(board))
         frame = ArrayFrame(len(board), "i8", label)
-        yield SampledChannel(f"/{robot.name}/{name}", INTEGERS, frame, slice(start, board_range.stop))
+        yield SampledChannel(f"/{robot.name}/{name}", INTEGERS, frame, slice(start, board_columns.stop))
         if turret and turret.image:
-            pixels = board_range[turret.image]
+            pixels = board_columns[turret.image]
             image = ImageFrame(len(pixels), f"{robot.name}/{turret.name}")
             yield SampledChannel(f"/{robot.name}/vision", IMAGE, image, slice(pixels.start, pixels.stop))
 
 
 class LampsChannel:
-    """Channel of one set of lamps, as rows have one length; none for constant lamps that are not switched."""
+    """Channel of the powers of a set of lamps; none for constant lamps that are not switched."""
 
     def __init__(self, lamps: Lamps) -> None:
         self.n_sets = 1
         self._lamps = lamps
-        self._frame = None if lamps.are_constant else _frame(lamps)
+        self._frame = None if lamps.are_constant else _make_frame(lamps)
 
     @property
     def topic(self) -> str:
@@ -150,18 +151,18 @@ class LampsChannel:
         """Record the powers of these lamps from now on."""
         if lamps is not self._lamps:
             self.n_sets += 1
-        self._lamps, self._frame = lamps, _frame(lamps)
+        self._lamps, self._frame = lamps, _make_frame(lamps)
 
     def move_to(self, lamps: Lamps) -> None:
-        """Continue with the same lamps in another world."""
+        """Continue with the same lamps in another world, as objects of that world."""
         self._lamps = lamps
         if not (self.is_recorded or lamps.are_constant):
-            self._frame = _frame(lamps)
+            self._frame = _make_frame(lamps)
 
     def resume(self, state: RecorderState) -> None:
-        """Resume from another recorder's state."""
+        """Resume from the state of the recorder of a previous log."""
         self.n_sets = state.lamps_sets
-        self._frame = _frame(self._lamps) if state.lamps_change else None
+        self._frame = _make_frame(self._lamps) if state.lamps_change else None
 
     def messages(self, powers: Sequence[Sequence[float]]) -> NDArray[np.void] | None:
         """Return one message for the powers of each sample (n, lamps) [W]; None if they are not recorded."""
@@ -169,5 +170,5 @@ class LampsChannel:
         return None if self._frame is None else self._frame.messages(np.array(powers).reshape(shape))
 
 
-def _frame(lamps: Lamps) -> ArrayFrame:
+def _make_frame(lamps: Lamps) -> ArrayFrame:
     return ArrayFrame(len(lamps.names), "f8", "power [W]")

@@ -31,7 +31,6 @@ TOPIC_PREFIX = "/shadow/"
 LINE_TOPICS = STATE, SUSPECTED, ALARMS = tuple(f"/shadow/{name}" for name in ("state", "suspected", "alarms"))
 """Topics with lines."""
 
-
 RESIDUALS = [
     *(f"proximity {sensor} [counts]" for sensor in SENSOR_LABELS),
     *(f"light {sensor} [counts]" for sensor in SENSOR_LABELS),
@@ -42,7 +41,7 @@ RESIDUALS = [
 """Numbers of a message of residuals, in order; NaN without a reply."""
 
 PROXIMITY, LIGHT, WHEELS, TIMING = slice(0, 8), slice(8, 16), slice(16, 18), 18
-"""Indices of these."""
+"""Columns of these residuals in a message."""
 
 PARTICLES = 100
 """Number of particles in a message, a regular subsample."""
@@ -91,7 +90,6 @@ STATE_COLOURS = {
 
 REGION_SIGMAS = 2.4477
 """Half-axes of the 95 % region of a 2-D normal distribution, in standard deviations."""
-
 
 FAULT_SEPARATOR = " or "
 """Separator of the names of indistinguishable faults."""

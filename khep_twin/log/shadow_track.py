@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
-from khep_twin.log.channels import PLANAR
+from khep_twin.log.channels import PLANAR_ROWS
 from khep_twin.log.decoding import DecodeError, Decoder, read_all, read_line, stack_arrays
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_raw
@@ -107,7 +107,7 @@ def read_shadow(path: Path) -> ShadowTrack:
 
     times_ns, poses = read_channel("pose", partial(_read_poses, width=_POSE_WIDTHS["pose"]))
 
-    def read_updates(name: str, read: Callable[[list[bytes]], Floats]) -> Floats:
+    def read_synchronous(name: str, read: Callable[[list[bytes]], Floats]) -> Floats:
         channel_times_ns, values = read_channel(name, read)
         if not np.array_equal(channel_times_ns, times_ns):
             expected = f"{len(times_ns)}, at the times of {TOPIC_PREFIX}pose"
@@ -115,17 +115,17 @@ def read_shadow(path: Path) -> ShadowTrack:
             raise error.to_log_error(path, TOPIC_PREFIX + name)
         return values
 
-    covariances = poses[:, 7:].reshape(-1, 6, 6)[:, PLANAR][:, :, PLANAR]
+    covariances = poses[:, 7:].reshape(-1, 6, 6)[:, PLANAR_ROWS][:, :, PLANAR_ROWS]
     particles_ns, particles = read_channel("particles", partial(_read_floats, width=3 * PARTICLES))
     return ShadowTrack(
         label,
         times_ns,
-        planar(poses),
+        planar_poses(poses),
         covariances,
-        planar(read_updates("reckoned", partial(_read_poses, width=_POSE_WIDTHS["reckoned"]))),
-        read_updates("expected", partial(_read_floats, width=len(SENSOR_LABELS))),
-        read_updates("measured", partial(_read_floats, width=len(SENSOR_LABELS))),
-        read_updates("residuals", partial(_read_floats, width=len(RESIDUALS))),
+        planar_poses(read_synchronous("reckoned", partial(_read_poses, width=_POSE_WIDTHS["reckoned"]))),
+        read_synchronous("expected", partial(_read_floats, width=len(SENSOR_LABELS))),
+        read_synchronous("measured", partial(_read_floats, width=len(SENSOR_LABELS))),
+        read_synchronous("residuals", partial(_read_floats, width=len(RESIDUALS))),
         particles_ns,
         particles.reshape(-1, PARTICLES, 3),
         parse_alarms(read_channel("alarms", partial(read_all, read_line))[1]),
@@ -134,7 +134,7 @@ def read_shadow(path: Path) -> ShadowTrack:
     )
 
 
-def planar(poses: Floats) -> Floats:
+def planar_poses(poses: Floats) -> Floats:
     """Return x, y [m] and heading [rad] (n, 3) of positions and quaternions x, y, z, w (n, 7 or more)."""
     return np.column_stack([poses[:, :2], 2 * np.arctan2(poses[:, 5], poses[:, 6])])
 
@@ -146,8 +146,8 @@ def _read_poses(messages: Sequence[bytes], width: int) -> Floats:
         decoder = Decoder(message)
         decoder.time()
         decoder.text()
-        values = decoder.get("d", width)
-        decoder.end()
+        values = decoder.numbers("d", width)
+        decoder.check_end()
         return values
 
     return np.array(read_all(read, messages), np.float64).reshape(-1, width)

@@ -79,16 +79,16 @@ def read_states(message: bytes) -> list[int]:
 
 
 def board_registers(robot: Robot) -> list[NDArray[np.int64]]:
-    """Return the registers of a robot's board and its turrets."""
+    """Return the registers of a robot's board, then of each turret."""
     return [robot.registers, *(turret.registers for turret in robot.firmware.turrets.values())]
 
 
 class ReplyHashes:
     """Running hash of all replies of each robot, in `values`."""
 
-    def __init__(self, robots: int) -> None:
+    def __init__(self, n_robots: int) -> None:
         # One per robot: the order of two robots within a step depends on which host reads first.
-        self.values = [0] * robots
+        self.values = [0] * n_robots
 
     def on_bytes(self, time_ns: int, robot: int, data: bytes) -> None:
         """Add bytes of a robot's reply."""

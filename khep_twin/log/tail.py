@@ -26,8 +26,7 @@ from khep_twin.log.reader import read_label
 from khep_twin.log.record_bytes import HEAD, RecordBytes, parse_record
 from khep_twin.machine import lock, unlock
 
-_BLOCK = 1 << 22
-"""Bytes per read."""
+_BLOCK_BYTES = 1 << 22  # per read
 
 _SILENCE_S = 2.0
 """Wall time without new data after which the lock of the run is checked [s]."""
@@ -92,8 +91,8 @@ class GrowingLog:
             LogError: The file is no log of khep_twin, or its run ended without finishing it.
         """
         with read_errors(self.part):
-            block = self._file.read(_BLOCK)
-        self.is_behind = len(block) == _BLOCK
+            block = self._file.read(_BLOCK_BYTES)
+        self.is_behind = len(block) == _BLOCK_BYTES
         if not block:
             self._check_writer()
             return []
@@ -106,24 +105,24 @@ class GrowingLog:
 
     def _parse_buffer(self) -> Generator[Entry, None, None]:
         """Parse the complete records; a partial one remains in the buffer."""
-        size = len(MCAP0_MAGIC)
+        magic_size = len(MCAP0_MAGIC)
         offset = 0
         if not self._has_magic:
-            if not MCAP0_MAGIC.startswith(self._buffer[:size]):
+            if not MCAP0_MAGIC.startswith(self._buffer[:magic_size]):
                 raise LogError(f"{self.part}: this is no MCAP file; expected the log of a run")
-            if len(self._buffer) < size:
+            if len(self._buffer) < magic_size:
                 return
             self._has_magic = True
-            offset = size
+            offset = magic_size
         records = RecordBytes(self._buffer)
         while not self.is_finished:
-            opcode, end = records.head(offset)
+            opcode, end = records.read_head(offset)
             if end is None:
                 break
             if opcode == Opcode.CHUNK:
                 yield from self._read_chunk(records, offset)
             elif opcode == Opcode.ATTACHMENT:
-                if (attachment := records.attachment(offset, end)) is not None:
+                if (attachment := records.read_attachment(offset, end)) is not None:
                     self._attachments[attachment.name] = attachment.data.decode("utf-8", "replace")
             elif opcode == Opcode.METADATA:
                 record = parse_record(opcode, self._buffer[offset + HEAD.size : end])
@@ -135,13 +134,13 @@ class GrowingLog:
         self._buffer = self._buffer[offset:]
 
     def _read_chunk(self, records: RecordBytes, offset: int) -> Generator[Entry, None, None]:
-        content = records.chunk(offset)
+        content = records.read_chunk(offset)
         if content is None:
             recovery = command("recover", self.part)
             raise LogError(f"{self.part}: a part of it is damaged; to recover it: {recovery}")
         if self.label() is None:
             raise LogError(f"{self.part}: an MCAP file, but no log of khep_twin")
-        yield from self._reader.entries(content, offset)
+        yield from self._reader.parse_entries(content, offset)
 
     def _check_writer(self) -> None:
         """Check after a silence that a process still holds the lock of the file."""

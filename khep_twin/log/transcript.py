@@ -20,7 +20,7 @@ class LineSink(Protocol):
 
 
 class Transcript:
-    """Transcript of both directions of one or more robots."""
+    """Transcript of the lines to and from one or more robots, by their names."""
 
     def __init__(self, log: LineSink, robots: list[str]) -> None:
         self._log = log
@@ -31,11 +31,11 @@ class Transcript:
     @property
     def partial_lines(self) -> tuple[tuple[int, bool, bytes], ...]:
         """Bytes of incomplete lines after the last `write`: robot, whether to the robot, bytes."""
-        return tuple((*key, rest) for key, rest in sorted(self._partial_lines.items()))
+        return tuple((*key, partial_line) for key, partial_line in sorted(self._partial_lines.items()))
 
-    def resume(self, rests: Iterable[tuple[int, bool, bytes]]) -> None:
-        """Resume with incomplete lines."""
-        self._partial_lines = {(robot, to_robot): rest for robot, to_robot, rest in rests}
+    def resume(self, partial_lines: Iterable[tuple[int, bool, bytes]]) -> None:
+        """Resume with incomplete lines, as `partial_lines` of another transcript returns them."""
+        self._partial_lines = {(robot, to_robot): line for robot, to_robot, line in partial_lines}
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Record bytes for the next `write`."""
@@ -55,19 +55,19 @@ class Transcript:
             for line in lines:
                 if line:
                     times_ns.append(time_ns)
-                    messages.append(_message(time_ns, to_robot, line))
+                    messages.append(_encode_line(time_ns, to_robot, line))
         for robot, (times_ns, messages) in enumerate(messages_by_robot):
             if messages:
                 self._log.add_lines(f"/{self._robots[robot]}/serial", times_ns, messages)
 
     def write_partial_lines(self, time_ns: int) -> None:
         """Write incomplete lines."""
-        for (robot, to_robot), rest in self._partial_lines.items():
-            message = _message(time_ns, to_robot, rest)
+        for (robot, to_robot), partial_line in self._partial_lines.items():
+            message = _encode_line(time_ns, to_robot, partial_line)
             self._log.add_lines(f"/{self._robots[robot]}/serial", [time_ns], [message])
 
 
-def _message(time_ns: int, to_robot: bool, line: bytes) -> bytes:
+def _encode_line(time_ns: int, to_robot: bool, line: bytes) -> bytes:
     # Nearly all lines are printable.
     text = escape(line).encode("ascii") if line.translate(None, _PRINTABLE) else line
     return _FRAMES[to_robot].message(time_ns, text)

@@ -83,18 +83,18 @@ def to_playpen(
         BitmapError: The size of the arena or of a block is out of range, there are more blocks than the
             limit, or the robot cannot stand at its pose.
     """
-    _check_scale(solid, mm_per_pixel, height_mm)
-    inner, borders = strip(solid)
-    height, width = (float(side * mm_per_pixel) for side in inner.shape)
+    _check_arguments(solid, mm_per_pixel, height_mm)
+    solid_inside, borders = strip_borders(solid)
+    height, width = (float(side * mm_per_pixel) for side in solid_inside.shape)
     if not all(_ARENA_MM[0] <= side <= _ARENA_MM[1] for side in (width, height)):
         raise BitmapError(
             f"an arena of {width:g} x {height:g} mm within the walls; expected {_ARENA_MM[0]:g} to "
             f"{_ARENA_MM[1]:g} mm a side",
             ", as with another --mm-per-pixel",
         )
-    low, size = _find_blocks(inner, mm_per_pixel)
+    corners, sizes = _find_blocks(solid_inside, mm_per_pixel)
     if robot is None and place_robot:
-        robot = find_free_pose(low, size, width, height)
+        robot = find_free_pose(corners, sizes, width, height)
     thickness = borders.left * mm_per_pixel
     if not borders.are_equal or not _MIN_SIZE_MM <= thickness <= _MAX_THICKNESS_MM:
         thickness = _THICKNESS_MM
@@ -102,19 +102,19 @@ def to_playpen(
         "version": 1,
         "name": name,
         "arena": {
-            "width_mm": _round(width),
-            "height_mm": _round(height),
-            "wall_thickness_mm": _round(thickness),
+            "width_mm": _round_mm(width),
+            "height_mm": _round_mm(height),
+            "wall_thickness_mm": _round_mm(thickness),
         },
         "block": tuple(
             {
-                "x_mm": _round(x + length / 2),
-                "y_mm": _round(y + depth / 2),
-                "length_mm": _round(length),
-                "width_mm": _round(depth),
+                "x_mm": _round_mm(x + length / 2),
+                "y_mm": _round_mm(y + depth / 2),
+                "length_mm": _round_mm(length),
+                "width_mm": _round_mm(depth),
                 "height_mm": float(height_mm),
             }
-            for (x, y), (length, depth) in zip(low.tolist(), size.tolist(), strict=True)
+            for (x, y), (length, depth) in zip(corners.tolist(), sizes.tolist(), strict=True)
         ),
         "robot": () if robot is None else (dict(zip(("x_mm", "y_mm", "heading_deg"), robot, strict=True)),),
     }
@@ -125,7 +125,7 @@ def to_playpen(
         raise BitmapError(str(error).splitlines()[0].removeprefix("playpen: ")) from None
 
 
-def _check_scale(solid: Pixels, mm_per_pixel: float, height_mm: float) -> None:
+def _check_arguments(solid: Pixels, mm_per_pixel: float, height_mm: float) -> None:
     for key, value, minimum in (("--mm-per-pixel", mm_per_pixel, 0.001), ("--height-mm", height_mm, 1.0)):
         # Not `value < minimum or ...`, as comparisons with nan are false.
         if not minimum <= value <= 1000:
@@ -135,21 +135,21 @@ def _check_scale(solid: Pixels, mm_per_pixel: float, height_mm: float) -> None:
         raise BitmapError(f"{rows} x {columns} pixels; expected 1 to {SIDE_LIMIT} rows and columns")
 
 
-def _find_blocks(inner: Pixels, mm_per_pixel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the blocks' lower left corners and extents along x and y, (blocks, 2) each [mm]."""
-    boxes = rectangles(inner)
+def _find_blocks(solid: Pixels, mm_per_pixel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the blocks' lower left corners and sizes along x and y, (blocks, 2) each [mm]."""
+    boxes = cover_with_rectangles(solid)
     smallest_mm = float(boxes[:, 2:].min(initial=SIDE_LIMIT) * mm_per_pixel)
     if smallest_mm < _MIN_SIZE_MM:
         raise BitmapError(f"a block of {smallest_mm:g} mm; expected at least {_MIN_SIZE_MM:g} mm", _ADVICE)
     row, column, rows, columns = boxes.T
-    low = np.column_stack((column, inner.shape[0] - row - rows)).astype(np.float64)
-    size = np.column_stack((columns, rows)).astype(np.float64)
-    low *= mm_per_pixel
-    size *= mm_per_pixel
-    return low, size
+    corners = np.column_stack((column, solid.shape[0] - row - rows)).astype(np.float64)
+    sizes = np.column_stack((columns, rows)).astype(np.float64)
+    corners *= mm_per_pixel
+    sizes *= mm_per_pixel
+    return corners, sizes
 
 
-def strip(solid: Pixels) -> tuple[Pixels, Borders]:
+def strip_borders(solid: Pixels) -> tuple[Pixels, Borders]:
     """Remove the completely solid rows and columns at the edges; return the rest and their numbers.
 
     Raises:
@@ -163,7 +163,7 @@ def strip(solid: Pixels) -> tuple[Pixels, Borders]:
     return inner, Borders(left, right, bottom, top)
 
 
-def rectangles(solid: Pixels) -> NDArray[np.int64]:
+def cover_with_rectangles(solid: Pixels) -> NDArray[np.int64]:
     """Cover the solid pixels exactly with rectangles that do not overlap.
 
     Returns:
@@ -188,10 +188,10 @@ def _merge_runs(solid: Pixels) -> tuple[int, NDArray[np.int64]]:
     # A run is encoded as one number: its first column * (columns + 1) + its end column.
     runs = first_rows = np.zeros(0, dtype=np.int64)
     for row in range(rows + 1):
-        line = np.zeros(columns + 2, dtype=np.int8)
+        padded_row = np.zeros(columns + 2, dtype=np.int8)
         if row < rows:
-            line[1:-1] = solid[row]
-        edges = np.diff(line)
+            padded_row[1:-1] = solid[row]
+        edges = np.diff(padded_row)
         row_runs = np.flatnonzero(edges == 1) * (columns + 1) + np.flatnonzero(edges == -1)
         _, new, old = np.intersect1d(row_runs, runs, assume_unique=True, return_indices=True)
         is_complete = np.ones(len(runs), dtype=np.bool_)
@@ -222,7 +222,7 @@ def find_free_pose(
     """
     step = max(1.0, math.ceil(max(width_mm, height_mm) / 1000))
     margin = BODY_RADIUS * 1000 + CLEARANCE_MM
-    x, y = (_grid(side, step, margin) for side in (width_mm, height_mm))
+    x, y = (_grid_positions(side, step, margin) for side in (width_mm, height_mm))
     is_free = np.ones((len(y), len(x)), dtype=np.bool_)
     for (left, bottom), (length, depth) in zip(low_mm.tolist(), size_mm.tolist(), strict=True):
         columns = slice(*np.searchsorted(x, (left - margin, left + length + margin)).tolist())
@@ -236,8 +236,8 @@ def find_free_pose(
     return float(x[column]), float(y[row]), 90.0
 
 
-def _grid(side_mm: float, step_mm: float, margin_mm: float) -> NDArray[np.float64]:
-    """Return positions along a side, including the middle, at least `reach_mm` from its ends."""
+def _grid_positions(side_mm: float, step_mm: float, margin_mm: float) -> NDArray[np.float64]:
+    """Return positions along a side, including the middle, at least `margin_mm` from its ends."""
     positions = np.arange(0.0, side_mm, step_mm) + side_mm / 2 % step_mm
     return positions[(positions >= margin_mm) & (positions <= side_mm - margin_mm)]
 
@@ -247,5 +247,5 @@ def _interval_distances(positions: NDArray[np.float64], low: float, size: float)
     return np.maximum(np.maximum(low - positions, positions - low - size), 0.0)
 
 
-def _round(value_mm: float) -> float:
+def _round_mm(value_mm: float) -> float:
     return round(value_mm, 6)

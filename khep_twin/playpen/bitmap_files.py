@@ -104,14 +104,14 @@ def decode(data: bytes, variable: str | None = None, solid: int | None = None) -
     """
     if len(data) > SIZE_LIMIT:
         raise BitmapError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
-    kind = next((kind for kind, heads in PICTURES.items() if data.startswith(heads)), None)
-    if kind is not None:
+    file_type = next((kind for kind, heads in PICTURES.items() if data.startswith(heads)), None)
+    if file_type is not None:
         if variable is not None or solid is not None:
-            raise BitmapError(f"a {kind}; expected a MAT file for --variable and --solid")
-        return Bitmap(_decode_picture(data, kind), "picture", False)
+            raise BitmapError(f"a {file_type}; expected a MAT file for --variable and --solid")
+        return Bitmap(_decode_picture(data, file_type), "picture", False)
     if not _may_be_mat(data):
         raise BitmapError(f"begins {data[:8]!r}; expected {_EXPECTED}")
-    name, matrix = _select(read_variables(data), variable)
+    name, matrix = _find_matrix(read_variables(data), variable)
     value = SOLID if solid is None else solid
     pixels: Pixels = np.asarray(matrix == value)
     if not pixels.any():
@@ -123,7 +123,8 @@ def decode(data: bytes, variable: str | None = None, solid: int | None = None) -
     return Bitmap(pixels, name, True)
 
 
-def _select(variables: Mapping[str, Variable], requested: str | None) -> tuple[str, NDArray[np.generic]]:
+def _find_matrix(variables: Mapping[str, Variable], requested: str | None) -> tuple[str, NDArray[np.generic]]:
+    """Return name and matrix of the requested variable, or of the only one that can be a bitmap."""
     variables = {_printable(name): value for name, value in variables.items()}
     requested = SCAN if requested is None and SCAN in variables else requested
     if requested is None:
@@ -177,23 +178,23 @@ def _may_be_mat(data: bytes) -> bool:
     )
 
 
-def _decode_picture(data: bytes, kind: str) -> Pixels:
+def _decode_picture(data: bytes, file_type: str) -> Pixels:
     """Return the dark pixels of a picture: luminance below one half, with transparency over white."""
     try:
         with warnings.catch_warnings(), _silent_libtiff():
             warnings.simplefilter("error")
-            pixel_data = _pixel_chunks(data) if kind == "PNG" else data
-            with Image.open(BytesIO(pixel_data), formats=[kind]) as picture:
+            pixel_data = _pixel_chunks(data) if file_type == "PNG" else data
+            with Image.open(BytesIO(pixel_data), formats=[file_type]) as picture:
                 _check_size(*picture.size)
                 dark = _dark_pixels(picture)
     except BitmapError:
         raise
     except UnidentifiedImageError:
-        raise BitmapError(f"no whole {kind}: its head is damaged; expected the file as saved") from None
+        raise BitmapError(f"no whole {file_type}: its head is damaged; expected the file as saved") from None
     # Pillow raises arbitrary exceptions for a damaged file.
     except Exception as error:
         reason = str(error).split("\n")[0][:100] or type(error).__name__
-        raise BitmapError(f"no whole {kind}: {reason}; expected the file as saved") from None
+        raise BitmapError(f"no whole {file_type}: {reason}; expected the file as saved") from None
     if not dark.any():
         raise BitmapError("no pixel is dark; expected a picture with dark walls or blocks on a bright floor")
     return dark
@@ -238,19 +239,19 @@ def _pixel_chunks(data: bytes) -> bytes:
             raise BitmapError(f"a PNG of more than {CHUNK_LIMIT} parts; expected one saved anew")
         if offset + 12 > len(data):
             break
-        size, kind = struct.unpack(">I4s", data[offset : offset + 8])
+        size, chunk_type = struct.unpack(">I4s", data[offset : offset + 8])
         if count == 1:
-            _check_header(kind, data[offset + 8 : offset + 16])
-        if kind in _PIXEL_CHUNKS:
+            _check_header(chunk_type, data[offset + 8 : offset + 16])
+        if chunk_type in _PIXEL_CHUNKS:
             chunks.append(data[offset : offset + 12 + size])
         offset += 12 + size
-        if kind == b"IEND":
+        if chunk_type == b"IEND":
             break
     return b"".join(chunks)
 
 
-def _check_header(kind: bytes, header: bytes) -> None:
-    if kind != b"IHDR" or len(header) != 8:
+def _check_header(chunk_type: bytes, header: bytes) -> None:
+    if chunk_type != b"IHDR" or len(header) != 8:
         raise BitmapError("no whole PNG: begins without its size; expected the file as saved")
     _check_size(*struct.unpack(">II", header))
 

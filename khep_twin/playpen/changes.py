@@ -27,16 +27,16 @@ def set_values(playpen: Playpen, changes: Iterable[str]) -> Playpen:
     """
     data: dict[str, Any] = playpen.model_dump(by_alias=True, exclude_none=True, mode="json")
     for change in changes:
-        parts = _CHANGE.fullmatch(change)
-        if parts is None:
+        match = _CHANGE.fullmatch(change)
+        if match is None:
             raise PlaypenError(f"{change!r}; expected {_SYNTAX}")
-        table, number, key, text = parts.groups()
-        tables = _tables(data, table)
-        position = number or ""
-        if position not in tables:
-            names = list(tables) if tables else [key for key in data if _tables(data, key)]
-            raise PlaypenError(f"{change!r}", key=table, value=position if tables else table, expected=names)
-        tables[position][key] = _parse_value(text)
+        table, number, key, text = match.groups()
+        tables = _tables_by_key(data, table)
+        table_key = number or ""
+        if table_key not in tables:
+            names = list(tables) if tables else [key for key in data if _tables_by_key(data, key)]
+            raise PlaypenError(f"{change!r}", key=table, value=table_key if tables else table, expected=names)
+        tables[table_key][key] = _parse_value(text)
     return check(
         Playpen, freeze(data), playpen.name, PlaypenError, context={"recorded": True, "placed": False}
     )
@@ -46,7 +46,7 @@ def copy_poses(changed: Playpen, current: Playpen, changes: Iterable[str]) -> Pl
     """Return a changed playpen with the poses of a current one, except for coordinates that are changed."""
     changed_keys = {parts.groups()[:3] for change in changes if (parts := _CHANGE.fullmatch(change))}
 
-    def pose_items(kind: str) -> tuple[Any, ...]:
+    def with_poses(kind: str) -> tuple[Any, ...]:
         item_pairs = zip(getattr(changed, f"{kind}s"), getattr(current, f"{kind}s"), strict=True)
         return tuple(
             item.model_copy(
@@ -59,7 +59,7 @@ def copy_poses(changed: Playpen, current: Playpen, changes: Iterable[str]) -> Pl
             for number, (item, current_item) in enumerate(item_pairs, 1)
         )
 
-    return changed.model_copy(update={f"{kind}s": pose_items(kind) for kind in ("robot", *changed.objects)})
+    return changed.model_copy(update={f"{kind}s": with_poses(kind) for kind in ("robot", *changed.objects)})
 
 
 def find_new_problem(changed: Playpen, previous: Playpen) -> str:
@@ -81,7 +81,7 @@ def changed_tables(changed: Playpen, previous: Playpen) -> dict[str, Sequence[in
     }
 
 
-def _tables(data: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:
+def _tables_by_key(data: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:
     """Return tables by number from 1 for an array; for a table, itself by "" and its subtables by key."""
     content: Any = data.get(name)
     if isinstance(content, list):

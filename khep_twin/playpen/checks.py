@@ -68,18 +68,18 @@ def at_spot(robot: RobotEntry, spot: Spot) -> RobotEntry:
 
 
 def assign_spots(
-    playpen: PlaypenTables, order: Callable[[Sequence[str]], Sequence[str]]
+    playpen: PlaypenTables, order_spots: Callable[[Sequence[str]], Sequence[str]]
 ) -> list[RobotEntry] | None:
     """Return the robots at one spot each, clear of each other; None if that is impossible.
 
     Args:
         playpen: Playpen with robots and spots.
-        order: Function that orders a robot's spots for the search.
+        order_spots: Function that orders a robot's spots for the search.
     """
     spots = {spot.name: spot for spot in playpen.spots}
     robots = list(playpen.robots)
     indices = [index for index, robot in enumerate(robots) if robot.spots]
-    candidates = {index: [spots[name] for name in order(robots[index].spots)] for index in indices}
+    candidates = {index: [spots[name] for name in order_spots(robots[index].spots)] for index in indices}
     footprints = [robot.footprint for robot in robots if not robot.spots]
     n_fixed = len(footprints)
     steps = 1
@@ -106,12 +106,12 @@ def assign_spots(
 
 def complete_robots(data: dict[str, object]) -> dict[str, object]:
     """Return a file's content with the robots' keys that follow from their spots and models."""
-    spots = {str(spot.get("name")): spot for spot in _tables(data, "spot")}
+    spots = {str(spot.get("name")): spot for spot in _read_tables(data, "spot")}
     robots: list[dict[str, object]] = []
-    for robot in _tables(data, "robot"):
-        robot_spots = [spots[name] for name in map(str, _items(robot, "spots")) if name in spots]
+    for robot in _read_tables(data, "robot"):
+        robot_spots = [spots[name] for name in map(str, _read_array(robot, "spots")) if name in spots]
         defaults = default_keys(str(robot.get("model")), robot_spots)
-        if not robot_spots and _items(robot, "spots"):
+        if not robot_spots and _read_array(robot, "spots"):
             # Unknown names are reported later.
             defaults |= {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}
         robots.append({**defaults, **robot})
@@ -120,19 +120,19 @@ def complete_robots(data: dict[str, object]) -> dict[str, object]:
 
 def default_keys(model: str, spots: Sequence[Mapping[str, object]]) -> dict[str, object]:
     """Return a robot's keys that follow from its model and spots, for a file that omits them."""
-    first: Mapping[str, object] = spots[0] if spots else {}
-    pose = {key: first[key] for key in ("x_mm", "y_mm", "heading_deg") if key in first}
+    first_spot: Mapping[str, object] = spots[0] if spots else {}
+    pose = {key: first_spot[key] for key in ("x_mm", "y_mm", "heading_deg") if key in first_spot}
     return {**MODELS.get(model, {}), **pose}
 
 
-def _tables(data: dict[str, object], kind: str) -> list[dict[str, object]]:
+def _read_tables(data: dict[str, object], kind: str) -> list[dict[str, object]]:
     """Return an array of tables of a file; empty for other values."""
-    items = _items(data, kind)
+    items = _read_array(data, kind)
     tables = [cast(dict[str, object], item) for item in items if isinstance(item, dict)]
     return tables if len(tables) == len(items) else []
 
 
-def _items(data: dict[str, object], key: str) -> tuple[object, ...]:
+def _read_array(data: dict[str, object], key: str) -> tuple[object, ...]:
     """Return an array of a file; empty for other values."""
     value = data.get(key)
     return cast(tuple[object, ...], value) if isinstance(value, tuple) else ()
@@ -246,13 +246,13 @@ def _lamp_problems(playpen: PlaypenTables) -> Iterator[Problem]:
         if 0 < lamp.blink_period_s < SHORTEST_BLINK_S:
             text = f"{part_label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}"
             yield Problem.of(("lamp", index, "blink_period_s"), text, f"0, or {SHORTEST_BLINK_S:g} to 3600")
-        last = 0.0
+        previous_end = 0.0
         for start, end in lamp.on_s:
-            if not last <= start < end:
+            if not previous_end <= start < end:
                 text = f"{part_label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]"
-                yield Problem.of(("lamp", index, "on_s"), text, f"times that rise, from {last:g} on")
+                yield Problem.of(("lamp", index, "on_s"), text, f"times that rise, from {previous_end:g} on")
                 break
-            last = end
+            previous_end = end
 
 
 def _robot_problems(playpen: PlaypenTables) -> Iterator[Problem]:

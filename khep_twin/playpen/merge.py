@@ -47,33 +47,33 @@ def _merge_along(blocks: list[tuple[int, Block]], lengthwise: bool) -> list[tupl
     return merged_blocks
 
 
-def _axis(block: Block, lengthwise: bool) -> tuple[float, float]:
+def _direction(block: Block, lengthwise: bool) -> tuple[float, float]:
     angle = math.radians(block.angle_deg + (0 if lengthwise else 90))
     return math.cos(angle), math.sin(angle)
 
 
 def _row_key(block: Block, lengthwise: bool) -> tuple[object, ...]:
     """Return a key that is equal for collinear blocks."""
-    x, y = _axis(block, lengthwise)
+    x, y = _direction(block, lengthwise)
     across = block.y_mm * x - block.x_mm * y
-    thick = block.width_mm if lengthwise else block.length_mm
+    thickness = block.width_mm if lengthwise else block.length_mm
     angle_deg = block.angle_deg % 360
-    measures = [round(measure, _DECIMALS) for measure in (angle_deg, across, thick)]
+    measures = [round(measure, _DECIMALS) for measure in (angle_deg, across, thickness)]
     return *measures, block.height_mm, block.surface
 
 
 def _interval(block: Block, lengthwise: bool) -> tuple[float, float]:
-    x, y = _axis(block, lengthwise)
+    x, y = _direction(block, lengthwise)
     middle = block.x_mm * x + block.y_mm * y
     half = (block.length_mm if lengthwise else block.width_mm) / 2
     return middle - half, middle + half
 
 
 def _resize(block: Block, start: float, end: float, lengthwise: bool) -> Block:
-    """Return a block that extends from start to end of its line."""
+    """Return a block that extends from `start` to `end` along its line [mm]."""
     if (start, end) == _interval(block, lengthwise):
         return block
-    x, y = _axis(block, lengthwise)
+    x, y = _direction(block, lengthwise)
     shift = (start + end) / 2 - (block.x_mm * x + block.y_mm * y)
     size = {"length_mm" if lengthwise else "width_mm": end - start}
     return block.model_copy(update={"x_mm": block.x_mm + shift * x, "y_mm": block.y_mm + shift * y, **size})

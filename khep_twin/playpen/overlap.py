@@ -142,10 +142,11 @@ def _overlapping_pairs(parts: Sequence[PlacedPart]) -> Iterator[tuple[PlacedPart
             for neighbour in neighbours:
                 other = parts[neighbour]
                 # A pair of free parts is reported once, by the part of the higher index.
-                if (neighbour < index or not other.is_free) and _meet(part, other):
+                if (neighbour < index or not other.is_free) and _collide(part, other):
                     yield part, other
 
 
-def _meet(one: PlacedPart, other: PlacedPart) -> bool:
+def _collide(one: PlacedPart, other: PlacedPart) -> bool:
+    """Return whether two parts overlap in height and on the floor."""
     same_height = one.bottom_mm < other.top_mm and other.bottom_mm < one.top_mm
     return same_height and overlap(one.footprint, other.footprint)

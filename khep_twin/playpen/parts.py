@@ -8,7 +8,7 @@ from pydantic import Field
 from khep_twin.board.turrets import installed_turrets
 from khep_twin.files.toml_files import NAME_RULE, Name, TomlTable
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
-from khep_twin.playpen.polygon import Point, area, edges, find_crossing, find_inner_walls, pieces
+from khep_twin.playpen.polygon import Point, area, edges, find_crossing, find_inner_walls, wall_pieces
 from khep_twin.playpen.stripes import Stripes
 from khep_twin.playpen.surfaces import Colour
 from khep_twin.units import BODIES, BULB_RADIUS, ROOM_LUX, Body
@@ -127,7 +127,7 @@ class Wall(TomlTable):
     @property
     def footprints(self) -> tuple[Footprint, ...]:
         """Areas of the floor that it covers, piece by piece."""
-        return tuple(pieces(self.points_mm, self.thickness_mm, closed=self.closed))
+        return tuple(wall_pieces(self.points_mm, self.thickness_mm, closed=self.closed))
 
 
 class Patch(TomlTable):

@@ -31,7 +31,7 @@ def find_crossing(points: Sequence[Point]) -> tuple[int, int] | None:
             dot_product = sum((start[axis] - corner[axis]) * (end[axis] - corner[axis]) for axis in (0, 1))
             if dot_product > 0 and _side((corner, start), end) == 0:
                 return i + 1, k + 1
-        elif _meet(one, other):
+        elif _edges_meet(one, other):
             return i + 1, k + 1
     return None
 
@@ -112,7 +112,7 @@ def find_inner_walls(points: Sequence[Point], thickness_mm: float) -> list[int]:
     return sorted(corners)
 
 
-def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Iterator[Footprint]:
+def wall_pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Iterator[Footprint]:
     """Yield a wall along a line as rectangles, with round corners between them."""
     for (x0, y0), (x1, y1) in edges(points, closed=closed):
         angle_deg = math.degrees(math.atan2(y1 - y0, x1 - x0))
@@ -122,13 +122,11 @@ def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Ite
         yield Circle(x, y, thickness_mm / 2)
 
 
-def _turn_angle(one: Edge, other: Edge) -> float:
+def _turn_angle(previous: Edge, edge: Edge) -> float:
     """Return the angle by which an edge turns left from the previous one [rad]."""
-    first = one[1][0] - one[0][0], one[1][1] - one[0][1]
-    second = other[1][0] - other[0][0], other[1][1] - other[0][1]
-    return math.atan2(
-        first[0] * second[1] - first[1] * second[0], first[0] * second[0] + first[1] * second[1]
-    )
+    x0, y0 = previous[1][0] - previous[0][0], previous[1][1] - previous[0][1]
+    x1, y1 = edge[1][0] - edge[0][0], edge[1][1] - edge[0][1]
+    return math.atan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
 
 
 def _side(edge: Edge, point: Point) -> float:
@@ -143,7 +141,7 @@ def _is_on_edge(edge: Edge, point: Point) -> bool:
     return within and _side(edge, point) == 0
 
 
-def _meet(one: Edge, other: Edge) -> bool:
+def _edges_meet(one: Edge, other: Edge) -> bool:
     """Return whether two edges have a common point."""
     if any(_is_on_edge(one, point) for point in other) or any(_is_on_edge(other, point) for point in one):
         return True
@@ -152,6 +150,7 @@ def _meet(one: Edge, other: Edge) -> bool:
 
 
 def _edge_distance(edge: Edge, point: Point) -> float:
+    """Return the distance from a point to an edge [mm]."""
     (x0, y0), (x1, y1) = edge
     dx, dy = x1 - x0, y1 - y0
     fraction = ((point[0] - x0) * dx + (point[1] - y0) * dy) / (dx * dx + dy * dy)

@@ -21,7 +21,7 @@ LANE_MM = 70.0
 HIGHEST_DENSITY = 0.1
 """Highest fraction of the floor that obstacles with lanes between them can cover."""
 
-_TRIES = 20_000
+_MAX_TRIES = 20_000
 
 
 def obstacle_field(
@@ -49,7 +49,7 @@ def obstacle_field(
     cylinders: list[Cylinder] = []
     target_area = density * width_mm * height_mm
     covered_area = 0.0
-    for _ in range(_TRIES):
+    for _ in range(_MAX_TRIES):
         if covered_area >= target_area:
             robot = RobotEntry(x_mm=middle.x_mm, y_mm=middle.y_mm, heading_deg=0)
             tables = {"block": tuple(blocks), "cylinder": tuple(cylinders), "robot": (robot,)}
@@ -63,15 +63,15 @@ def obstacle_field(
                 continue
             item = Cylinder(x_mm=x_mm, y_mm=y_mm, radius_mm=radius_mm, height_mm=50)
         else:
-            length_mm, thick_mm = round(60 + 140 * size, 1), round(20 + 50 * width, 1)
-            x_mm, y_mm = _draw_position(arena, math.hypot(length_mm, thick_mm) / 2 + LANE_MM, along, across)
+            length_mm, depth_mm = round(60 + 140 * size, 1), round(20 + 50 * width, 1)
+            x_mm, y_mm = _draw_position(arena, math.hypot(length_mm, depth_mm) / 2 + LANE_MM, along, across)
             if x_mm < 0:
                 continue
             item = Block(
                 x_mm=x_mm,
                 y_mm=y_mm,
                 length_mm=length_mm,
-                width_mm=thick_mm,
+                width_mm=depth_mm,
                 height_mm=50,
                 angle_deg=round(180 * rotation, 1),
             )
@@ -100,7 +100,7 @@ def _draw_position(arena: Arena, margin_mm: float, along: float, across: float) 
     return round(margin_mm + spans[0] * along, 1), round(margin_mm + spans[1] * across, 1)
 
 
-def _grow(shape: Footprint, by_mm: float) -> Footprint:
+def _grow(shape: Footprint, margin_mm: float) -> Footprint:
     if isinstance(shape, Circle):
-        return replace(shape, radius_mm=shape.radius_mm + by_mm)
-    return replace(shape, length_mm=shape.length_mm + 2 * by_mm, width_mm=shape.width_mm + 2 * by_mm)
+        return replace(shape, radius_mm=shape.radius_mm + margin_mm)
+    return replace(shape, length_mm=shape.length_mm + 2 * margin_mm, width_mm=shape.width_mm + 2 * margin_mm)

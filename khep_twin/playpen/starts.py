@@ -23,7 +23,7 @@ Start = tuple[float, float, float]
 
 
 def at_spots(playpen: Playpen, seed: int) -> Playpen:
-    """Return the playpen with its robots at their poses, or at spots that the seed selects.
+    """Return the playpen with each robot that has spots at one drawn by the seed; others keep their poses.
 
     Raises:
         PlaypenError: There are not enough spots.
@@ -48,17 +48,17 @@ def anywhere(playpen: Playpen, seed: int) -> Playpen:
         PlaypenError: No free pose was found.
     """
     rng = starts_rng(seed)
-    partial = playpen.model_copy(update={"robots": ()})
+    placed = playpen.model_copy(update={"robots": ()})
     for index, robot in enumerate(playpen.robots):
-        partial = partial.model_copy(update={"robots": (*partial.robots, robot)})
-        start = draw_free_pose(partial, index, rng)
+        placed = placed.model_copy(update={"robots": (*placed.robots, robot)})
+        start = draw_free_pose(placed, index, rng)
         if start is None:
             raise PlaypenError(
                 f"{playpen.name}: no room for robot {index + 1} was found in {TRIES} tries; "
                 "expected fewer robots"
             )
-        partial = at_start(partial, index, start)
-    return partial
+        placed = at_start(placed, index, start)
+    return placed
 
 
 def starts_rng(seed: int) -> np.random.Generator:

@@ -92,15 +92,15 @@ def stripe_intervals(length_mm: float, stripes: Sequence[Stripe]) -> Iterator[tu
 def _side_panels(start: Point, end: Point, stripes: Sequence[Stripe]) -> Iterator[Panel]:
     (x0, y0), (x1, y1) = start, end
     length_mm, angle_deg = math.hypot(x1 - x0, y1 - y0), math.degrees(math.atan2(y1 - y0, x1 - x0))
-    for first_mm, last_mm, surface in stripe_intervals(length_mm, stripes):
-        fraction = (first_mm + last_mm) / 2 / length_mm
+    for start_mm, end_mm, surface in stripe_intervals(length_mm, stripes):
+        fraction = (start_mm + end_mm) / 2 / length_mm
         x_mm, y_mm = x0 + fraction * (x1 - x0), y0 + fraction * (y1 - y0)
-        yield Panel(x_mm, y_mm, angle_deg, last_mm - first_mm, surface)
+        yield Panel(x_mm, y_mm, angle_deg, end_mm - start_mm, surface)
 
 
 def _cylinder_panels(shape: Circle, stripes: Sequence[Stripe]) -> Iterator[Panel]:
-    for first_mm, last_mm, surface in stripe_intervals(math.tau * shape.radius_mm, stripes):
-        start_angle, arc = first_mm / shape.radius_mm, (last_mm - first_mm) / shape.radius_mm
+    for start_mm, end_mm, surface in stripe_intervals(math.tau * shape.radius_mm, stripes):
+        start_angle, arc = start_mm / shape.radius_mm, (end_mm - start_mm) / shape.radius_mm
         facets = math.ceil(math.degrees(arc) / FACET_DEG)
         width_mm = 2 * shape.radius_mm * math.tan(arc / facets / 2)
         for facet in range(facets):

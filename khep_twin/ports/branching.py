@@ -73,16 +73,16 @@ def branch_off(
         }
         earlier = [other for other in read_changes(path, label) if other.at_ns < branch.at_ns]
         later = [other for other in read_changes(path, label) if is_unchanged and other.at_ns >= branch.at_ns]
-        text = changes_text([*earlier, branch, *later])
-        attachments = {**label.attachments, BRANCH: text, **details.attachments}
+        changes_json = changes_text([*earlier, branch, *later])
+        attachments = {**label.attachments, BRANCH: changes_json, **details.attachments}
         twins.append(twin)
         if log is not None:
             twin.record(log, facts=facts, attachments=attachments, prefix=prefix, on_failure=on_failure)
 
     try:
         # An unchanged run need not stop within a step.
-        at_ns = change.at_ns // STEP_NS * STEP_NS if is_unchanged else change.at_ns
-        resumed = resume_run(path, at_ns, None if log is None else start_log)
+        resume_ns = change.at_ns // STEP_NS * STEP_NS if is_unchanged else change.at_ns
+        resumed = resume_run(path, resume_ns, None if log is None else start_log)
         if not is_unchanged:
             resumed.upcoming.clear()
             resumed.change(change)

@@ -14,7 +14,7 @@ class Connection:
     def __init__(self, twin: Twin, robot: Robot, port: HostPort, notify: Callable[[str], None]) -> None:
         self._world = twin.world
         self._robot = robot
-        self._cable = port
+        self._port = port
         self._notify = notify
         self._baud = 0
 
@@ -26,7 +26,7 @@ class Connection:
 
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors to wait for."""
-        return self._cable.descriptors(self.has_room)
+        return self._port.descriptors(self.has_room)
 
     def next_ns(self) -> int:
         """Return the time of the robot's next command, or of its next byte's arrival at the host [ns]."""
@@ -50,12 +50,12 @@ class Connection:
             last_ns = rx.arrival_ns(len(rx))
         return NEVER_NS if last_ns is None else last_ns
 
-    def receive(self, now: Callable[[], int] | None = None) -> int:
+    def receive(self, clock: Callable[[], int] | None = None) -> int:
         """Pass the host's bytes to the robot; return the time at which they were sent, 0 without any [ns].
 
-        `now` returns the simulated time by the wall clock, which may be slightly ahead of the world [ns].
+        `clock` returns the simulated time by the wall clock, which may be slightly ahead of the world [ns].
         """
-        robot, port, uart = self._robot, self._cable, self._robot.uart
+        robot, port, uart = self._robot, self._port, self._robot.uart
         # An unfinished line gets no reply, even with bytes in transit: the wire clock stands still.
         is_answered = uart.tx.next_ns is None and self._command_ns() == NEVER_NS
         if self._baud != robot.firmware.baud:
@@ -64,7 +64,7 @@ class Connection:
         received = port.receive(uart.free_capacity, is_answered)
         if received is NOTHING:
             return 0
-        time_ns = 0 if now is None else now()
+        time_ns = 0 if clock is None else clock()
         for notice in received.notices:
             self._report(notice)
         if received.last_data:
@@ -95,8 +95,8 @@ class Connection:
         tx = self._robot.uart.tx
         if tx.next_ns is not None and tx.next_ns <= time_ns:
             reply = tx.read(time_ns)
-            if self._cable.occupied:
-                self._cable.write(reply)
+            if self._port.occupied:
+                self._port.write(reply)
 
     def _command_ns(self) -> int:
         """Return the time of the robot's next command [ns]."""
@@ -104,6 +104,6 @@ class Connection:
         command_ns = None if robot.uart.rx.next_ns is None else robot.next_command_ns()
         return NEVER_NS if command_ns is None else command_ns
 
-    def _report(self, text: str) -> None:
-        self._world.log_event(self._robot.index, text)
-        self._notify(f"{self._cable.path}: {text}")
+    def _report(self, notice: str) -> None:
+        self._world.log_event(self._robot.index, notice)
+        self._notify(f"{self._port.path}: {notice}")

@@ -45,8 +45,8 @@ def open_endpoints(
         host_port: HostPort
         for offset, (robot, baud) in enumerate(bauds.items()):
             if address is None:
-                name = link if link is None or len(bauds) == 1 else f"{link}{robot}"
-                host_port = open_terminal(name, baud)
+                link_path = link if link is None or len(bauds) == 1 else f"{link}{robot}"
+                host_port = open_terminal(link_path, baud)
             else:
                 host, port = listening_address(address, "drive the robot", allow_remote=allow_remote)
                 port += offset if port else 0

@@ -15,13 +15,13 @@ from pathlib import Path
 
 from khep_twin.machine import flags
 
-_FLAGS = flags("O_NONBLOCK", "O_CLOEXEC")
+_INOTIFY_FLAGS = flags("O_NONBLOCK", "O_CLOEXEC")
 
 _IN_MODIFY, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE, _IN_OPEN, _IN_Q_OVERFLOW = 0x02, 0x08, 0x10, 0x20, 0x4000
 _IN_CLOSE = _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE
-_HEADER = struct.Struct("iIII")
+_EVENT_HEADER = struct.Struct("iIII")
 _BUFFER_SIZE = 448
-_FULL_SIZE = _BUFFER_SIZE - _HEADER.size - 256
+_MORE_PENDING_SIZE = _BUFFER_SIZE - _EVENT_HEADER.size - 256
 """Bytes of events above which more may be pending: an event with a name of 255 bytes may not have fitted."""
 
 
@@ -56,7 +56,7 @@ class OpenEvents:
     def __init__(self, descriptor: int, watch: int) -> None:
         self.descriptor = descriptor
         self._watch = watch
-        self._one_write = _HEADER.pack(watch, _IN_MODIFY, 0, 0)
+        self._one_write = _EVENT_HEADER.pack(watch, _IN_MODIFY, 0, 0)
 
     def drain(self) -> Sequence[Event]:
         """Return the events since the last call, the oldest first."""
@@ -67,11 +67,11 @@ class OpenEvents:
         while data:
             offset = 0
             while offset < len(data):
-                watch, kind, _, name_size = _HEADER.unpack_from(data, offset)
-                offset += _HEADER.size + name_size
-                if watch == self._watch or kind & _IN_Q_OVERFLOW:
-                    events.append(_event(kind))
-            data = self._read() if len(data) > _FULL_SIZE else b""
+                watch, mask, _, name_size = _EVENT_HEADER.unpack_from(data, offset)
+                offset += _EVENT_HEADER.size + name_size
+                if watch == self._watch or mask & _IN_Q_OVERFLOW:
+                    events.append(_event_of(mask))
+            data = self._read() if len(data) > _MORE_PENDING_SIZE else b""
         return events
 
     def close(self) -> None:
@@ -90,7 +90,7 @@ def open_events(path: str) -> OpenEvents | None:
     libc = ctypes.CDLL(None, use_errno=True)
     if not hasattr(libc, "inotify_init1"):
         return None
-    descriptor = int(libc.inotify_init1(_FLAGS))
+    descriptor = int(libc.inotify_init1(_INOTIFY_FLAGS))
     if descriptor < 0:
         return None
     open_mask = _IN_OPEN | _IN_CLOSE
@@ -101,8 +101,9 @@ def open_events(path: str) -> OpenEvents | None:
     return OpenEvents(descriptor, watch)
 
 
-def _event(kind: int) -> Event:
-    if kind & _IN_OPEN:
+def _event_of(mask: int) -> Event:
+    """Return the event of an inotify mask."""
+    if mask & _IN_OPEN:
         return Event.OPENED
     # Lost events are treated as a closing, which must be checked.
-    return Event.WRITTEN if kind & _IN_MODIFY else Event.CLOSED
+    return Event.WRITTEN if mask & _IN_MODIFY else Event.CLOSED

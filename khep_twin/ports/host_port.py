@@ -75,10 +75,10 @@ class HostPort(Protocol):
         ...
 
 
-_BURST = 10
+_MAX_TOKENS = 10
 """Notices that are printed without a pause."""
 
-_INTERVAL_S = 10.0
+_TOKEN_INTERVAL_S = 10.0
 """Time per further notice [s]."""
 
 
@@ -86,22 +86,22 @@ class NoticeLimit:
     """Rate limit of notices, ten together and six per minute: no host fills the log or blocks stderr."""
 
     def __init__(self) -> None:
-        self._tokens = float(_BURST)
+        self._tokens = float(_MAX_TOKENS)
         self._updated_s = time.monotonic()
-        self._dropped = 0
+        self._n_suppressed = 0
 
     def admit(self, notices: Iterable[str]) -> list[str]:
-        """Return the notices to be printed; the next one has the number of suppressed ones."""
+        """Return the notices to print; one after suppressed notices states their number."""
         now = time.monotonic()
-        self._tokens = min(self._tokens + (now - self._updated_s) / _INTERVAL_S, _BURST)
+        self._tokens = min(self._tokens + (now - self._updated_s) / _TOKEN_INTERVAL_S, _MAX_TOKENS)
         self._updated_s = now
-        printed: list[str] = []
+        admitted: list[str] = []
         for notice in notices:
             if self._tokens < 1:
-                self._dropped += 1
+                self._n_suppressed += 1
                 continue
             self._tokens -= 1
-            suffix = f" ({self._dropped} more notices were not printed)" if self._dropped else ""
-            printed.append(notice + suffix)
-            self._dropped = 0
-        return printed
+            suffix = f" ({self._n_suppressed} more notices were not printed)" if self._n_suppressed else ""
+            admitted.append(notice + suffix)
+            self._n_suppressed = 0
+        return admitted

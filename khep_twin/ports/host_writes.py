@@ -1,8 +1,8 @@
 """Assignment of the bytes on a terminal to the hosts that have written them.
 
-The kernel passes bytes and reports runs of writes separately. It keeps no boundary between the bytes of a
-host that leaves and those of the next one. This module compares the bytes that `pty` has read with the
-writes that `terminal_hosts` reports.
+The kernel passes bytes, and reports runs (consecutive writes) separately. It keeps no boundary between the
+bytes of a host that leaves and those of the next one. This module compares the bytes that `pty` has read with
+the writes that `terminal_hosts` reports.
 """
 
 import re
@@ -12,10 +12,10 @@ from enum import Enum
 _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 """Line with its end, or an unfinished line."""
 
-_TEXT = re.compile(rb"[\t\r\n -~]*")
+_PROTOCOL_TEXT = re.compile(rb"[\t\r\n -~]*")
 """Bytes of the robot's protocol."""
 
-_UNFINISHED = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
+_UNFINISHED_LINE = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
 """Unfinished line directly before another one: commands start with a capital letter."""
 
 
@@ -25,13 +25,13 @@ class Change:
 
     Attributes:
         hosts_left: True if all earlier hosts have left, even if others have opened the terminal since.
-        writes_before: Runs of writes of the hosts that have left; of the present hosts, if none has left.
-        writes: Runs of writes of the hosts that came after the others left.
+        old_writes: Runs of writes of the hosts that have left; of the present hosts, if none has left.
+        new_writes: Runs of writes of the hosts that came after the others left.
     """
 
     hosts_left: bool = False
-    writes_before: int = 0
-    writes: int = 0
+    old_writes: int = 0
+    new_writes: int = 0
 
 
 class ReadState(Enum):
@@ -59,47 +59,46 @@ class ReadState(Enum):
         """True if bytes are pending."""
         return self.value[1]
 
-    def next_state(self, has_read: bool, writes: int, is_full: bool) -> "ReadState":
+    def next_state(self, has_read: bool, n_writes: int, is_full: bool) -> "ReadState":
         """Return the next state, while no host leaves.
 
         Args:
             has_read: True if bytes were read.
-            writes: Runs of writes that were reported.
+            n_writes: Runs of writes that were reported.
             is_full: True if more bytes are pending than there was room for.
         """
         # Bytes of a partly read write belong to that write.
-        is_unreported = (self.has_unreported or (has_read and not self.has_unread)) and not writes
-        return ReadState((is_unreported, is_full or (writes > 0 and not has_read)))
+        is_unreported = (self.has_unreported or (has_read and not self.has_unread)) and not n_writes
+        return ReadState((is_unreported, is_full or (n_writes > 0 and not has_read)))
 
-    def count_unread(self, writes: int) -> int:
+    def count_unread(self, n_writes: int) -> int:
         """Return the number of unread runs of writes, both newly reported and earlier ones."""
-        return writes - self.has_unreported + self.has_unread
+        return n_writes - self.has_unreported + self.has_unread
 
 
 def split_at_departure(
-    state: ReadState, first: bytes, is_whole: bool, rest: bytes, change: Change, later: Change
+    state: ReadState, first: bytes, is_complete: bool, rest: bytes, change: Change, later_change: Change
 ) -> tuple[bytes, bytes]:
     """Split bytes into those of hosts that have left and those of present hosts.
 
     Args:
         state: State before the first read.
         first: Bytes that were read before the hosts were polled.
-        is_whole: True if these are not empty and were not cut off by the limit.
+        is_complete: True if these are not empty and were not cut off by the limit.
         rest: Bytes that were read after the poll.
         change: Result of the poll, which reported that hosts have left.
-        later: Result of another poll after the rest was read.
+        later_change: Result of another poll after the rest was read.
     """
-    n_before = state.count_unread(change.writes_before)
-    if not later.hosts_left:
-        return split_by_host(first + rest, n_before, change.writes + later.writes_before)
+    n_old_writes = state.count_unread(change.old_writes)
+    if not later_change.hosts_left:
+        return split_by_host(first + rest, n_old_writes, change.new_writes + later_change.old_writes)
     # The host that wrote the first bytes has also left; its run of writes is complete unless cut off.
-    last_data, data = split_by_host(
-        rest, n_before + change.writes + later.writes_before - is_whole, later.writes
-    )
+    n_old_writes += change.new_writes + later_change.old_writes - is_complete
+    last_data, data = split_by_host(rest, n_old_writes, later_change.new_writes)
     return first + last_data, data
 
 
-def split_by_host(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
+def split_by_host(data: bytes, n_old_writes: int, n_new_writes: int) -> tuple[bytes, bytes]:
     """Split bytes into those of hosts that have left and those of present hosts.
 
     If both have written, a new host is assumed to have written one line per write. Bytes that are not text
@@ -107,15 +106,15 @@ def split_by_host(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, byt
 
     Args:
         data: Bytes of both.
-        n_before: Runs of writes of hosts that have left.
-        n_writes: Runs of writes of present hosts.
+        n_old_writes: Runs of writes of hosts that have left.
+        n_new_writes: Runs of writes of present hosts.
     """
-    if n_before <= 0 or not _TEXT.fullmatch(data):
+    if n_old_writes <= 0 or not _PROTOCOL_TEXT.fullmatch(data):
         return b"", data
-    if n_writes <= 0:
+    if n_new_writes <= 0:
         return data, b""
     lines = _LINE.findall(data)
-    last_data, rest = b"".join(lines[:-n_writes]), b"".join(lines[-n_writes:])
-    if unfinished := _UNFINISHED.match(rest):
-        last_data, rest = last_data + unfinished[0], rest[unfinished.end() :]
-    return last_data, rest
+    last_data, new_data = b"".join(lines[:-n_new_writes]), b"".join(lines[-n_new_writes:])
+    if unfinished := _UNFINISHED_LINE.match(new_data):
+        last_data, new_data = last_data + unfinished[0], new_data[unfinished.end() :]
+    return last_data, new_data

@@ -21,12 +21,12 @@ HOLD_S = 0.05
 _PERIOD_S = 0.1
 """Time from one poll to the next [s]."""
 
-_LOST_S = 0.5
+_REPLY_TIMEOUT_S = 0.5
 """Time after which a poll without reply counts as lost [s] (assumed)."""
 
-_POLLS = b"N\n", b"H\n"
+_POLL_COMMANDS = b"N\n", b"H\n"
 
-_ERROR = b"z"
+_ERROR_BYTE = b"z"
 """First byte of an error reply."""
 
 _MAX_POLL_BYTES = 40
@@ -37,7 +37,7 @@ class IdlePolls:
     """Polls of one robot's line."""
 
     def __init__(self) -> None:
-        self._polls = cycle(_POLLS)
+        self._polls = cycle(_POLL_COMMANDS)
         self._last_traffic_s = self._sent_s = time.monotonic()
         self._hold_start_s: float | None = None
         self._awaited = b""  # first byte of the awaited reply
@@ -47,7 +47,7 @@ class IdlePolls:
     def next_command(self, baud: int) -> bytes:
         """Return the poll to send now, empty if none is due; the line must be free of commands."""
         now = time.monotonic()
-        if self._awaited and now - self._sent_s > _LOST_S:
+        if self._awaited and now - self._sent_s > _REPLY_TIMEOUT_S:
             self._awaited = self._dropped = b""
         is_slow = _MAX_POLL_BYTES * BITS_PER_BYTE > HOLD_S * baud
         if self._awaited or is_slow or now - self._last_traffic_s < IDLE_S or now - self._sent_s < _PERIOD_S:
@@ -57,9 +57,9 @@ class IdlePolls:
         self._awaited = command[:1].lower()
         return command
 
-    def remaining_hold_s(self, waiting: bytes) -> float:
+    def remaining_hold_s(self, host_data: bytes) -> float:
         """Return how long a host's bytes still wait for the reply to a poll [s]."""
-        if not waiting:
+        if not host_data:
             return 0.0
         now = self._last_traffic_s = time.monotonic()
         if not self._awaited:
@@ -70,7 +70,7 @@ class IdlePolls:
         remaining_s = self._hold_start_s + HOLD_S - now
         if remaining_s <= 0:
             self._hold_start_s = None
-            if not self._dropped and self._awaited.upper() in waiting:
+            if not self._dropped and self._awaited.upper() in host_data:
                 # No reply has started: the next one answers the host's command.
                 self._awaited = b""
             return 0.0
@@ -90,7 +90,7 @@ class IdlePolls:
                 self._dropped = b""
                 if byte == b"\n":
                     continue
-            if self._dropped or (self._is_start and self._awaited and byte in (self._awaited, _ERROR)):
+            if self._dropped or (self._is_start and self._awaited and byte in (self._awaited, _ERROR_BYTE)):
                 self._is_start, self._dropped = byte in b"\r\n", b"" if byte == b"\n" else byte
                 if self._is_start:
                     self._awaited = b""

@@ -13,7 +13,7 @@ from khep_twin.errors import PortError
 from khep_twin.files.paths import StrPath
 from khep_twin.machine import lock
 from khep_twin.ports.service_registry import private_folder
-from khep_twin.signals import clear_at_end, undisturbed
+from khep_twin.signals import block_signals, register_cleanup
 
 if sys.platform == "win32":
     raise ImportError("a terminal's link needs a system with terminals")
@@ -43,8 +43,8 @@ class Link:
         self._target = target
         self._lock_path = self.path.with_name(f".{self.path.name}.lock")
         if os.path.lexists(self.path) and not self.path.is_symlink():
-            raise PortError(f"{name}: there is something that is no link; name another path for --link")
-        with undisturbed():
+            raise PortError(f"{name}: it exists and is not a symbolic link; name another path for --link")
+        with block_signals():
             try:
                 self._lock = os.open(
                     self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600
@@ -56,7 +56,7 @@ class Link:
             except BaseException:
                 os.close(self._lock)
                 raise
-            self._unregister = clear_at_end(self.close)
+            self._unregister = register_cleanup(self.close)
 
     def close(self) -> None:
         """Remove the link if it is still ours."""
@@ -67,6 +67,7 @@ class Link:
         os.close(self._lock)
 
     def _claim(self, name: StrPath) -> None:
+        """Lock the lock file, and make the link in place of a stale one."""
         try:
             lock(self._lock)
         except BlockingIOError:

@@ -41,7 +41,7 @@ LOWEST_BAUD, HIGHEST_BAUD = 50, 4_000_000
 SIGNATURE = f"khep_twin {__version__}".encode()
 """Reply to a host that asks for the signature."""
 
-LONGEST = 256
+MAX_CONTENT_BYTES = 256
 """Bytes between the two ends of one negotiation; only a signature is longer than a few."""
 
 _VALID_VALUES = {"baudrate": range(LOWEST_BAUD, HIGHEST_BAUD + 1), "bytesize": range(5, 9)}
@@ -52,14 +52,14 @@ _ASK_SIGNATURE, _SERVER_SIGNATURE = b"\x00", b"\x64"
 
 _MAX_SHOWN = 16
 
-_STATES = {
+_LINE_STATES = {
     SET_CONTROL_REQ_BREAK_STATE: ("break_condition", SET_CONTROL_BREAK_ON, SET_CONTROL_BREAK_OFF),
     SET_CONTROL_REQ_DTR: ("dtr", SET_CONTROL_DTR_ON, SET_CONTROL_DTR_OFF),
     SET_CONTROL_REQ_RTS: ("rts", SET_CONTROL_RTS_ON, SET_CONTROL_RTS_OFF),
 }
 """Requests of line states, which pyserial does not answer: attribute, answers for on and off."""
 
-_INBOUND, _NO_INBOUND = (b"\x0d", b"\x0e", b"\x0f", b"\x10", b"\x12"), b"\x0e"
+_INBOUND_FLOW, _NO_INBOUND_FLOW = (b"\x0d", b"\x0e", b"\x0f", b"\x10", b"\x12"), b"\x0e"
 """Values of SET-CONTROL for flow control of the host's input, and the answer: no flow control."""
 
 _FLOW_BY_LINES = b"\x11", b"\x13"
@@ -105,7 +105,7 @@ class Negotiator:
                 # A value is too short or missing, or an end has no start.
                 self._set_fault(manager.suboption, "ff f0")
             else:
-                if manager.suboption is not None and len(manager.suboption) > LONGEST:
+                if manager.suboption is not None and len(manager.suboption) > MAX_CONTENT_BYTES:
                     self._set_fault(manager.suboption, "without an end")
         return bytes(output)
 
@@ -119,7 +119,7 @@ class Negotiator:
         excerpt = f"{prefix}{content.hex(' ')}{ellipsis} {end}".strip()
         self.fault = (
             f"negotiation {excerpt} cannot be understood; expected ff fa 2c COMMAND VALUE ff f0 of RFC 2217, "
-            f"with at most {LONGEST} bytes inside"
+            f"with at most {MAX_CONTENT_BYTES} bytes inside"
         )
 
 
@@ -136,12 +136,12 @@ class _Manager(PortManager):
         if suboption[:1] == COM_PORT_OPTION and command in (SET_LINESTATE_MASK, SET_MODEMSTATE_MASK):
             # Some clients wait for this answer, such as serialx.
             self.rfc2217_send_subnegotiation(RFC2217_ANSWER_MAP[command], suboption[2:3])
-        elif suboption[:1] == COM_PORT_OPTION and command == SET_CONTROL and suboption[2:3] in _STATES:
-            name, on, off = _STATES[suboption[2:3]]
+        elif suboption[:1] == COM_PORT_OPTION and command == SET_CONTROL and suboption[2:3] in _LINE_STATES:
+            name, on, off = _LINE_STATES[suboption[2:3]]
             state = on if getattr(self.serial, name) else off
             self.rfc2217_send_subnegotiation(SERVER_SET_CONTROL, state)
-        elif suboption[:1] == COM_PORT_OPTION and command == SET_CONTROL and suboption[2:3] in _INBOUND:
-            self.rfc2217_send_subnegotiation(SERVER_SET_CONTROL, _NO_INBOUND)
+        elif suboption[:1] == COM_PORT_OPTION and command == SET_CONTROL and suboption[2:3] in _INBOUND_FLOW:
+            self.rfc2217_send_subnegotiation(SERVER_SET_CONTROL, _NO_INBOUND_FLOW)
         elif suboption[:1] == COM_PORT_OPTION and command == SET_CONTROL and suboption[2:3] in _FLOW_BY_LINES:
             super()._telnet_process_subnegotiation(suboption[:2] + SET_CONTROL_REQ_FLOW_SETTING)
         elif suboption == COM_PORT_OPTION + _ASK_SIGNATURE:

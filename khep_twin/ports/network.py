@@ -16,7 +16,7 @@ from khep_twin.ports.network_host import LAST_LIMIT, WAITING_LIMIT, NetworkHost
 
 _BACKLOG = 8
 
-_SILENT_S, _PROBE_S, _PROBES = 10, 5, 3
+_SILENCE_S, _PROBE_S, _N_PROBES = 10, 5, 3
 """Silence after which a host is probed [s], interval of probes [s], and probes until it counts as lost."""
 
 
@@ -88,10 +88,10 @@ class TcpPort:
             if self._host.is_lost or (is_answered and self._host.is_done):
                 last_data = self._disconnect(notices)
         for _ in range(_BACKLOG):
-            accepted = self._accept(notices)
-            if accepted is None:
+            connection = self._accept(notices)
+            if connection is None:
                 break
-            client, address = accepted
+            client, address = connection
             if self._host is not None and self._host.keeps_port():
                 client.close()
                 notices.append(f"a second host, {address}, was refused: the port is taken")
@@ -121,6 +121,7 @@ class TcpPort:
         self._server.close()
 
     def _accept(self, notices: list[str]) -> tuple[socket.socket, str] | None:
+        """Accept a waiting host; return its socket and address, None without one."""
         try:
             client, address = self._server.accept()
         except BlockingIOError:
@@ -145,46 +146,46 @@ class TcpPort:
 
 def address_fault(url: str) -> str:
     """Return the error in the address of a pyserial network URL; empty for a valid one or another URL."""
-    kind, _, rest = url.partition("://")
-    if kind in ("socket", "rfc2217"):
+    scheme, _, location = url.partition("://")
+    if scheme in ("socket", "rfc2217"):
         try:
-            parse_address(re.split("[/?]", rest)[0])
+            parse_address(re.split("[/?]", location)[0])
         except PortError:
-            return f"{url}: expected {kind}://HOST:PORT, such as {kind}://127.0.0.1:5000"
+            return f"{url}: expected {scheme}://HOST:PORT, such as {scheme}://127.0.0.1:5000"
     return ""
 
 
-def parse_address(text: str) -> tuple[str, int]:
+def parse_address(address: str) -> tuple[str, int]:
     """Split HOST:PORT; the host of `:PORT` is this machine only.
 
     Raises:
-        PortError: The text has another form.
+        PortError: The address has another form.
     """
-    host, colon, port = text.rpartition(":")
+    host, colon, port = address.rpartition(":")
     if not colon or not re.fullmatch("[0-9]{1,5}", port) or int(port) > 65535:
-        raise PortError(f"{text}: expected HOST:PORT, such as 127.0.0.1:5000, or port 0 for any free one")
+        raise PortError(f"{address}: expected HOST:PORT, such as 127.0.0.1:5000, or port 0 for any free one")
     return host.strip("[]") or "127.0.0.1", int(port)
 
 
 def listening_address(
-    text: str, act: str, *, allow_remote: bool, option: str = "--allow-remote"
+    address: str, action: str, *, allow_remote: bool, option: str = "--allow-remote"
 ) -> tuple[str, int]:
     """Split HOST:PORT of a server, which by default only this machine may reach.
 
     Args:
-        text: Address as typed.
-        act: Action that other machines could perform there, for the error message.
+        address: Address as typed.
+        action: Action that other machines could perform there, for the error message.
         allow_remote: Allow connections from other machines.
         option: Option that allows them, for the error message.
 
     Raises:
-        PortError: The text has another form, or other machines could reach the address.
+        PortError: The address has another form, or other machines could reach the address.
     """
-    host, port = parse_address(text)
+    host, port = parse_address(address)
     if not is_loopback(host) and not allow_remote:
         raise PortError(
-            f"{text}: other machines could {act} from there; expected 127.0.0.1:{port}, or {option} if that "
-            "is wanted"
+            f"{address}: other machines could {action} from there; expected 127.0.0.1:{port}, or {option} if "
+            "that is wanted"
         )
     return host, port
 
@@ -200,6 +201,6 @@ def is_loopback(host: str) -> bool:
 def _enable_keepalive(server: socket.socket) -> None:
     """Let the system detect a host that vanished without closing, such as one with its cable pulled out."""
     server.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in (("IDLE", _SILENT_S), ("INTVL", _PROBE_S), ("CNT", _PROBES)):
+    for name, value in (("IDLE", _SILENCE_S), ("INTVL", _PROBE_S), ("CNT", _N_PROBES)):
         if option := getattr(socket, f"TCP_KEEP{name}", None):
             server.setsockopt(socket.IPPROTO_TCP, option, value)

@@ -82,10 +82,10 @@ class NetworkHost:
     def update(self) -> None:
         """Send buffered bytes, and check whether the connection is lost."""
         if self._held_reply and time.monotonic() - self._last_write_s > SILENCE_S:
-            self._release(len(self._held_reply))
+            self._send_held(len(self._held_reply))
         self._flush()
-        failed = bool(self._client.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR))
-        self.is_lost = self.is_lost or failed or _retransmissions(self._client) >= _MAX_RETRANSMISSIONS
+        has_error = bool(self._client.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR))
+        self.is_lost = self.is_lost or has_error or _retransmissions(self._client) >= _MAX_RETRANSMISSIONS
 
     def keeps_port(self) -> bool:
         """Return whether it keeps the port when another host connects: it is connected and not overfull."""
@@ -118,20 +118,20 @@ class NetworkHost:
         self._held_reply += data
         self._last_write_s = time.monotonic()
         is_long = len(self._held_reply) >= LONGEST_LINE
-        self._release(len(self._held_reply) if is_long else self._held_reply.rfind(b"\n") + 1)
+        self._send_held(len(self._held_reply) if is_long else self._held_reply.rfind(b"\n") + 1)
 
     def close(self) -> None:
         """End the connection."""
         self._client.close()
 
-    def _release(self, count: int) -> None:
+    def _send_held(self, count: int) -> None:
         """Send `count` of the held bytes together."""
         # Bytes that the system accepts now need no room in the buffer, however many they are.
-        while count and (room := QUEUE_LIMIT - len(self._output)) > 0:
-            piece = bytes(self._held_reply[: min(count, room)])
-            del self._held_reply[: len(piece)]
-            count -= len(piece)
-            self._output += piece if self._negotiator is None else self._negotiator.encode(piece)
+        while count and (free_bytes := QUEUE_LIMIT - len(self._output)) > 0:
+            chunk = bytes(self._held_reply[: min(count, free_bytes)])
+            del self._held_reply[: len(chunk)]
+            count -= len(chunk)
+            self._output += chunk if self._negotiator is None else self._negotiator.encode(chunk)
             self._flush()
         self.dropped += count
         del self._held_reply[:count]
@@ -151,8 +151,8 @@ class NetworkHost:
             if len(self._first_bytes) < max(map(len, _BROWSER_PREFIXES)):
                 self._first_bytes += data
                 if self._first_bytes.startswith(_BROWSER_PREFIXES) and not self.fault:
-                    start = self._first_bytes[:8]
-                    self.fault = f"it begins with {start}, as a browser does; expected a robot's host"
+                    shown_bytes = self._first_bytes[:8]
+                    self.fault = f"it begins with {shown_bytes}, as a browser does; expected a robot's host"
                     self.is_lost = self._has_finished = True
 
     def _flush(self) -> None:

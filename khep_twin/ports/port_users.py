@@ -43,7 +43,7 @@ def port_user(url: str) -> str:
         return ""
     if not stat.S_ISCHR(device.st_mode):
         return ""
-    pid = next(_processes(url, device), None)
+    pid = next(_find_users(url, device), None)
     return "" if pid is None else f"process {pid}{_process_name(pid)}"
 
 
@@ -53,11 +53,11 @@ def count_descriptors(path: str) -> int:
     for process in _PROCESSES.glob("[0-9]*"):
         # Processes may end meanwhile, and those of other users are not readable.
         with suppress(OSError):
-            count += _count(process, device)
+            count += _count_open(process, device)
     return count
 
 
-def _processes(path: str, device: os.stat_result) -> Iterator[int]:
+def _find_users(path: str, device: os.stat_result) -> Iterator[int]:
     """Find the processes that have a device open or in their lock file."""
     if sys.platform == "win32":
         return
@@ -66,11 +66,11 @@ def _processes(path: str, device: os.stat_result) -> Iterator[int]:
     for process in _PROCESSES.glob("[0-9]*"):
         # Processes may end meanwhile, and those of other users are not readable.
         with suppress(OSError, ValueError, IndexError):
-            if _controls(process, major, minor):
+            if _is_controlled_by(process, major, minor):
                 yield int(process.name)
                 continue
             n_expected = 1 if terminal is not None and _has_master(process, terminal) else 0
-            if _count(process, device) > n_expected:
+            if _count_open(process, device) > n_expected:
                 yield int(process.name)
     for name in {os.path.basename(path), os.path.basename(os.path.realpath(path))}:
         with suppress(OSError, ValueError, IndexError):
@@ -79,7 +79,7 @@ def _processes(path: str, device: os.stat_result) -> Iterator[int]:
                 yield pid
 
 
-def _count(process: Path, device: os.stat_result) -> int:
+def _count_open(process: Path, device: os.stat_result) -> int:
     """Count the open descriptors of a device in a process."""
     return sum(_is_same(descriptor, device) for descriptor in (process / "fd").iterdir())
 
@@ -97,13 +97,13 @@ def _is_same(descriptor: Path, device: os.stat_result) -> bool:
     return False
 
 
-def _controls(process: Path, major: int, minor: int) -> bool:
+def _is_controlled_by(process: Path, major: int, minor: int) -> bool:
     """Return whether a device that is no pseudo-terminal is the controlling terminal of a process."""
     # After the name in brackets: state, parent, group, session, terminal.
-    text = (process / "stat").read_text(encoding="utf-8", errors="replace")
-    terminal = int(text.rpartition(")")[2].split()[4])
-    number = ((terminal >> 8) & 0xFFF, (terminal & 0xFF) | ((terminal >> 12) & 0xFFF00))
-    return major not in _UNIX98_PTS and number == (major, minor)
+    stat_text = (process / "stat").read_text(encoding="utf-8", errors="replace")
+    terminal = int(stat_text.rpartition(")")[2].split()[4])
+    device_number = ((terminal >> 8) & 0xFFF, (terminal & 0xFF) | ((terminal >> 12) & 0xFFF00))
+    return major not in _UNIX98_PTS and device_number == (major, minor)
 
 
 def _has_master(process: Path, terminal: int) -> bool:
@@ -111,8 +111,8 @@ def _has_master(process: Path, terminal: int) -> bool:
     for descriptor in (process / "fd").iterdir():
         with suppress(OSError):
             if os.readlink(descriptor).endswith("ptmx"):
-                text = (process / "fdinfo" / descriptor.name).read_text(encoding="ascii")
-                match = re.search(r"^tty-index:\s*(\d+)$", text, re.MULTILINE)
+                fd_info = (process / "fdinfo" / descriptor.name).read_text(encoding="ascii")
+                match = re.search(r"^tty-index:\s*(\d+)$", fd_info, re.MULTILINE)
                 if match is not None and int(match[1]) == terminal:
                     return True
     return False
@@ -128,22 +128,22 @@ def _process_name(pid: int) -> str:
 
 def _is_connected(host: str, port: int) -> bool:
     """Return whether this machine serves a TCP port that has an established connection."""
-    infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    addresses = {_address(info[4][0]) for info in infos if isinstance(info[4][0], str)}
+    address_infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    addresses = {_kernel_address(info[4][0]) for info in address_infos if isinstance(info[4][0], str)}
     is_any = any(not int(address, 16) for address in addresses)
     for table in _TCP_TABLES:
         with suppress(FileNotFoundError):
             for row in table.read_text(encoding="ascii").splitlines()[1:]:
                 _, local, _, state, *_ = row.split()
-                address, _, number = local.partition(":")
-                if state == _ESTABLISHED and int(number, 16) == port and (is_any or address in addresses):
+                address, _, port_text = local.partition(":")
+                if state == _ESTABLISHED and int(port_text, 16) == port and (is_any or address in addresses):
                     return True
     return False
 
 
-def _address(text: str) -> str:
+def _kernel_address(address: str) -> str:
     """Return an address in the form of the kernel's tables: 32-bit words in this machine's byte order."""
-    family = socket.AF_INET6 if ":" in text else socket.AF_INET
-    packed = socket.inet_pton(family, text.partition("%")[0])
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    packed = socket.inet_pton(family, address.partition("%")[0])
     words = [packed[start : start + 4] for start in range(0, len(packed), 4)]
     return "".join(f"{int.from_bytes(word, sys.byteorder):08X}" for word in words)

@@ -158,13 +158,13 @@ class Serial(SerialBase):
         self._check_open()
         self.twin.time_source.attend()
         self._set_host_line()
-        rest = bytes(data)
+        remaining = bytes(data)
         limit_ns = self._write_timeout_ns
         deadline_ns = None if limit_ns is None else self.time_ns + limit_ns
-        while rest:
-            if room := self._uart.free_capacity:
-                self.twin.robot.send(rest[:room])
-                rest = rest[room:]
+        while remaining:
+            if free_capacity := self._uart.free_capacity:
+                self.twin.robot.send(remaining[:free_capacity])
+                remaining = remaining[free_capacity:]
                 continue
             next_ns = self.twin.robot.next_exchange_ns() or 0
             if deadline_ns is not None and next_ns > deadline_ns:
@@ -173,7 +173,7 @@ class Serial(SerialBase):
                     break
                 raise SerialTimeoutException("Write timeout")
             self.twin.advance_to(max(next_ns, self.time_ns))
-        return len(data) - len(rest)
+        return len(data) - len(remaining)
 
     @one_thread
     def flush(self) -> None:

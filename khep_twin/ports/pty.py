@@ -36,13 +36,13 @@ from khep_twin.ports.host_writes import Change, ReadState, split_at_departure
 from khep_twin.ports.link import Link
 from khep_twin.ports.terminal_hosts import TerminalHosts
 
-_SPEEDS: dict[int, int] = {
+_BAUD_RATES: dict[int, int] = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
 }
 """Baud rate by the system's constant for it."""
 
 _BOTHER, _TCGETS2 = 0o10000, 0x802C542A
-"""Linux's constant for other baud rates, and request for the rate; Python does not name them."""
+"""Linux's constant for other baud rates, and request for the settings: 44 bytes, the rate from byte 40 on."""
 
 _INPUT, _OUTPUT, _CONTROL, _LOCAL, _IN_SPEED, _OUT_SPEED = range(6)
 
@@ -95,7 +95,7 @@ class PtyPort:
         self._readable.register(self.descriptor, select.POLLIN)
         self._descriptors = [self.descriptor, *self._hosts.descriptors]
         self._shared_since_s: float | None = None
-        self._vacant_s: float | None = None  # from the last host's closing to the restoration
+        self._vacant_since_s: float | None = None  # from the last host's closing to the restoration
         self._unread_write_s: float | None = None  # last write that may be unread
         self._read_state = ReadState.MATCHED
         self._line_state: tuple[object, object] | None = None
@@ -118,14 +118,14 @@ class PtyPort:
     @property
     def occupied(self) -> bool:
         """True if a host has it open."""
-        return self._hosts.hosts > 0
+        return self._hosts.n_hosts > 0
 
     def set_baud(self, baud: int) -> None:
         """Set the baud rate of the robot's line, which applies to a host that sets none."""
         if self._raw_settings[_OUT_SPEED] != (speed := _speed_constant(baud)):
             self._raw_settings[_IN_SPEED] = self._raw_settings[_OUT_SPEED] = speed
             # Restores the settings even without a host that leaves.
-            self._vacant_s = time.monotonic() if self._vacant_s is None else self._vacant_s
+            self._vacant_since_s = time.monotonic() if self._vacant_since_s is None else self._vacant_since_s
 
     def descriptors(self, has_room: bool) -> Sequence[int]:
         """Return the descriptors that are readable when a host connects, leaves or, if `has_room`, writes."""
@@ -133,67 +133,67 @@ class PtyPort:
 
     def settings(self) -> LineSettings | None:
         """Return the line settings of the host; a pseudo-terminal does not report parity and data bits."""
-        flags = termios.tcgetattr(self.descriptor)
-        speed = int(flags[_OUT_SPEED])
-        baud = _SPEEDS.get(speed, speed)
+        attributes = termios.tcgetattr(self.descriptor)
+        speed = int(attributes[_OUT_SPEED])
+        baud = _BAUD_RATES.get(speed, speed)
         if speed == _BOTHER:
             with suppress(OSError):
                 baud = struct.unpack_from("I", fcntl.ioctl(self.descriptor, _TCGETS2, bytes(44)), 40)[0]
-        line_state = (baud, flags[_CONTROL])
+        line_state = (baud, attributes[_CONTROL])
         if line_state != self._line_state:
-            stop_bits = 2 if flags[_CONTROL] & termios.CSTOPB else 1
+            stop_bits = 2 if attributes[_CONTROL] & termios.CSTOPB else 1
             self._line_state = line_state
             self._settings = LineSettings(baud, stop_bits)
         return self._settings
 
     def receive(self, limit: int, is_answered: bool = False) -> Received:
         """Return the hosts' bytes, at most `limit` from connected ones, and changes among the hosts."""
-        if self._vacant_s is not None:
-            self._restore(self._vacant_s)
+        if self._vacant_since_s is not None:
+            self._restore_settings(self._vacant_since_s)
         # Bytes are read before events, so that the opening by their sender is known.
         data, had_unread = self._read(limit), self._unread_write_s is not None
-        self._forget_read_replies()
+        self._note_read_replies()
         is_full = self._is_full(data, limit)
         change = self._hosts.poll(bool(data))
         if change.hosts_left:
             return self._receive_last(data, 0 < len(data) < limit, change, had_unread)
         # The writes that were just reported count for this call, so their bytes are also read now.
-        if change.writes_before and not is_full and self._readable.poll(0):
+        if change.old_writes and not is_full and self._readable.poll(0):
             data += self._read(limit - len(data))
             is_full = self._is_full(data, limit)
-        self._read_state = self._read_state.next_state(bool(data), change.writes_before, is_full)
+        self._read_state = self._read_state.next_state(bool(data), change.old_writes, is_full)
         notices = self._sharing_notices()
         return Received(data, notices=notices) if data or notices else NOTHING
 
-    def _receive_last(self, first: bytes, is_whole: bool, change: Change, had_unread: bool) -> Received:
+    def _receive_last(self, first: bytes, is_complete: bool, change: Change, had_unread: bool) -> Received:
         """Return the last bytes of hosts that have left, and the bytes of the next ones.
 
-        `first` are the bytes read so far; `is_whole` is True if they are not empty and not cut off by the
-        limit, and `had_unread` if replies may have been unread.
+        `first` are the bytes read so far; `is_complete` is True if they are not empty and not cut off by
+        the limit, and `had_unread` if replies may have been unread.
         """
         self._shared_since_s = None
         state, self._read_state = self._read_state, ReadState.MATCHED
         rest = self._read_all()
-        last_data, data = split_at_departure(state, first, is_whole, rest, change, self._hosts.poll(False))
+        last_data, data = split_at_departure(state, first, is_complete, rest, change, self._hosts.poll(False))
         if not self.occupied:
-            self._clear()
+            self._release_terminal()
             # A host that has connected since that poll may have read them before they were flushed.
             is_mixed = had_unread and not self._hosts.is_quiet()
             return Received(b"", True, first + rest, [_MIXED_NOTICE] if is_mixed else ())
         # The next host is already connected, and may have received unread replies.
-        unread = self._drop_replies()
+        n_unread = self._drop_replies()
         # Writes that were read early may have been reported with later ones, in one run.
-        is_mixed = unread or had_unread or (data and (last_data or state.has_unreported))
+        is_mixed = n_unread or had_unread or (data and (last_data or state.has_unreported))
         return Received(data, True, last_data, [_MIXED_NOTICE] if is_mixed else [])
 
     def write(self, data: bytes) -> None:
         """Send to the host; bytes without room are dropped and counted."""
         try:
-            sent = os.write(self.descriptor, data)
+            n_sent = os.write(self.descriptor, data)
         except BlockingIOError:
-            sent = 0
-        self.dropped += len(data) - sent
-        if sent:
+            n_sent = 0
+        self.dropped += len(data) - n_sent
+        if n_sent:
             self._unread_write_s = time.monotonic()
 
     def close(self) -> None:
@@ -226,33 +226,33 @@ class PtyPort:
             data += chunk
         return data
 
-    def _clear(self) -> None:
-        """Unlock the terminal and flush its replies; `_restore` restores the settings later."""
+    def _release_terminal(self) -> None:
+        """Unlock the terminal and flush its replies; `_restore_settings` restores the settings later."""
         host_side = self._hosts.host_side
         if self._hosts.is_quiet():
             fcntl.ioctl(host_side, termios.TIOCNXCL)
         termios.tcflow(host_side, termios.TCOON)
         self._drop_replies()
-        self._vacant_s = time.monotonic()
+        self._vacant_since_s = time.monotonic()
 
-    def _restore(self, vacant_s: float) -> None:
+    def _restore_settings(self, vacant_s: float) -> None:
         """Restore the settings _RESTORE_S after the last host has left, unless another one has connected."""
         if self.occupied or time.monotonic() - vacant_s >= _RESTORE_S:
             if not self.occupied and self._hosts.is_quiet():
                 termios.tcsetattr(self._hosts.host_side, termios.TCSANOW, self._raw_settings)
-            self._vacant_s = None
+            self._vacant_since_s = None
 
     def _drop_replies(self) -> int:
         """Flush replies that no host has read; return the number of bytes."""
-        unread = self._count_unread()
+        n_unread = self._count_unread()
         # They may be in transit to the host side's buffer, or in it.
         termios.tcflush(self.descriptor, termios.TCOFLUSH)
         termios.tcflush(self._hosts.host_side, termios.TCIFLUSH)
         self._unread_write_s = None
-        return unread
+        return n_unread
 
-    def _forget_read_replies(self) -> None:
-        """Note that the host has read all replies, once the kernel reports it."""
+    def _note_read_replies(self) -> None:
+        """Forget the last write once the kernel reports that the host has read all replies."""
         if (
             self._unread_write_s is not None
             and time.monotonic() - self._unread_write_s >= _TRANSIT_S
@@ -266,7 +266,7 @@ class PtyPort:
 
     def _sharing_notices(self) -> Sequence[str]:
         """Return a notice, once, if several hosts are connected for _SHARED_S."""
-        if self._hosts.hosts < 2:
+        if self._hosts.n_hosts < 2:
             self._shared_since_s = None
             return ()
         now = time.monotonic()
@@ -278,16 +278,16 @@ class PtyPort:
         if self._hosts.recount() < 2:
             return ()
         return (
-            f"the port is open {self._hosts.hosts} times at once; each reader takes bytes from the others",
+            f"the port is open {self._hosts.n_hosts} times at once; each reader takes bytes from the others",
         )
 
     def _make_raw(self, host_side: int, baud: int) -> list[int | list[bytes | int]]:
         """Make it raw, at the robot's baud rate: a host that sets none counts as matching."""
         tty.setraw(host_side)
-        flags = termios.tcgetattr(host_side)
-        flags[_CONTROL] |= termios.CSTOPB
-        flags[_IN_SPEED] = flags[_OUT_SPEED] = _speed_constant(baud)
-        termios.tcsetattr(host_side, termios.TCSANOW, flags)
+        attributes = termios.tcgetattr(host_side)
+        attributes[_CONTROL] |= termios.CSTOPB
+        attributes[_IN_SPEED] = attributes[_OUT_SPEED] = _speed_constant(baud)
+        termios.tcsetattr(host_side, termios.TCSANOW, attributes)
         return termios.tcgetattr(host_side)
 
 

@@ -1,7 +1,7 @@
 """A relay between a host and a real robot, which passes and records all bytes with their times.
 
-The relay forwards bytes as they arrive, at the host's baud rate. In the state draining, replies to a host
-that has left are only recorded, and the next host's bytes wait; it starts in it after an earlier program.
+The relay forwards bytes as they arrive, at the host's baud rate. While it drains, replies to a host that has
+left are only recorded, and the next host's bytes wait. It starts draining, for replies to earlier programs.
 
     forwarding --host leaves, replies are due--> draining --all answered, silence or time-out--> forwarding
 """
@@ -45,7 +45,7 @@ _STARTUP_S = 2.0
 _LONGEST_REPLY = 2048
 """Bytes of the longest reply, that of `list` [bytes]."""
 
-_UNDERWAY_S = 1.0
+_MAX_TRANSIT_S = 1.0
 """Longest transit of sent bytes through an adapter's buffer (assumed) [s]."""
 
 _INVALIDATION = b"?\n"
@@ -95,8 +95,8 @@ class Device:
                 url, baud, stopbits=serial.STOPBITS_TWO, timeout=0, exclusive=True
             )
         except PORT_FAILURES as error:
-            number = getattr(error, "errno", None)
-            reason = os.strerror(number) if number else error
+            error_number = getattr(error, "errno", None)
+            reason = os.strerror(error_number) if error_number else error
             raise PortError(address_fault(url) or f"{url}: cannot open this port: {reason}") from None
         try:
             self.descriptor: int | None = self._port.fileno()
@@ -123,12 +123,12 @@ class Device:
 
     def read(self) -> bytes:
         """Return the bytes that have arrived from the robot."""
-        with self._checked():
+        with self._converted_failures():
             return self._port.read(_CHUNK if self.descriptor is not None else self._port.in_waiting)
 
     def write(self, data: bytes) -> int:
         """Send to the robot; return the number of bytes that the port accepted."""
-        with self._checked():
+        with self._converted_failures():
             # pyserial retries for ever while there is no room.
             if self.descriptor is not None and not select.select([], [self.descriptor], [], 0)[1]:
                 return 0
@@ -137,7 +137,7 @@ class Device:
     @property
     def unsent(self) -> int:
         """Number of accepted bytes that the port has not sent yet; 0 if it does not report it."""
-        with self._checked():
+        with self._converted_failures():
             return self._port.out_waiting if isinstance(self._port, serial.Serial) else 0
 
     def close(self) -> None:
@@ -145,7 +145,7 @@ class Device:
         self._port.close()
 
     @contextmanager
-    def _checked(self) -> Generator[None]:
+    def _converted_failures(self) -> Generator[None]:
         """Convert failures of the port to a `PortError`."""
         try:
             yield
@@ -176,7 +176,7 @@ def relay(
         PortError: The robot's port failed.
     """
 
-    def note(text: str) -> None:
+    def report(text: str) -> None:
         notify(f"{port.path}: {text}")
         for listener in listeners:
             listener.on_event(text)
@@ -186,45 +186,45 @@ def relay(
             listener.on_bytes(to_robot, data)
 
     flushes = [PeriodicFlush(listener) for listener in listeners]
-    dialogue, limit = _Dialogue(device), NoticeLimit()
-    pending, next_data = b"", b""
-    held_s = 0.0
+    dialogue, notice_limit = _Dialogue(device), NoticeLimit()
+    pending, next_host_data = b"", b""
+    hold_s = 0.0
     while not stop():
         # The next host's bytes are read while draining, to know that it waits.
-        has_room = not next_data and (not pending or dialogue.is_draining)
-        _wait(device, port, has_room, bool(pending), held_s)
+        has_room = not next_host_data and (not pending or dialogue.is_draining)
+        _wait_for_bytes(device, port, has_room, bool(pending), hold_s)
         # Replies are read before hosts: silence is measured at an empty read, even if this cycle is late.
         reply = dialogue.read()
         on_bytes(False, reply)
         host_output = polls.filter_replies(reply) if polls is not None and reply else reply
         received = port.receive(_CHUNK if has_room else 0, has_room and not pending and dialogue.is_answered)
         for notice in received.notices:
-            note(notice)
+            report(notice)
         if received.hosts_left:
             host_output = b""
             # The pending bytes are also those of the host that has left.
             on_bytes(True, received.last_data)
-            remaining = pending + next_data + received.last_data
-            pending, next_data = dialogue.drop_host(remaining), b""
+            remaining = pending + next_host_data + received.last_data
+            pending, next_host_data = dialogue.drop_host(remaining), b""
             on_bytes(True, pending[len(remaining) :])
         if received.data:
             on_bytes(True, received.data)
-            next_data = received.data
-        if next_data and dialogue.is_draining and len(pending) > _CHUNK:
+            next_host_data = received.data
+        if next_host_data and dialogue.is_draining and len(pending) > _CHUNK:
             n_dropped = len(pending) - _LAST_LIMIT
-            note(f"{n_dropped} bytes of a host that has left were dropped: the next one waits")
+            report(f"{n_dropped} bytes of a host that has left were dropped: the next one waits")
             pending = dialogue.drop_host(pending[:_LAST_LIMIT])
-        if not dialogue.check_draining(pending) and next_data:
+        if not dialogue.check_draining(pending) and next_host_data:
             settings = port.settings()
             if settings is not None and (notice := device.apply_settings(settings)):
-                for text in limit.admit([notice]):
-                    note(text)
-            pending, next_data = pending + next_data, b""
+                for text in notice_limit.admit([notice]):
+                    report(text)
+            pending, next_host_data = pending + next_host_data, b""
         if polls is not None:
-            held_s = polls.remaining_hold_s(pending)
-            if not next_data and not pending and dialogue.is_idle:
+            hold_s = polls.remaining_hold_s(pending)
+            if not next_host_data and not pending and dialogue.is_idle:
                 on_bytes(True, pending := polls.next_command(device.baud))
-        if pending and not held_s:
+        if pending and not hold_s:
             pending = dialogue.send(pending)
         if host_output and port.occupied and not dialogue.is_draining:
             port.write(host_output)
@@ -240,27 +240,27 @@ class _Dialogue:
         self._device = device
         self._n_due = 0
         self._commands, self._replies = _LineCounter(), _LineCounter()
-        self._read_s = self._last_traffic_s = time.monotonic()
+        self._last_read_s = self._last_traffic_s = time.monotonic()
         self._deadline_s = self._last_traffic_s + _STARTUP_S  # a robot may also send bytes unasked
 
     def send(self, data: bytes) -> bytes:
         """Send to the robot; return the bytes that are still to be sent."""
-        count = self._device.write(data[:_CHUNK])
-        self._n_due += self._commands.count(data[:count])
-        busy_s = count * BITS_PER_BYTE / self._device.baud
+        n_sent = self._device.write(data[:_CHUNK])
+        self._n_due += self._commands.count(data[:n_sent])
+        busy_s = n_sent * BITS_PER_BYTE / self._device.baud
         now = time.monotonic()
-        self._last_traffic_s = min(max(self._last_traffic_s, now) + busy_s, now + _UNDERWAY_S)
+        self._last_traffic_s = min(max(self._last_traffic_s, now) + busy_s, now + _MAX_TRANSIT_S)
         self._extend_deadline(self._last_traffic_s)
-        return data[count:]
+        return data[n_sent:]
 
     def read(self) -> bytes:
         """Return the bytes that have arrived from the robot, and count their replies."""
-        self._read_s = time.monotonic()
+        self._last_read_s = time.monotonic()
         if reply := self._device.read():
-            count = self._replies.count(reply)
-            if self._n_due and count:
-                self._n_due = max(self._n_due - count, 0)
-                self._extend_deadline(self._read_s)
+            n_replies = self._replies.count(reply)
+            if self._n_due and n_replies:
+                self._n_due = max(self._n_due - n_replies, 0)
+                self._extend_deadline(self._last_read_s)
             self._last_traffic_s = max(self._last_traffic_s, time.monotonic())
         elif self._n_due and self.is_answered:
             self._n_due = 0  # lost replies
@@ -274,7 +274,7 @@ class _Dialogue:
         # Only the first line of a reply of several lines was due.
         if pending or self._n_due or not self.is_answered:
             self.is_draining = True
-            self._extend_deadline(self._read_s)
+            self._extend_deadline(self._last_read_s)
         return pending
 
     def _extend_deadline(self, since_s: float) -> None:
@@ -288,7 +288,7 @@ class _Dialogue:
         if self._device.unsent:
             self._last_traffic_s = max(self._last_traffic_s, time.monotonic())
         is_expecting = self._n_due or self._replies.partial
-        return self._read_s - self._last_traffic_s > (_SILENCE_S if is_expecting else _PAUSE_S)
+        return self._last_read_s - self._last_traffic_s > (_SILENCE_S if is_expecting else _PAUSE_S)
 
     @property
     def is_idle(self) -> bool:
@@ -297,7 +297,7 @@ class _Dialogue:
 
     def check_draining(self, pending: bytes) -> bool:
         """Return whether replies to an earlier host may still arrive; `pending` are its unsent bytes."""
-        if self.is_draining and not pending and (self.is_answered or self._read_s > self._deadline_s):
+        if self.is_draining and not pending and (self.is_answered or self._last_read_s > self._deadline_s):
             self.is_draining = False
             self._n_due = 0
         return self.is_draining
@@ -316,7 +316,7 @@ class _LineCounter:
         return sum(map(bool, lines))
 
 
-def _wait(device: Device, port: HostPort, has_room: bool, has_pending: bool, held_s: float) -> None:
+def _wait_for_bytes(device: Device, port: HostPort, has_room: bool, has_pending: bool, held_s: float) -> None:
     """Wait for bytes to forward and room for them, at most `held_s` while pending bytes are held [s]."""
     descriptors = list(port.descriptors(has_room))
     if device.descriptor is None:

@@ -23,7 +23,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.playpen.changes import set_values
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
-_WORLD_KINDS = (HostEventKind.SWITCH_LAMP, HostEventKind.SET_LAMPS, HostEventKind.SCAN)
+_WORLD_EVENT_KINDS = (HostEventKind.SWITCH_LAMP, HostEventKind.SET_LAMPS, HostEventKind.SCAN)
 """Kinds of actions on the world, not on one robot."""
 
 _OPTIONS_ADAPTER = TypeAdapter(TwinOptions)
@@ -54,7 +54,7 @@ class Setup(NamedTuple):
         options = replace(options, faults=(*options.faults, *chain(*(change.faults for change in changes))))
         try:
             with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-                twin = open_twin(self._calibrated(self.playpen(changes), changes, Path(folder)), options)
+                twin = open_twin(self._calibrate(self.playpen(changes), changes, Path(folder)), options)
         except OSError as error:
             reason = f"no calibration can be saved in a temporary folder: {error.strerror}"
             raise LogError(f"{path}: cannot be repeated: {reason}") from error
@@ -80,23 +80,23 @@ class Setup(NamedTuple):
             run_settings: Mapping[str, object] = {**cast(dict[str, object], settings), "log": None}
             return _OPTIONS_ADAPTER.validate_json(json.dumps(run_settings), strict=True)
         except DecodeError as error:
-            invalid = error
+            decode_error = error
         except ValidationError as error:
-            first = error.errors()[0]
-            problem = f"{'.'.join(map(str, first['loc']))} = {printable(first['input'])}"
-            invalid = DecodeError(problem, first["msg"].removeprefix("Input should be "))
+            first_error = error.errors()[0]
+            problem = f"{'.'.join(map(str, first_error['loc']))} = {printable(first_error['input'])}"
+            decode_error = DecodeError(problem, first_error["msg"].removeprefix("Input should be "))
         except KhepTwinError as error:
             raise LogError(f"{self.path}: configuration.json: {error}") from None
         except (ValueError, RecursionError) as error:
-            invalid = DecodeError(f"{printable(text)} ({printable(error)})", "JSON")
-        raise invalid.to_log_error(self.path, "configuration.json")
+            decode_error = DecodeError(f"{printable(text)} ({printable(error)})", "JSON")
+        raise decode_error.to_log_error(self.path, "configuration.json")
 
     def playpen(self, changes: Iterable[BranchPoint] = ()) -> Playpen:
         """Return the playpen of the log at its start, with some changes applied."""
         playpen = playpen_of(self.label.attachments, self.path)
         return set_values(playpen, chain(*(change.edits for change in changes)))
 
-    def _calibrated(self, playpen: Playpen, changes: Iterable[BranchPoint], folder: Path) -> Playpen:
+    def _calibrate(self, playpen: Playpen, changes: Iterable[BranchPoint], folder: Path) -> Playpen:
         """Return the playpen with its robots' calibrations from the log, not from this machine."""
         texts = {name: text for change in changes for name, text in (change.calibrations or {}).items()}
         robots = list(playpen.robots)
@@ -111,7 +111,7 @@ class Setup(NamedTuple):
 
 
 class RecordedHosts:
-    """Recorded hosts of a twin, a `TimeSource` that repeats their events as time passes."""
+    """Recorded hosts of a twin, a `TimeSource` that repeats their events, and users' changes, in time."""
 
     def __init__(self, twin: Twin, events: Iterator[RecordedEvent]) -> None:
         self.twin = twin
@@ -141,10 +141,14 @@ class RecordedHosts:
                 world.log_event(index, f"left out, as it was recorded: {first_line(error)}")
 
     def drop_host(self, index: int) -> None:
-        """Remove the recorded host of a robot, so that another one can connect."""
+        """Drop the rest of a robot's recorded events, except of lamps and scans, and disconnect its host."""
         next_entry = self._next_entry
         entries = self._events if next_entry is None else chain([next_entry], self._events)
-        self._events = (entry for entry in entries if entry[1] != index or entry[2].kind in _WORLD_KINDS)
+        self._events = (
+            (time_ns, robot, event)
+            for time_ns, robot, event in entries
+            if robot != index or event.kind in _WORLD_EVENT_KINDS
+        )
         self._next_entry = next(self._events, None)
         self.twin.world.robots[index].disconnect()
 

@@ -1,6 +1,6 @@
 """Resumption of logged runs at any time, optionally with changes.
 
-A run is resumed from the last snapshot before that time, or from its start, and the recorded actions of its
+A run is resumed from the last snapshot before a time, or from its start, and the recorded actions of its
 hosts are repeated up to that time. Then seed, faults, calibrations or playpen may change; edited objects move
 to their new poses, all others stay. See `branching` for other hosts.
 """
@@ -19,7 +19,7 @@ from khep_twin.interventions.move_robot import current_playpen
 from khep_twin.log.decoding import LATEST_NS, DecodeError, first_line
 from khep_twin.log.entries import Entry, Label
 from khep_twin.log.reader import read_label, read_since, read_until
-from khep_twin.log.recorded import BranchPoint, order_events, read_changes, require_line
+from khep_twin.log.recorded import BranchPoint, order_events, read_changes, require_serial_line
 from khep_twin.log.recorder import WorldRecorder
 from khep_twin.log.run_description import LogPrefix
 from khep_twin.log.snapshots import SNAPSHOT_TOPIC, LoggedState, read_snapshot, read_states
@@ -80,16 +80,16 @@ class ResumedRun:
     def change(self, change: BranchPoint) -> None:
         """Apply a change to the run."""
         self.changes = (*self.changes, change)
-        old = self.twin
+        old_twin = self.twin
         if change.faults or change.edits or change.calibrations:
             self.twin = self.setup.open(self.changes)
             # Edits also change values that are not in the compiled scene, for example a lamp's dimming.
-            if not change.edits and self.twin.world.scene == old.world.scene:
-                self.twin.world.set_state(old.world.state())
+            if not change.edits and self.twin.world.scene == old_twin.world.scene:
+                self.twin.world.set_state(old_twin.world.state())
             else:
-                transfer_world(self.twin.world, old.world, self.setup.playpen(self.changes[:-1]), change)
-            self.twin.world.observers = old.world.observers
-            self.twin.recorder = old.recorder
+                transfer_world(self.twin.world, old_twin.world, self.setup.playpen(self.changes[:-1]), change)
+            self.twin.world.observers = old_twin.world.observers
+            self.twin.recorder = old_twin.recorder
             for observer in self.twin.world.observers:
                 if isinstance(observer, WorldRecorder):
                     observer.move_to(self.twin.world)
@@ -116,17 +116,17 @@ def resume_run(
         LogError: The log lacks necessary records, or ends before.
     """
     label = read_label(path)
-    require_line(path, label)
+    require_serial_line(path, label)
     # A snapshot at exactly that time may be after the actions at that time.
     setup, entry_groups = Setup(path, label), read_since(path, SNAPSHOT_TOPIC, at_ns - 1)
     changes, snapshot = read_changes(path, label), next(iter(next(entry_groups)), None)
     try:
         state = None if snapshot is None else _read_state(path, snapshot, None)
-        from_ns = 0 if state is None else state.world.time_ns
-        if snapshot is not None and snapshot.time_ns != from_ns:
-            error = DecodeError(f"a state at {from_ns} ns", "its message's time")
+        start_ns = 0 if state is None else state.world.time_ns
+        if snapshot is not None and snapshot.time_ns != start_ns:
+            error = DecodeError(f"a state at {start_ns} ns", "its message's time")
             raise error.to_log_error(path, SNAPSHOT_TOPIC, snapshot.time_ns)
-        past_changes = tuple(change for change in changes if snapshot is not None and change.at_ns < from_ns)
+        past_changes = tuple(change for change in changes if snapshot is not None and change.at_ns < start_ns)
         twin = setup.open(past_changes)
         if state is not None and snapshot is not None:
             twin.world.set_state(_read_state(path, snapshot, twin.world.scene).world)
@@ -145,15 +145,15 @@ def resume_run(
 
 def run_end_ns(path: Path) -> int:
     """Return the end of a logged run [ns]: the time of its last snapshot or of its last message."""
-    last, *rest = read_since(path, SNAPSHOT_TOPIC, LATEST_NS)
-    end_ns = max((entry.time_ns for entry in last), default=0)
+    snapshot_entries, *later_groups = read_since(path, SNAPSHOT_TOPIC, LATEST_NS)
+    end_ns = max((entry.time_ns for entry in snapshot_entries), default=0)
     try:
-        for entry in chain(*rest):
+        for entry in chain(*later_groups):
             if entry.topic == "/state":
                 end_ns = max(end_ns, entry.time_ns + (len(read_states(entry.data)) - 1) * SAMPLE_NS)
     except DecodeError as error:
         raise error.to_log_error(path, "/state") from None
-    events = order_events(path, rest, read_label(path).robots)
+    events = order_events(path, later_groups, read_label(path).robots)
     return max([end_ns, *(time_ns for time_ns, _, _ in events)])
 
 
@@ -173,30 +173,30 @@ def transfer_world(new: World, old: World, old_playpen: Playpen, change: BranchP
     Raises:
         PlaypenError: A changed object has no room.
     """
-    current = current_playpen(old)
+    present_playpen = current_playpen(old)
     # Present poses may be outside the arena, which is invalid in a playpen file.
-    edited = copy_poses(set_values(old.playpen, change.edits), current, change.edits)
-    if problem := find_new_problem(edited, current):
+    edited_playpen = copy_poses(set_values(old.playpen, change.edits), present_playpen, change.edits)
+    if problem := find_new_problem(edited_playpen, present_playpen):
         raise PlaypenError(f"{', '.join(change.edits)}: {problem}")
     changed_indices = changed_tables(set_values(old_playpen, change.edits), old_playpen)
     scene, new_poses = (new.model, new.data), dict[str, tuple[float, float, float]]()
     for index in changed_indices.pop("robot"):
-        entry = edited.robots[index]
-        if _pose(entry) != _pose(current.robots[index]):
+        entry = edited_playpen.robots[index]
+        if _pose(entry) != _pose(present_playpen.robots[index]):
             new_poses[f"khepera{index}/base"] = _pose(entry)
     for kind, indices in changed_indices.items():
         for index in indices:
-            if (entry := edited.objects[kind][index]).movable:
+            if (entry := edited_playpen.objects[kind][index]).movable:
                 new_poses[f"{kind}{index}"] = _pose(entry)
     mujoco.mj_resetData(new.model, new.data)
     transfer_state((old.model, old.data), scene, list(new_poses))
     for body, (x_mm, y_mm, heading_deg) in new_poses.items():
         place_body(scene, body, metres(x_mm), metres(y_mm), math.radians(heading_deg))
     state = old.state()._replace(physics=physics_state(*scene))
-    changed = set_values(old_playpen, change.edits)
+    changed_playpen = set_values(old_playpen, change.edits)
     new.set_state(state)
-    if (changed.lamps, changed.lighting) != (old_playpen.lamps, old_playpen.lighting):
-        new.set_lamps(edited.lamps, edited.lighting, keep_switched=True)
+    if (changed_playpen.lamps, changed_playpen.lighting) != (old_playpen.lamps, old_playpen.lighting):
+        new.set_lamps(edited_playpen.lamps, edited_playpen.lighting, keep_switched=True)
 
 
 def _pose(entry: RobotEntry | Block | Cylinder) -> tuple[float, float, float]:

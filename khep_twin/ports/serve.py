@@ -23,7 +23,7 @@ CHECK_INTERVAL_WALL_NS = NS_PER_S // 200
 FLUSH_INTERVAL_WALL_NS = NS_PER_S // 2
 """Wall time after which the log is written to disk [ns]."""
 
-WIRE = 0.0
+WIRE_SPEED = 0.0
 """Speed of the wire clock: only the bytes on the line take time."""
 
 MANY_ROBOTS = 4
@@ -57,9 +57,9 @@ def serve(
         Connection(twin, robot, port, notify) for robot, port in zip(twin.robots, ports, strict=True)
     ]
     # Loading compiled code later would make hosts wait for half a second.
-    twin.world.code.switch_at = None
+    twin.world.code.switch_step = None
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
-    if speed == WIRE:
+    if speed == WIRE_SPEED:
         _serve_by_wire(twin, connections, stop)
     elif math.isinf(speed):
         _serve_unpaced(twin, connections, stop)
@@ -76,7 +76,7 @@ def _serve_by_clock(
     world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = PeriodicFlush(twin), _HostWait(connections)
 
-    def now() -> int:
+    def update_due_ns() -> int:
         """Return the time that is due, after dropping a delay that is too long to catch up."""
         if late_ns := pacer.slip(world.time_ns):
             world.log_event(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
@@ -84,17 +84,17 @@ def _serve_by_clock(
 
     while not stop():
         # Wait for the next command, the robots' next byte or the next control tick, whichever is first.
-        tick_ns, event_ns = world.time_ns + TICK_NS, _next_ns(connections)
-        active, due_ns = wait(pacer.wait(min(tick_ns, event_ns))), 0
-        if not active or event_ns != NEVER_NS:
-            due_ns = now()
+        tick_ns, event_ns = world.time_ns + TICK_NS, _next_event_ns(connections)
+        active_connections, due_ns = wait(pacer.wait_s(min(tick_ns, event_ns))), 0
+        if not active_connections or event_ns != NEVER_NS:
+            due_ns = update_due_ns()
             # Bytes that are due are not delayed by the duration of the simulation.
             for connection in connections:
                 connection.deliver_early(due_ns)
-        for connection in active:
+        for connection in active_connections:
             # On a line without delay, a command that has just arrived is already due.
-            due_ns = max(connection.receive(now), due_ns)
-        due_ns = due_ns or now()
+            due_ns = max(connection.receive(update_due_ns), due_ns)
+        due_ns = due_ns or update_due_ns()
         advance_to(max(min(due_ns, tick_ns), world.time_ns))
         for connection in connections:
             connection.deliver()
@@ -108,7 +108,7 @@ def _serve_unpaced(twin: Twin, connections: Sequence[Connection], stop: Callable
     while not stop():
         for connection in wait(0.0):
             connection.receive()
-        advance_to(max(min(world.time_ns + TICK_NS, _next_ns(connections)), world.time_ns))
+        advance_to(max(min(world.time_ns + TICK_NS, _next_event_ns(connections)), world.time_ns))
         for connection in connections:
             connection.deliver()
         flush()
@@ -119,8 +119,8 @@ def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable
     world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = PeriodicFlush(twin), _HostWait(connections)
     while not stop():
-        if active := wait(LONGEST_WAIT_S):
-            for connection in active:
+        if active_connections := wait(LONGEST_WAIT_S):
+            for connection in active_connections:
                 connection.receive()
             while (next_ns := min([connection.next_stop_ns() for connection in connections])) != NEVER_NS:
                 advance_to(max(next_ns, world.time_ns))
@@ -129,7 +129,7 @@ def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable
         flush()
 
 
-def _next_ns(connections: Sequence[Connection]) -> int:
+def _next_event_ns(connections: Sequence[Connection]) -> int:
     """Return the time of the next command or byte on a robot's line [ns]."""
     return min([connection.next_ns() for connection in connections])
 
@@ -152,13 +152,13 @@ class _HostWait:
             sources = {fd: connection for connection in connections for fd in connection.descriptors()}
             # The descriptors change when a connection is checked, and when a line has room again.
             self._sources = sources if all(connection.has_room for connection in connections) else None
-        ready = select.select(sources, [], [], min(max(duration, 0.0), LONGEST_WAIT_S))[0]
+        ready_descriptors = select.select(sources, [], [], min(max(duration, 0.0), LONGEST_WAIT_S))[0]
         time_ns = time.monotonic_ns()
         if time_ns - self._last_check_ns >= CHECK_INTERVAL_WALL_NS:
             self._last_check_ns = time_ns
             active = connections
         else:
-            active = tuple({sources[fd]: None for fd in ready})
+            active = tuple({sources[fd]: None for fd in ready_descriptors})
         if active:
             self._sources = None
         return active

@@ -1,4 +1,4 @@
-"""Registry of this user's servers: a note file for each in a private directory, locked while it runs."""
+"""Registry of this user's servers: an entry file for each in a private directory, locked while it runs."""
 
 import os
 import stat
@@ -12,9 +12,9 @@ from pathlib import Path
 
 from khep_twin.errors import PortError
 from khep_twin.machine import lock
-from khep_twin.signals import clear_at_end
+from khep_twin.signals import register_cleanup
 
-_SUFFIX = ".served"
+_ENTRY_SUFFIX = ".served"
 
 
 @contextmanager
@@ -26,47 +26,47 @@ def registered_ports(paths: Sequence[str], subject: str) -> Generator[None, None
         subject: Name of the served playpen or device.
 
     Raises:
-        PortError: The directory or the note cannot be written.
+        PortError: The directory or the entry cannot be written.
     """
     folder = private_folder()
-    for note in folder.glob(f"*{_SUFFIX}"):
-        if not _is_held(note):
-            note.unlink(missing_ok=True)
+    for entry_path in folder.glob(f"*{_ENTRY_SUFFIX}"):
+        if not _is_locked(entry_path):
+            entry_path.unlink(missing_ok=True)
     # Named by thread: a web page may serve the next twin while its last one still hangs.
-    note = folder / f"{threading.get_native_id()}{_SUFFIX}"
+    entry_path = folder / f"{threading.get_native_id()}{_ENTRY_SUFFIX}"
     lines = [path if "://" in path else os.path.abspath(path) for path in paths]
     with ExitStack() as stack:
-        remove = partial(note.unlink, missing_ok=True)
-        stack.callback(clear_at_end(remove))
+        remove = partial(entry_path.unlink, missing_ok=True)
+        stack.callback(register_cleanup(remove))
         stack.callback(remove)
         text = "\n".join([" ".join(subject.split()), *lines])
         try:
             # Without a buffer, which would be written again on closing if the disk is full.
-            file = stack.enter_context(note.open("wb", buffering=0))
+            file = stack.enter_context(entry_path.open("wb", buffering=0))
             lock(file, waits=True)
-            rest = text.encode("utf-8", "surrogateescape")
-            while rest:
-                rest = rest[file.write(rest) :]
+            remaining = text.encode("utf-8", "surrogateescape")
+            while remaining:
+                remaining = remaining[file.write(remaining) :]
         except OSError as error:
-            raise PortError(f"{note}: cannot be written: {error.strerror}") from error
+            raise PortError(f"{entry_path}: cannot be written: {error.strerror}") from error
         yield
 
 
 def served_ports() -> list[tuple[str, str]]:
     """Return the ports of this user's running servers: path and name of the served playpen or device."""
     ports: list[tuple[str, str]] = []
-    for note in sorted(private_folder().glob(f"*{_SUFFIX}")):
+    for entry_path in sorted(private_folder().glob(f"*{_ENTRY_SUFFIX}")):
         with suppress(FileNotFoundError):  # the server may end meanwhile
-            if _is_held(note):
-                subject, *paths = note.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+            if _is_locked(entry_path):
+                subject, *paths = entry_path.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
                 ports += [(path, subject) for path in paths]
     return ports
 
 
-def _is_held(note: Path) -> bool:
-    """Return whether the note's server is running."""
+def _is_locked(entry_path: Path) -> bool:
+    """Return whether the server of an entry is running: it keeps the file locked."""
     try:
-        with note.open("rb") as file:
+        with entry_path.open("rb") as file:
             lock(file, shared=True)
     except BlockingIOError:
         return True

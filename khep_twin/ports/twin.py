@@ -218,20 +218,20 @@ def open_twin(playpen: PlaypenLike, options: TwinOptions | None = None) -> Twin:
 def equip_playpen(playpen: PlaypenLike, options: TwinOptions) -> tuple[Playpen, Sequence[int]]:
     """Return the playpen with the options applied to its robots, and the indices of those on the line."""
     new_playpen = Playpen.load(playpen)
-    count = len(new_playpen.robots)
-    if count == 0 or (options.robot is not None and not 0 <= options.robot < count):
+    n_robots = len(new_playpen.robots)
+    if n_robots == 0 or (options.robot is not None and not 0 <= options.robot < n_robots):
         number = 0 if options.robot is None else options.robot
         problem = f"robot = {number}: not in playpen {new_playpen.name!r}"
-        raise PortError(problem, key="robot", value=number, expected=range(count))
-    indices = range(count) if options.robot is None else [options.robot]
+        raise PortError(problem, key="robot", value=number, expected=range(n_robots))
+    indices = range(n_robots) if options.robot is None else [options.robot]
     keys = ("rom", "mode", "battery_used_min")
-    changes = {key: value for key in keys if (value := getattr(options, key)) is not None}
+    option_values = {key: value for key in keys if (value := getattr(options, key)) is not None}
     robots = list(new_playpen.robots)
     for index in indices:
         old_robot = robots[index]
         model = old_robot.model if options.model is None else options.model
         model_values = {} if model == old_robot.model else {"model": model, **MODELS[model]}
-        robots[index] = new_robot = old_robot.model_copy(update={**model_values, **changes})
+        robots[index] = new_robot = old_robot.model_copy(update={**model_values, **option_values})
         for key, value, expected in find_unfit_keys(new_robot):
             problem = f"{key} = {value!r} with model = {new_robot.model!r}"
             raise PortError(f"{problem}; expected {expected}", key=key, value=value)

@@ -62,18 +62,18 @@ def build_light(sight_lines: SightLines, lighting: Lighting) -> Light:
     """Return lamps with the precomputed lines of sight to them."""
     bulbs: list[Bulb] = []
     sectors: list[HiddenSector] = []
-    lamp_sectors = sight_lines.obstacles or [[] for _ in sight_lines.lamps]
-    for lamp, obstacles in zip(sight_lines.lamps, lamp_sectors, strict=True):
-        bulbs.append(Bulb(*lamp, len(sectors), len(sectors) + len(obstacles)))
+    lamp_obstacles = sight_lines.obstacles or [[] for _ in sight_lines.lamps]
+    for position, obstacles in zip(sight_lines.lamps, lamp_obstacles, strict=True):
+        bulbs.append(Bulb(*position, len(sectors), len(sectors) + len(obstacles)))
         for middle, half_angle, distance in obstacles:
             half_cosine = math.cos(half_angle) if half_angle < math.pi else -2.0
             sectors.append(HiddenSector(math.cos(middle), math.sin(middle), half_cosine, distance))
     law = LightLaw(
-        lighting.law == "toolbox",
-        lighting.min_angle_deg,
-        lighting.max_angle_deg,
-        sight_lines.is_static,
-        round(5e8 / lighting.mains_hz),
-        0.0,
+        by_toolbox=lighting.law == "toolbox",
+        min_angle_deg=lighting.min_angle_deg,
+        max_angle_deg=lighting.max_angle_deg,
+        is_static=sight_lines.is_static,
+        flicker_ns=round(5e8 / lighting.mains_hz),
+        flicker_phase=0.0,
     )
     return Light(law, bulbs, sectors)

@@ -23,7 +23,7 @@ class Bar:
     legend: str
     lowest: float = 0.0
 
-    def filled(self, value: float) -> float:
+    def filled_part(self, value: float) -> float:
         """Return the part of the bar that a value fills, at most 1."""
         return min(max(value / self.full, self.lowest), 1.0)
 

@@ -194,6 +194,7 @@ class Calibration(TomlTable):
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:
+        """Check that floors are below, and other levels at most at, their upper limits."""
         ambient, proximity = self.ambient, self.proximity
         levels = (
             ("ambient", "floor_counts", ambient.floor_counts, "dark_counts", ambient.dark_counts),

@@ -186,10 +186,10 @@ class Lamps:
             self.powers[index] = min(max(target, power - max_change), power + max_change)
         return has_switched
 
-    def advance_steps(self, first: int, end: int, step_ns: int = STEP_NS) -> list[list[float]]:
-        """Advance lamps without `lit_index` to the step `end`; return the powers after each step [W]."""
+    def advance_steps(self, start_step: int, end_step: int, step_ns: int = STEP_NS) -> list[list[float]]:
+        """Advance lamps without `lit_index` to `end_step`; return the powers after each step [W]."""
         rows: list[list[float]] = []
-        for step in range(first + 1, end + 1):
+        for step in range(start_step + 1, end_step + 1):
             self.update(step * step_ns, ())
             rows.append(self.powers.copy())
         return rows
@@ -223,10 +223,11 @@ class Lamps:
         self._was_near_lamp = self._is_near(self.lit_index, max_distance, robots)
         return True
 
-    def _is_near(self, index: int, limit: float, robots: Sequence[tuple[float, float, float]]) -> bool:
+    def _is_near(self, index: int, max_distance: float, robots: Sequence[tuple[float, float, float]]) -> bool:
+        """Return whether a robot (x, y, radius) is within `max_distance` of a bulb's surface [m]."""
         x, y, _ = self.positions[index]
-        limit += metres(BULB_RADIUS_MM)
-        return any(math.hypot(x - robot[0], y - robot[1]) < limit + robot[2] for robot in robots)
+        max_distance += metres(BULB_RADIUS_MM)
+        return any(math.hypot(x - rx, y - ry) < max_distance + radius for rx, ry, radius in robots)
 
 
 def _is_scheduled_on(lamp: Lamp, time_ns: int) -> bool:

@@ -29,8 +29,8 @@ class Bulb(NamedTuple):
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
-    first: int = 0
-    end: int = 0
+    first_sector: int = 0
+    end_sector: int = 0
     flicker: float = 0.0
 
 
@@ -125,7 +125,7 @@ def light_counts(
 
 
 @compilable
-def wave(law: LightLaw, time_ns: int) -> float:
+def flicker_wave(law: LightLaw, time_ns: int) -> float:
     """Return the flicker of the lamps at a time [ns], -1 to 1."""
     return math.cos(math.tau * (time_ns % law.flicker_ns / law.flicker_ns + law.flicker_phase))
 
@@ -167,7 +167,7 @@ def is_clear(light: Light, lamp: int, x: float, y: float) -> bool:
     bulb = light.bulbs[lamp]
     dx, dy = x - bulb.x, y - bulb.y
     distance = math.sqrt(dx * dx + dy * dy)
-    for i in range(bulb.first, bulb.end):
+    for i in range(bulb.first_sector, bulb.end_sector):
         sector = light.sectors[i]
         if distance > sector.distance and dx * sector.x + dy * sector.y > distance * sector.half_cosine:
             return False
@@ -178,9 +178,9 @@ def is_clear(light: Light, lamp: int, x: float, y: float) -> bool:
 def visible_part(scene: Scene, sensors: RobotSensors, channel: int, ray: Triple, distance: float) -> float:
     """Return the visible part of a bulb, 0 to 1, along a ray from a receiver [m] of length `distance`."""
     # Mostly all or nothing is visible; only a penumbra needs many rays.
-    part = sample_bulb(scene, sensors, channel, ray, distance, COARSE)
-    if part == 0.0 or part == 1.0:
-        return part
+    visible_fraction = sample_bulb(scene, sensors, channel, ray, distance, COARSE)
+    if visible_fraction == 0.0 or visible_fraction == 1.0:
+        return visible_fraction
     return sample_bulb(scene, sensors, channel, ray, distance, FINE)
 
 
@@ -188,7 +188,7 @@ def visible_part(scene: Scene, sensors: RobotSensors, channel: int, ray: Triple,
 def sample_bulb(
     scene: Scene, sensors: RobotSensors, channel: int, ray: Triple, distance: float, disc: int
 ) -> float:
-    """Return the part of the points on a bulb that rays from a receiver reach."""
+    """Return the part of a bulb's points (`disc`: COARSE or FINE) that a receiver sees along a ray [m]."""
     x, y, z = ray
     horizontal, scale = math.sqrt(x * x + y * y), BULB_RADIUS / distance
     # Left and up, as seen from the receiver; directly below a lamp any horizontal direction is left.

@@ -157,11 +157,11 @@ def place_faces(scene: LineScene, n_fixed: int, moving: MovingFaces, poses: Face
         poses: Current positions and orientations.
         eye: Pose of the camera.
     """
-    faces, lamps, count, is_lit = scene.faces, scene.lamps, n_fixed, False
+    faces, lamps, count, is_any_lamp_on = scene.faces, scene.lamps, n_fixed, False
     for lamp in range(len(lamps)):
         dz = lamps[lamp, 2] - eye.height
         square = BULB_RADIUS * BULB_RADIUS - dz * dz
-        is_lit = is_lit or lamps[lamp, 3] > 0
+        is_any_lamp_on = is_any_lamp_on or lamps[lamp, 3] > 0
         if lamps[lamp, 3] > 0 and square > 0:
             direction, span = (1.0, 0.0), (lamps[lamp, 2] - BULB_RADIUS, lamps[lamp, 2] + BULB_RADIUS)
             shape = (lamps[lamp, 0], lamps[lamp, 1]), direction, (math.sqrt(square), -1.0), span
@@ -169,18 +169,18 @@ def place_faces(scene: LineScene, n_fixed: int, moving: MovingFaces, poses: Face
             faces[count - 1, GLOW] = BULB_LUMINANCE * lamps[lamp, 3]
     for i in range(len(moving.geoms)):
         geom, role = moving.geoms[i], moving.roles[i]
-        if role & VISIBLE == 0 and not is_lit:
+        if role & VISIBLE == 0 and not is_any_lamp_on:
             continue
         size = moving.sizes[i, 0], moving.sizes[i, 1], moving.sizes[i, 2]
-        position, rotation = _vector_at(poses.geom_positions, geom), _rows_at(poses.geom_rotations, geom)
+        position, rotation = _vector(poses.geom_positions, geom), _matrix(poses.geom_rotations, geom)
         shape = upright_shape(moving.geom_types[i], size, position, rotation)
-        if is_lit or shape[3][0] <= eye.height <= shape[3][1]:
+        if is_any_lamp_on or shape[3][0] <= eye.height <= shape[3][1]:
             count = set_upright(faces, count, shape, moving.reflectances[i], role)
     for i in range(len(moving.stripes)):
         site = moving.stripes[i]
         size = moving.stripe_sizes[i, 0], moving.stripe_sizes[i, 1], moving.stripe_sizes[i, 2]
-        position, direction = _vector_at(poses.site_positions, site), _rows_at(poses.site_rotations, site)
-        count = set_stripe(faces, count, position, direction, size, moving.stripe_reflectances[i])
+        position, rotation = _vector(poses.site_positions, site), _matrix(poses.site_rotations, site)
+        count = set_stripe(faces, count, position, rotation, size, moving.stripe_reflectances[i])
     scene.n_faces[0] = count
 
 
@@ -189,7 +189,7 @@ def set_upright(faces: Matrix, count: int, shape: Upright, reflectance: float, r
     """Add the faces of an upright box or cylinder; return the number of faces."""
     (x, y), (c, s), (half, width), span = shape
     if width < 0:
-        _set(faces, count, (x, y, 0.0, 0.0, half), span, reflectance, role)
+        _set_face(faces, count, (x, y, 0.0, 0.0, half), span, reflectance, role)
         return count + 1
     # Counter-clockwise, so that a face starts at its left end as seen from outside.
     for face in range(BOX_FACES):
@@ -202,7 +202,7 @@ def set_upright(faces: Matrix, count: int, shape: Upright, reflectance: float, r
             along, across, end_along, end_across = -half, -width, half, -width
         start = x + c * along - s * across, y + s * along + c * across
         end = x + c * end_along - s * end_across, y + s * end_along + c * end_across
-        _set(faces, count + face, (start[0], start[1], end[0], end[1], 0.0), span, reflectance, role)
+        _set_face(faces, count + face, (start[0], start[1], end[0], end[1], 0.0), span, reflectance, role)
     return count + BOX_FACES
 
 
@@ -227,12 +227,12 @@ def set_stripe(
     """
     x, y, dx, dy = position[0], position[1], rotation[0] * size[0], rotation[3] * size[0]
     ends, span = (x - dx, y - dy, x + dx, y + dy, 0.0), (position[2] - size[2], position[2] + size[2])
-    _set(faces, count, ends, span, reflectance, VISIBLE)
+    _set_face(faces, count, ends, span, reflectance, VISIBLE)
     return count + 1
 
 
 @compilable
-def _set(
+def _set_face(
     faces: Matrix,
     row: int,
     outline: tuple[float, float, float, float, float],
@@ -248,15 +248,15 @@ def _set(
 
 
 @compilable
-def _vector_at(array: Matrix, row: int) -> tuple[float, float, float]:
+def _vector(array: Matrix, row: int) -> tuple[float, float, float]:
     return array[row, 0], array[row, 1], array[row, 2]
 
 
 @compilable
-def _rows_at(array: Matrix, row: int) -> tuple[float, float, float, float, float, float, float, float, float]:
-    first = array[row, 0], array[row, 1], array[row, 2]
-    second = array[row, 3], array[row, 4], array[row, 5]
-    return first + second + (array[row, 6], array[row, 7], array[row, 8])
+def _matrix(array: Matrix, row: int) -> tuple[float, float, float, float, float, float, float, float, float]:
+    first_row = array[row, 0], array[row, 1], array[row, 2]
+    second_row = array[row, 3], array[row, 4], array[row, 5]
+    return first_row + second_row + (array[row, 6], array[row, 7], array[row, 8])
 
 
 def _stripes(model: mujoco.MjModel) -> list[int]:

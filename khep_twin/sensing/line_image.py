@@ -6,7 +6,7 @@ lamp that is on glows; one that is off is clear glass. The lens blurs each ray's
 aperture |1 / depth - 1 / focus|, and weakens it towards the edges by the fourth power of the cosine. The grey
 of a pixel is luminance times exposure, with noise.
 
-The only mathematical function is the square root, so that plain and compiled code give the same bits.
+The only mathematical function is the square root, so that plain and compiled code give the same values.
 """
 
 import math
@@ -14,14 +14,14 @@ import math
 from khep_twin.board.k213 import LIGHT_LIMIT, LONGEST_MS, SHORTEST_MS
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.line_light import illuminance, in_shadow, light_on
+from khep_twin.sensing.line_light import face_illuminance, illuminance, in_shadow
 from khep_twin.sensing.line_scene import (
     BOTTOM,
     END_X,
     END_Y,
     GLOW,
-    HALF,
     HALF_FIELD,
+    HALF_PIXELS,
     MARGIN,
     N_RAYS,
     RADIUS,
@@ -69,8 +69,8 @@ def take_image(
     eye: Eye,
     exposure_ms: int,
     tables: Tables,
-    key: Vector[int],
-    number: int,
+    noise_key: Vector[int],
+    image_number: int,
     pixels: Vector[int],
 ) -> int:
     """Fill in the greys of an image; return the reading of the light sensor.
@@ -80,25 +80,25 @@ def take_image(
         eye: Pose of the camera.
         exposure_ms: Duration of the scan [ms]; 0 to choose it by the current light.
         tables: Quantiles of the random draws.
-        key: Words of the key of the random draws (2,).
-        number: Number of the image.
+        noise_key: Words of the key of the random draws (2,).
+        image_number: Number of the image.
         pixels: Buffer for the greys, 0 to 255, from left to right (64,).
     """
     cast_rays(scene, eye)
     shade(scene, eye)
     blur(scene)
-    first, n_pairs = number * (K213_PIXELS // 2 + 1), K213_PIXELS // 2
+    first_draw, n_pairs = image_number * (K213_PIXELS // 2 + 1), K213_PIXELS // 2
     reading = LIGHT_AT_ROOM * ROOM_LUX / max(illuminance(scene, eye), 1e-9)
-    reading = min(reading, 1e6) * (1 + LIGHT_NOISE * draws(tables, key, first + n_pairs)[0])
+    reading = min(reading, 1e6) * (1 + LIGHT_NOISE * draws(tables, noise_key, first_draw + n_pairs)[0])
     light = max(1, min(LIGHT_LIMIT, round(reading)))
     if exposure_ms == 0:
         exposure_ms = max(SHORTEST_MS, min(LONGEST_MS, light))
     gain = _GAIN_PER_MS * exposure_ms
     for pair in range(n_pairs):
-        normals = draws(tables, key, first + pair)
+        normals = draws(tables, noise_key, first_draw + pair)
         for side in range(2):
             pixel = 2 * pair + side
-            slope = HALF_FIELD * (1 - (pixel + 0.5) / HALF)
+            slope = HALF_FIELD * (1 - (pixel + 0.5) / HALF_PIXELS)
             falloff = 1 / ((1 + slope * slope) * (1 + slope * slope))
             grey = gain * falloff * scene.weighted_sums[0, pixel] / scene.weighted_sums[1, pixel]
             pixels[pixel] = round(max(0.0, min(255.0, grey + NOISE * (normals[1] if side else normals[0]))))
@@ -118,9 +118,9 @@ def cast_rays(scene: LineScene, eye: Eye) -> None:
         if faces[face, BOTTOM] > eye.height or faces[face, TOP] < eye.height:
             continue
         if faces[face, RADIUS] > 0:
-            _draw_cylinder(scene, eye, face)
+            _cast_to_cylinder(scene, eye, face)
         else:
-            _draw_face(scene, eye, face)
+            _cast_to_face(scene, eye, face)
 
 
 @compilable
@@ -129,7 +129,7 @@ def shade(scene: LineScene, eye: Eye) -> None:
     faces, previous_face, previous_pixel = scene.faces, -2, -1
     for ray in range(N_RAYS):
         face, depth = scene.face_index[ray], scene.depths[ray]
-        position, half_width = ray_position(ray), _half_blur(depth)
+        position, half_width = ray_position(ray), _half_blur_width(depth)
         if position + half_width <= 0 or position - half_width >= K213_PIXELS:
             continue  # none of its light reaches the image
         if face < 0:
@@ -148,7 +148,8 @@ def shade(scene: LineScene, eye: Eye) -> None:
                 scene.visible_lamps[lamp] = 0
                 if scene.lamps[lamp, 3] > 0 and not in_shadow(scene, lamp, x, y, eye.height, 0):
                     scene.visible_lamps[lamp] = 1
-        scene.luminances[ray] = faces[face, REFLECTANCE] / math.pi * light_on(scene, face, x, y, eye.height)
+        lux = face_illuminance(scene, face, x, y, eye.height)
+        scene.luminances[ray] = faces[face, REFLECTANCE] / math.pi * lux
 
 
 @compilable
@@ -158,18 +159,19 @@ def blur(scene: LineScene) -> None:
     for pixel in range(K213_PIXELS):
         weighted_sums[0, pixel] = weighted_sums[1, pixel] = 0.0
     for ray in range(N_RAYS):
-        position, half_width = ray_position(ray), _half_blur(scene.depths[ray])
+        position, half_width = ray_position(ray), _half_blur_width(scene.depths[ray])
         low, high = position - half_width, position + half_width
-        first, last = max(int(low + MARGIN) - MARGIN, 0), min(int(high + MARGIN) - MARGIN, K213_PIXELS - 1)
-        for pixel in range(first, last + 1):
-            part = (min(high, pixel + 1.0) - max(low, float(pixel))) / (2 * half_width)
-            if part > 0:
-                weighted_sums[0, pixel] += part * scene.luminances[ray]
-                weighted_sums[1, pixel] += part
+        first_pixel = max(int(low + MARGIN) - MARGIN, 0)
+        last_pixel = min(int(high + MARGIN) - MARGIN, K213_PIXELS - 1)
+        for pixel in range(first_pixel, last_pixel + 1):
+            width = (min(high, pixel + 1.0) - max(low, float(pixel))) / (2 * half_width)
+            if width > 0:
+                weighted_sums[0, pixel] += width * scene.luminances[ray]
+                weighted_sums[1, pixel] += width
 
 
 @compilable
-def _draw_face(scene: LineScene, eye: Eye, face: int) -> None:
+def _cast_to_face(scene: LineScene, eye: Eye, face: int) -> None:
     """Cast the rays to a flat face, which is visible from outside only."""
     faces = scene.faces
     dx, dy = faces[face, X] - eye.x, faces[face, Y] - eye.y
@@ -179,19 +181,19 @@ def _draw_face(scene: LineScene, eye: Eye, face: int) -> None:
     cross, dz, dx = z0 * x1 - x0 * z1, z1 - z0, x1 - x0
     if cross >= 0 or (z0 <= _MIN_DEPTH and z1 <= _MIN_DEPTH):
         return
-    low, high = 0, N_RAYS - 1
+    first_ray, last_ray = 0, N_RAYS - 1
     if z0 > _MIN_DEPTH:
-        low = _first_ray(x0 / z0)
+        first_ray = _first_ray_right_of(x0 / z0)
     if z1 > _MIN_DEPTH:
-        high = _first_ray(x1 / z1) - 1
-    for ray in range(max(low, 0), min(high, N_RAYS - 1) + 1):
+        last_ray = _first_ray_right_of(x1 / z1) - 1
+    for ray in range(max(first_ray, 0), min(last_ray, N_RAYS - 1) + 1):
         divisor = dx - ray_slope(ray) * dz
         if divisor < 0:
             _set_nearest(scene, ray, face, cross / divisor)
 
 
 @compilable
-def _draw_cylinder(scene: LineScene, eye: Eye, face: int) -> None:
+def _cast_to_cylinder(scene: LineScene, eye: Eye, face: int) -> None:
     """Cast the rays to a cylinder."""
     faces, radius = scene.faces, scene.faces[face, RADIUS]
     dx, dy = faces[face, X] - eye.x, faces[face, Y] - eye.y
@@ -199,11 +201,12 @@ def _draw_cylinder(scene: LineScene, eye: Eye, face: int) -> None:
     tangent_square = z * z + x * x - radius * radius
     if tangent_square <= 0 or z <= -radius:
         return
-    low, high = 0, N_RAYS - 1
+    first_ray, last_ray = 0, N_RAYS - 1
     if z > radius:
         scale, spread = z * z - radius * radius, radius * math.sqrt(tangent_square)
-        low, high = _first_ray((z * x + spread) / scale), _first_ray((z * x - spread) / scale) - 1
-    for ray in range(max(low, 0), min(high, N_RAYS - 1) + 1):
+        first_ray = _first_ray_right_of((z * x + spread) / scale)
+        last_ray = _first_ray_right_of((z * x - spread) / scale) - 1
+    for ray in range(max(first_ray, 0), min(last_ray, N_RAYS - 1) + 1):
         slope = ray_slope(ray)
         norm_square, projection = 1 + slope * slope, z + slope * x
         discriminant = projection * projection - norm_square * tangent_square
@@ -220,14 +223,14 @@ def _set_nearest(scene: LineScene, ray: int, face: int, depth: float) -> None:
 
 
 @compilable
-def _half_blur(depth: float) -> float:
+def _half_blur_width(depth: float) -> float:
     """Return half of the width over which the lens spreads a point at a depth [pixels]."""
-    half = APERTURE / 2 * abs(1 / depth - 1 / FOCUS) * (HALF / HALF_FIELD)
-    return max(0.5 / RAYS_PER_PIXEL, min(half, float(MARGIN)))
+    half_width = APERTURE / 2 * abs(1 / depth - 1 / FOCUS) * (HALF_PIXELS / HALF_FIELD)
+    return max(0.5 / RAYS_PER_PIXEL, min(half_width, float(MARGIN)))
 
 
 @compilable
-def _first_ray(slope: float) -> int:
+def _first_ray_right_of(slope: float) -> int:
     """Return the first ray to the right of a slope."""
-    position = (HALF * (1 - slope / HALF_FIELD) + MARGIN) * RAYS_PER_PIXEL - 0.5
+    position = (HALF_PIXELS * (1 - slope / HALF_FIELD) + MARGIN) * RAYS_PER_PIXEL - 0.5
     return math.ceil(max(-1.0, min(position, float(N_RAYS))))

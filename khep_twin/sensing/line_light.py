@@ -55,36 +55,36 @@ def in_shadow(scene: LineScene, lamp: int, x: float, y: float, height: float, ex
     length = math.sqrt(dx * dx + dy * dy)
     if length <= _MIN_DISTANCE:
         return False
-    first, last = _MIN_DISTANCE / length, 1.0
+    min_hit, max_hit = _MIN_DISTANCE / length, 1.0
     for face in range(scene.n_faces[0]):
         role = int(faces[face, ROLE])
         if role & CASTS_SHADOW == 0 or role & excluded_roles:
             continue
-        ox, oy = faces[face, X] - x, faces[face, Y] - y
+        offset_x, offset_y = faces[face, X] - x, faces[face, Y] - y
         radius = faces[face, RADIUS]
         if radius > 0:
-            along, across = (ox * dx + oy * dy) / length, (oy * dx - ox * dy) / length
+            along, across = (offset_x * dx + offset_y * dy) / length, (offset_y * dx - offset_x * dy) / length
             if abs(across) >= radius:
                 continue
-            half = math.sqrt(radius * radius - across * across)
-            hits = (along - half) / length, (along + half) / length
+            half_chord = math.sqrt(radius * radius - across * across)
+            hits = (along - half_chord) / length, (along + half_chord) / length
         else:
-            sx, sy = faces[face, END_X] - faces[face, X], faces[face, END_Y] - faces[face, Y]
-            cross = dx * sy - dy * sx
+            face_x, face_y = faces[face, END_X] - faces[face, X], faces[face, END_Y] - faces[face, Y]
+            cross = dx * face_y - dy * face_x
             if cross == 0:
                 continue
-            position = (ox * dy - oy * dx) / cross
-            if position < 0 or position > 1:
+            face_fraction = (offset_x * dy - offset_y * dx) / cross
+            if face_fraction < 0 or face_fraction > 1:
                 continue
-            hits = (ox * sy - oy * sx) / cross, -1.0
+            hits = (offset_x * face_y - offset_y * face_x) / cross, -1.0
         for hit in hits:
-            if first < hit < last and faces[face, BOTTOM] <= height + hit * dz <= faces[face, TOP]:
+            if min_hit < hit < max_hit and faces[face, BOTTOM] <= height + hit * dz <= faces[face, TOP]:
                 return True
     return False
 
 
 @compilable
-def light_on(scene: LineScene, face: int, x: float, y: float, height: float) -> float:
+def face_illuminance(scene: LineScene, face: int, x: float, y: float, height: float) -> float:
     """Return the illuminance of a point of a face, by the lamps in `visible_lamps` [lx]."""
     faces, lamps, total = scene.faces, scene.lamps, scene.room_lux[0]
     if faces[face, RADIUS] > 0:

@@ -26,7 +26,7 @@ MARGIN = 10
 N_RAYS = (K213_PIXELS + 2 * MARGIN) * RAYS_PER_PIXEL
 """Number of rays."""
 
-HALF = K213_PIXELS / 2
+HALF_PIXELS = K213_PIXELS / 2
 """Half of the image [pixels]."""
 
 
@@ -83,4 +83,4 @@ def ray_position(ray: int) -> float:
 @compilable
 def ray_slope(ray: int) -> float:
     """Return the tangent of a ray's angle to the left of the optical axis."""
-    return HALF_FIELD * (1 - ray_position(ray) / HALF)
+    return HALF_FIELD * (1 - ray_position(ray) / HALF_PIXELS)

@@ -53,10 +53,11 @@ def table(exponent: float) -> list[list[float]]:
     return rows
 
 
-def _interpolate(exponent: float, integral: Callable[[int], float]) -> float:
+def _interpolate(exponent: float, integral_of: Callable[[int], float]) -> float:
+    """Return an integral that is known for integer exponents, linearly interpolated between two of them."""
     integer = int(exponent)
     fraction = exponent - integer
-    return (1 - fraction) * integral(integer) + fraction * integral(integer + 1)
+    return (1 - fraction) * integral_of(integer) + fraction * integral_of(integer + 1)
 
 
 def _cosine_integral(n: int) -> float:

@@ -1,6 +1,6 @@
-"""MuJoCo's scene for plain code, by MuJoCo's Python module.
+"""Queries of `sensing.scene` to MuJoCo's scene in plain code, by MuJoCo's Python module.
 
-`khep_twin.simulation.mujoco_calls` has the same functions for compiled code.
+`khep_twin.simulation.mujoco_calls` implements them for compiled code.
 """
 
 import math
@@ -143,13 +143,13 @@ class MujocoScene:
 
     def _find_geoms(self, sensors: RobotSensors, chip: Chip) -> tuple[list[int], NDArray[np.int64]]:
         """Return the fixed geoms in range of a chip, and the moving geoms of other bodies."""
-        unknown = math.inf, 0.0, list[int](), np.empty(0, np.int64)
-        x, y, fixed_geoms, moving_geoms = self._nearby_geoms.get(sensors.base, unknown)
+        no_lookup = math.inf, 0.0, list[int](), np.empty(0, np.int64)
+        x, y, fixed_geoms, moving_geoms = self._nearby_geoms.get(sensors.base, no_lookup)
         if not math.hypot(x - chip.x, y - chip.y) <= _LOOKUP_DISTANCE:
             x, y = chip.x, chip.y
-            limit = max(sensors.proximity.reach) + 2 * _LOOKUP_DISTANCE
+            max_distance = max(sensors.proximity.reach) + 2 * _LOOKUP_DISTANCE
             circles = self._bounding_circles
-            is_near = [math.hypot(cx - x, cy - y) - bound <= limit for cx, cy, bound in circles]
+            is_near = [math.hypot(cx - x, cy - y) - bound <= max_distance for cx, cy, bound in circles]
             fixed_geoms = np.flatnonzero(np.array(is_near, np.bool_) & (self._bodies == 0)).tolist()
             moving_geoms = np.flatnonzero((self._bodies != 0) & (self._bodies != sensors.base))
             self._nearby_geoms[sensors.base] = x, y, fixed_geoms, moving_geoms

@@ -5,8 +5,8 @@ Three functions compute the noise of a conversion from its draws and the robot's
 
 The draws of a conversion depend only on a robot's key and the number of the conversion: the generator has no
 state, and conversions may be drawn in any order. The generator is Philox-2x32-10 (Salmon, Moraes,
-Dror and Shaw, 2011). Its 64 bits give three draws, two normal and one exponential, by linear interpolation
-between quantiles, so that the same source gives the same bits interpreted and compiled.
+Dror and Shaw, 2011). The 64 bits of one call give three draws, two normal and one exponential, by linear
+interpolation between quantiles; plain and compiled code give the same values, bit for bit.
 """
 
 import math

@@ -40,16 +40,16 @@ def _find_obstacles(
     model: mujoco.MjModel, lamp: tuple[float, float, float]
 ) -> Iterator[tuple[float, float, float]]:
     """Yield the objects that may hide a lamp: middle and half of their sector [rad], and distance [m]."""
-    lowest = min(SENSOR_HEIGHT, lamp[2] - BULB_RADIUS)
+    lowest_ray = min(SENSOR_HEIGHT, lamp[2] - BULB_RADIUS)
     if lamp[2] < BULB_RADIUS:
-        yield 0.0, math.inf, 0.0  # the floor hides a part of it in all directions
+        yield 0.0, math.inf, 0.0  # the floor hides a part of the bulb in all directions
         return
     for geom in np.flatnonzero(model.geom_bodyid == 0).tolist():
         size, centre = model.geom_size[geom].tolist(), model.geom_pos[geom].tolist()
         is_box = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX
         height = centre[2] + (size[2] if is_box else size[1])
         name = model.geom(geom).name
-        if name == "floor" or model.geom_group[geom] == GROUND_GROUP or height <= lowest:
+        if name == "floor" or model.geom_group[geom] == GROUND_GROUP or height <= lowest_ray:
             continue
         x, y = centre[0] - lamp[0], centre[1] - lamp[1]
         w, _, _, z = model.geom_quat[geom].tolist()

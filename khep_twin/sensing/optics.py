@@ -1,13 +1,13 @@
 """Conversion of an infrared sensor: from surfaces and lamps to counts.
 
 `sensors` and `reflection` describe the model of proximity, `ambient` that of ambient light. The functions are
-`compilable`: they index lists here, arrays there, and query the scene only by the functions of `scene`.
+`compilable`: they index lists in plain code, arrays in compiled code, and query the scene by `scene`.
 """
 
 from collections.abc import Sequence
 
 from khep_twin.compilable import compilable
-from khep_twin.sensing.light import Light, light_counts, wave
+from khep_twin.sensing.light import Light, flicker_wave, light_counts
 from khep_twin.sensing.noise import ambient_noise, idle_counts, proximity_noise
 from khep_twin.sensing.reflection import reflected_light, remove_faint
 from khep_twin.sensing.robot_sensors import RobotSensors, sensor_lobe
@@ -42,18 +42,18 @@ def convert(
         draws: Random draws, from `noise.draws`.
     """
     ambient, ambient_change = sensors.ambient, 0.0
-    span = ambient.dark - ambient.floor
-    total, swing = light_counts(scene, sensors, light, powers, channel)
-    light_level = total + swing * wave(light.law, time_ns) if swing > 0 else total
+    ambient_range = ambient.dark - ambient.floor
+    mean_light, amplitude = light_counts(scene, sensors, light, powers, channel)
+    light_level = mean_light + amplitude * flicker_wave(light.law, time_ns) if amplitude > 0 else mean_light
     # The floor is the first argument, so that NaN becomes the floor until it is detected.
     level = max(ambient.floor, ambient.dark - light_level)
-    if swing > 0:
+    if amplitude > 0:
         # The ambient light of the second conversion, with the emitter on, differs from that of the first.
-        light_level = total + swing * wave(light.law, time_ns + EMITTER_DELAY_NS)
+        light_level = mean_light + amplitude * flicker_wave(light.law, time_ns + EMITTER_DELAY_NS)
         change = level - max(ambient.floor, ambient.dark - light_level)
-        ambient_change = sensors.proximity.limit * change / span
+        ambient_change = sensors.proximity.limit * change / ambient_range
     counts = max(min(round(level + ambient_noise(ambient, draws)), ambient.ceiling), 0)
-    range_left = (level - ambient.floor) / span
+    range_left = (level - ambient.floor) / ambient_range
     noise, idle = proximity_noise(sensors.proximity, channel, draws), idle_counts(sensors.proximity, draws)
     return proximity_counts(scene, sensors, channel, noise, idle, range_left, ambient_change), counts
 

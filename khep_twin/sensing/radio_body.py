@@ -37,16 +37,16 @@ class RadioBody:
         self._registers = context.registers
         self._view = context.registers.data
         robot = context.prefix.partition("/")[0]
-        self._pose = int(context.model.joint(f"{robot}/pose").qposadr[0])
+        self._qpos_start = int(context.model.joint(f"{robot}/pose").qposadr[0])
         settings = context.settings
         self._range = settings["range_mm"] / 1000
         self._loss = round(settings["loss"] * (_WORD + 1))
         self._air_ns = TICK_NS * math.ceil(settings["air_time_ms"] * 1e6 / TICK_NS)
 
     @property
-    def place(self) -> tuple[float, float]:
+    def position(self) -> tuple[float, float]:
         """Position of its robot: x and y [m]."""
-        x, y = self._context.data.qpos[self._pose : self._pose + 2].tolist()
+        x, y = self._context.data.qpos[self._qpos_start : self._qpos_start + 2].tolist()
         return x, y
 
     def sense(self) -> None:
@@ -101,7 +101,7 @@ class RadioBody:
             return False
         if sender[Register.TO] not in (self.number, RADIO_ALL):
             return False
-        if math.dist(self.place, peer.place) > self._range:
+        if math.dist(self.position, peer.position) > self._range:
             return False
         low, high = self._context.key
         draw, _ = philox(sender[Register.TRANSMISSIONS] & _WORD, (high + peer.number) & _WORD, low)

@@ -90,8 +90,8 @@ def remove_faint(surfaces: Vector[float], count: int, lobe: Lobe, min_light: flo
             arc_bound = min(arc_bound, (high - low) / lobe.norm)
         arc_bound /= surfaces[row + SQUARE]
         if low > 0 or high < 0:
-            edge = low if low > 0 else high
-            cosine_square = 1 - edge * edge
+            nearest_sine = low if low > 0 else high
+            cosine_square = 1 - nearest_sine * nearest_sine
             for _ in range((lobe.exponent - 1) >> 1):
                 arc_bound *= cosine_square
         if arc_bound <= min_light:
@@ -126,20 +126,21 @@ def reflected_light(surfaces: Vector[float], count: int, chip: Chip, lobe: Lobe)
         low, end = min(low, surfaces[row + LOW]), max(end, surfaces[row + HIGH])
     while low < end - MIN_ARC:
         # Between two edges, the sequence of surfaces from front to back is constant.
-        high, index, max_top = end, -1, -math.inf
+        high, front_row, max_top = end, -1, -math.inf
         for row in range(0, count * N_COLUMNS, N_COLUMNS):
             if low + MIN_ARC < surfaces[row + LOW]:
                 high = min(high, surfaces[row + LOW])
             elif low + MIN_ARC < surfaces[row + HIGH]:
                 high = min(high, surfaces[row + HIGH])
-                index, max_top = (row if index < 0 else count * N_COLUMNS), max(max_top, surfaces[row + TOP])
-        if index == count * N_COLUMNS:
-            index, high = _find_nearest(surfaces, count, low, high)
-        if index >= 0:
-            if max_top > max(surfaces[index + TOP], 0.0):
-                total += _layers(surfaces, count, (low, high), chip, lobe)
+                front_row = row if front_row < 0 else count * N_COLUMNS
+                max_top = max(max_top, surfaces[row + TOP])
+        if front_row == count * N_COLUMNS:
+            front_row, high = _find_nearest(surfaces, count, low, high)
+        if front_row >= 0:
+            if max_top > max(surfaces[front_row + TOP], 0.0):
+                total += _stacked_light(surfaces, count, (low, high), chip, lobe)
             else:
-                total += _surface_light(surfaces, index, (low, high), (-math.inf, math.inf), chip, lobe)
+                total += _surface_light(surfaces, front_row, (low, high), (-math.inf, math.inf), chip, lobe)
         low = high
     return total
 
@@ -148,32 +149,32 @@ def reflected_light(surfaces: Vector[float], count: int, chip: Chip, lobe: Lobe)
 def _find_nearest(surfaces: Vector[float], count: int, low: float, high: float) -> tuple[int, float]:
     """Return the nearest surface between two azimuths, and the azimuth at which another one crosses it."""
     margin = (high - low) / 64
-    right, left = low + margin, high - margin
-    first_azimuth = math.sqrt(1 - right * right), right
-    last_azimuth = math.sqrt(1 - left * left), left
+    right_sine, left_sine = low + margin, high - margin
+    right_direction = math.sqrt(1 - right_sine * right_sine), right_sine
+    left_direction = math.sqrt(1 - left_sine * left_sine), left_sine
     first_distance = last_distance = math.inf
     first_index = last_index = -1
     for row in range(0, count * N_COLUMNS, N_COLUMNS):
         if surfaces[row + LOW] < low + MIN_ARC and surfaces[row + HIGH] > high - MIN_ARC:
-            distance = _distance(surfaces, row, first_azimuth)
+            distance = _distance_in(surfaces, row, right_direction)
             if distance < first_distance:
                 first_distance, first_index = distance, row
-            distance = _distance(surfaces, row, last_azimuth)
+            distance = _distance_in(surfaces, row, left_direction)
             if distance < last_distance:
                 last_distance, last_index = distance, row
     if first_index == last_index:
         return first_index, high
     # The surfaces of overlapping objects cross here.
     if surfaces[first_index + RADIUS] == 0 and surfaces[last_index + RADIUS] == 0:
-        return first_index, min(max(_crossing_sine(surfaces, first_index, last_index), right), left)
-    while left - right > MIN_ARC:
-        middle = (left + right) / 2
-        azimuth = math.sqrt(1 - middle * middle), middle
-        if _distance(surfaces, first_index, azimuth) <= _distance(surfaces, last_index, azimuth):
-            right = middle
+        return first_index, min(max(_crossing_sine(surfaces, first_index, last_index), right_sine), left_sine)
+    while left_sine - right_sine > MIN_ARC:
+        middle = (left_sine + right_sine) / 2
+        direction = math.sqrt(1 - middle * middle), middle
+        if _distance_in(surfaces, first_index, direction) <= _distance_in(surfaces, last_index, direction):
+            right_sine = middle
         else:
-            left = middle
-    return first_index, left
+            left_sine = middle
+    return first_index, left_sine
 
 
 @compilable
@@ -186,23 +187,25 @@ def _crossing_sine(surfaces: Vector[float], first: int, second: int) -> float:
 
 
 @compilable
-def _layers(surfaces: Vector[float], count: int, ends: tuple[float, float], chip: Chip, lobe: Lobe) -> float:
-    """Return the light between two azimuths where several surfaces are visible above each other."""
-    total, depth, layer = 0.0, -1.0, -1
-    sine = (ends[0] + ends[1]) / 2
+def _stacked_light(
+    surfaces: Vector[float], count: int, sines: tuple[float, float], chip: Chip, lobe: Lobe
+) -> float:
+    """Return the light of an arc, by the sines of its ends, where surfaces are visible above nearer ones."""
+    total, depth, front_row = 0.0, -1.0, -1
+    sine = (sines[0] + sines[1]) / 2
     cosine = math.sqrt(1 - sine * sine)
     for _ in range(count):
-        distance, index = _next_surface(surfaces, count, ends, (cosine, sine), depth, layer)
+        distance, index = _find_next_surface(surfaces, count, sines, (cosine, sine), depth, front_row)
         if index < 0:
             break
         hidden = -math.inf, math.inf
         if depth >= 0:
-            hidden = _hidden_slopes(surfaces, count, ends, (cosine, sine), depth, layer, chip.height)
+            hidden = _hidden_slopes(surfaces, count, sines, (cosine, sine), depth, front_row, chip.height)
             if surfaces[index + TOP] <= hidden[0] * distance:
-                depth, layer = distance, index
+                depth, front_row = distance, index
                 continue
-        total += _surface_light(surfaces, index, ends, hidden, chip, lobe)
-        depth, layer = distance, index
+        total += _surface_light(surfaces, index, sines, hidden, chip, lobe)
+        depth, front_row = distance, index
     return total
 
 
@@ -210,22 +213,22 @@ def _layers(surfaces: Vector[float], count: int, ends: tuple[float, float], chip
 def _surface_light(
     surfaces: Vector[float],
     index: int,
-    ends: tuple[float, float],
+    sines: tuple[float, float],
     hidden: tuple[float, float],
     chip: Chip,
     lobe: Lobe,
 ) -> float:
     """Return the light from a surface between two azimuths."""
     if surfaces[index + RADIUS] > 0:
-        return surfaces[index + REFLECTANCE] * _cylinder_light(surfaces, index, ends, hidden, chip, lobe)
-    return surfaces[index + REFLECTANCE] * _face_light(surfaces, index, ends, hidden, chip, lobe)
+        return surfaces[index + REFLECTANCE] * _cylinder_light(surfaces, index, sines, hidden, chip, lobe)
+    return surfaces[index + REFLECTANCE] * _face_light(surfaces, index, sines, hidden, chip, lobe)
 
 
 @compilable
 def _face_light(
     surfaces: Vector[float],
     index: int,
-    ends: tuple[float, float],
+    sines: tuple[float, float],
     hidden: tuple[float, float],
     chip: Chip,
     lobe: Lobe,
@@ -234,15 +237,15 @@ def _face_light(
     distance, c, s = surfaces[index + DISTANCE], surfaces[index + COSINE], surfaces[index + SINE]
     # cos(phi) = cos(theta - foot), and d = distance / cos(phi).
     factors = c * c * c, 3 * c * c * s, 3 * c * s * s, s * s * s
-    light = _table_light(lobe.table, ends[1], factors) - _table_light(lobe.table, ends[0], factors)
+    light = _table_light(lobe.table, sines[1], factors) - _table_light(lobe.table, sines[0], factors)
     # Most light comes from an azimuth between the axis and the foot; the elevation is computed near it.
     sharpness = FOOT_EXPONENT + lobe.exponent + lobe.fraction
-    width = ends[1] - ends[0]
+    width = sines[1] - sines[0]
     spread = min(1 / (sharpness + 1), width * width / 12)
     x, y = sharpness - FOOT_EXPONENT + FOOT_EXPONENT * c, FOOT_EXPONENT * s
     norm = math.sqrt(x * x + y * y)
-    if not ends[0] * norm < y < ends[1] * norm:
-        y = ends[0] if ends[0] * norm >= y else ends[1]
+    if not sines[0] * norm < y < sines[1] * norm:
+        y = sines[0] if sines[0] * norm >= y else sines[1]
         x, norm = math.sqrt(1 - y * y), 1.0
     length = distance * norm / (x * c + y * s) * (1 + spread / 2)
     return max(light, 0.0) / (distance * distance) * _lobe_part(surfaces, index, hidden, chip.height, length)
@@ -266,7 +269,7 @@ def _table_light(
 def _cylinder_light(
     surfaces: Vector[float],
     index: int,
-    ends: tuple[float, float],
+    sines: tuple[float, float],
     hidden: tuple[float, float],
     chip: Chip,
     lobe: Lobe,
@@ -274,7 +277,7 @@ def _cylinder_light(
     """Return the light from a cylinder of reflectance 1 between two azimuths."""
     distance, radius = surfaces[index + DISTANCE], surfaces[index + RADIUS]
     c, s = surfaces[index + COSINE], surfaces[index + SINE]
-    low, high = ends
+    low, high = sines
     # With u by sin(phi) = u (3 - u^2) / 2, the integrand has no square root at the cylinder's edges.
     first = _invert_cubic((low * c - math.sqrt(1 - low * low) * s) * distance / radius)
     last = _invert_cubic((high * c - math.sqrt(1 - high * high) * s) * distance / radius)
@@ -300,76 +303,80 @@ def _cylinder_light(
 
 @compilable
 def _lobe_part(
-    surfaces: Vector[float], index: int, hidden: tuple[float, float], height: float, length: float
+    surfaces: Vector[float], index: int, hidden: tuple[float, float], height: float, distance: float
 ) -> float:
     """Return the part of the lobe in elevation that a surface and its mirror image in the floor cover.
 
     Nearer objects and their mirror images hide it below and above the slopes `hidden`. `height` is that of
-    the sensor, `length` the horizontal distance [m].
+    the sensor, `distance` that of the surface in the horizontal plane [m].
     """
     top, bottom = surfaces[index + TOP], surfaces[index + BOTTOM]
     image_top, image_bottom = -2 * height - top, -2 * height - bottom
     if hidden[0] == -math.inf and bottom <= -height:
-        return _part_below(top, length) - _part_below(image_top, length)
-    lower, upper = hidden[0] * length, hidden[1] * length
-    direct = _part_below(max(top, lower), length) - _part_below(max(bottom, lower), length)
-    return direct + _part_below(min(image_bottom, upper), length) - _part_below(min(image_top, upper), length)
+        return _part_below(top, distance) - _part_below(image_top, distance)
+    lower, upper = hidden[0] * distance, hidden[1] * distance
+    direct = _part_below(max(top, lower), distance) - _part_below(max(bottom, lower), distance)
+    direct += _part_below(min(image_bottom, upper), distance)
+    return direct - _part_below(min(image_top, upper), distance)
 
 
 @compilable
 def _hidden_slopes(
     surfaces: Vector[float],
     count: int,
-    ends: tuple[float, float],
-    azimuth: tuple[float, float],
+    sines: tuple[float, float],
+    direction: tuple[float, float],
     depth: float,
-    layer: int,
+    front_row: int,
     height: float,
 ) -> tuple[float, float]:
-    """Return the slopes below and above which nearer objects and their mirror images hide others."""
+    """Return the slope of the highest top, and of the lowest mirror image, up to and including `front_row`.
+
+    `depth` is its distance; `direction` is cosine and sine of an azimuth in the arc with ends `sines`.
+    """
     top_slope, bottom_slope = -math.inf, math.inf
     for row in range(0, count * N_COLUMNS, N_COLUMNS):
-        if surfaces[row + LOW] < ends[0] + MIN_ARC and surfaces[row + HIGH] > ends[1] - MIN_ARC:
-            distance = _distance(surfaces, row, azimuth)
-            if distance < depth or (distance == depth and row <= layer):
+        if surfaces[row + LOW] < sines[0] + MIN_ARC and surfaces[row + HIGH] > sines[1] - MIN_ARC:
+            distance = _distance_in(surfaces, row, direction)
+            if distance < depth or (distance == depth and row <= front_row):
                 top_slope = max(top_slope, surfaces[row + TOP] / distance)
                 bottom_slope = min(bottom_slope, (-2 * height - surfaces[row + TOP]) / distance)
     return top_slope, bottom_slope
 
 
 @compilable
-def _part_below(height: float, length: float) -> float:
+def _part_below(height: float, distance: float) -> float:
     """Return the part of the lobe in elevation below a height at a horizontal distance [m], minus 0.5."""
-    sine = height / math.sqrt(height * height + length * length)
+    sine = height / math.sqrt(height * height + distance * distance)
     square = sine * sine
     # The integral of cos^7: cos^3 of the lobe, and four factors cos of the elevation.
     return sine * (1 - square * (1 - square * (0.6 - square * (1 / 7)))) * (35 / 32)
 
 
 @compilable
-def _next_surface(
+def _find_next_surface(
     surfaces: Vector[float],
     count: int,
-    ends: tuple[float, float],
-    azimuth: tuple[float, float],
+    sines: tuple[float, float],
+    direction: tuple[float, float],
     depth: float,
-    layer: int,
+    front_row: int,
 ) -> tuple[float, int]:
-    """Return distance and index of the next surface behind another; a negative index for none."""
+    """Return distance and row of the next surface behind `front_row`; a negative row for none."""
     nearest, index = math.inf, -1
     for row in range(0, count * N_COLUMNS, N_COLUMNS):
-        if surfaces[row + LOW] < ends[0] + MIN_ARC and surfaces[row + HIGH] > ends[1] - MIN_ARC:
-            distance = _distance(surfaces, row, azimuth)
-            is_behind = distance > depth or (distance == depth and row > layer)
+        if surfaces[row + LOW] < sines[0] + MIN_ARC and surfaces[row + HIGH] > sines[1] - MIN_ARC:
+            distance = _distance_in(surfaces, row, direction)
+            is_behind = distance > depth or (distance == depth and row > front_row)
             if is_behind and distance < nearest:
                 nearest, index = distance, row
     return nearest, index
 
 
 @compilable
-def _distance(surfaces: Vector[float], row: int, azimuth: tuple[float, float]) -> float:
-    """Return the distance of a surface at an azimuth within its arc [m]."""
-    cosine, sine = azimuth
+def _distance_in(surfaces: Vector[float], row: int, direction: tuple[float, float]) -> float:
+    """Return the distance of a surface [m] in a direction within its arc: cosine and sine of the azimuth."""
+    cosine, sine = direction
     along = surfaces[row + COSINE] * cosine + surfaces[row + SINE] * sine
     distance, radius = surfaces[row + DISTANCE], surfaces[row + RADIUS]
     if radius == 0:

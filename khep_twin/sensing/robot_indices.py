@@ -29,8 +29,8 @@ class RobotIndices:
         rims: Geoms that show the wheels.
         pose: First of the 7 numbers of the pose in qpos.
         velocity: First of the 6 numbers of the velocity in qvel.
-        wheel_angles: Wheels in qpos.
-        wheel_speeds: Wheels in qvel.
+        wheel_qpos: Angles of the wheels in qpos.
+        wheel_dofs: Degrees of freedom of the wheels, indices in qvel.
         motors: Actuators of the wheels.
         cameras: Cameras of the infrared sensors, in the order of the robot's registers.
         leds: Sites of the LEDs.
@@ -43,8 +43,8 @@ class RobotIndices:
     rims: tuple[int, int]
     pose: int
     velocity: int
-    wheel_angles: tuple[int, int]
-    wheel_speeds: tuple[int, int]
+    wheel_qpos: tuple[int, int]
+    wheel_dofs: tuple[int, int]
     motors: tuple[int, int]
     cameras: tuple[int, ...]
     leds: tuple[int, ...]
@@ -74,8 +74,8 @@ class RobotIndices:
             rims=(rims[0], rims[1]),
             pose=int(pose.qposadr[0]),
             velocity=int(pose.dofadr[0]),
-            wheel_angles=(int(left.qposadr[0]), int(right.qposadr[0])),
-            wheel_speeds=(int(left.dofadr[0]), int(right.dofadr[0])),
+            wheel_qpos=(int(left.qposadr[0]), int(right.qposadr[0])),
+            wheel_dofs=(int(left.dofadr[0]), int(right.dofadr[0])),
             motors=(left_motor, right_motor),
             cameras=tuple(model.camera(name).id for name in cameras),
             leds=tuple(model.site(led).id for led in leds),

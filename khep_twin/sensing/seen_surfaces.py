@@ -52,13 +52,7 @@ class Chip(NamedTuple):
 
 
 @compilable
-def add_upright(
-    surfaces: Vector[float],
-    count: int,
-    chip: Chip,
-    shape: Upright,
-    reflectance: float,
-) -> int:
+def add_upright(surfaces: Vector[float], count: int, chip: Chip, shape: Upright, reflectance: float) -> int:
     """Add the visible surfaces of an upright box or cylinder; return the number of surfaces.
 
     Args:
@@ -74,23 +68,17 @@ def add_upright(
 
 
 @compilable
-def _add_box(
-    surfaces: Vector[float],
-    count: int,
-    chip: Chip,
-    shape: Upright,
-    reflectance: float,
-) -> int:
+def _add_box(surfaces: Vector[float], count: int, chip: Chip, shape: Upright, reflectance: float) -> int:
     """Add the visible faces of a box."""
-    centre, direction, half, span = shape
+    centre, direction, half_sizes, span = shape
     dx, dy = chip.x - centre[0], chip.y - centre[1]
     c, s = direction
     # Cosine and sine of the length's direction in the sensor's frame.
     cosine, sine = c * chip.cosine + s * chip.sine, s * chip.cosine - c * chip.sine
-    if dx * chip.cosine + dy * chip.sine >= abs(cosine) * half[0] + abs(sine) * half[1]:
+    if dx * chip.cosine + dy * chip.sine >= abs(cosine) * half_sizes[0] + abs(sine) * half_sizes[1]:
         return count  # behind the sensor
     along, across = dx * c + dy * s, dy * c - dx * s
-    beyond_length, beyond_width = abs(along) - half[0], abs(across) - half[1]
+    beyond_length, beyond_width = abs(along) - half_sizes[0], abs(across) - half_sizes[1]
     gap_along, gap_across = max(beyond_length, 0.0), max(beyond_width, 0.0)
     if gap_along * gap_along + gap_across * gap_across > chip.reach * chip.reach:
         return count
@@ -99,13 +87,13 @@ def _add_box(
     if beyond_length > 0:
         # The foot's direction is opposite to the normal; the edges lie on both sides of the foot.
         sign = math.copysign(1.0, along)
-        edges = sign * across - half[1], sign * across + half[1]
+        edges = sign * across - half_sizes[1], sign * across + half_sizes[1]
         count = _add_face(
             surfaces, count, chip, (beyond_length, -sign * cosine, -sign * sine), edges, span, reflectance
         )
     if beyond_width > 0:
         sign = math.copysign(1.0, across)
-        edges = -sign * along - half[0], -sign * along + half[0]
+        edges = -sign * along - half_sizes[0], -sign * along + half_sizes[0]
         count = _add_face(
             surfaces, count, chip, (beyond_width, sign * sine, -sign * cosine), edges, span, reflectance
         )
@@ -124,12 +112,12 @@ def _add_face(
 ) -> int:
     """Add a face by distance and direction of its foot, and its right and left edge from the foot [m]."""
     distance, c, s = foot
-    right, left = edges
-    lateral = max(right, -left, 0.0)
+    right_edge, left_edge = edges
+    lateral = max(right_edge, -left_edge, 0.0)
     square = max(distance * distance + lateral * lateral, _MIN_DISTANCE * _MIN_DISTANCE)
     strength = reflectance * _fade_factor(square, chip.reach)
-    right_x, right_y = distance * c - right * s, distance * s + right * c
-    left_x, left_y = distance * c - left * s, distance * s + left * c
+    right_x, right_y = distance * c - right_edge * s, distance * s + right_edge * c
+    left_x, left_y = distance * c - left_edge * s, distance * s + left_edge * c
     if strength <= 0 or (right_x <= 0 and left_x <= 0):
         return count
     top = span[1] - chip.height
@@ -143,17 +131,13 @@ def _add_face(
             c1, s1, d1 = surfaces[row + COSINE], surfaces[row + SINE], surfaces[row + DISTANCE]
             if right_x * c1 + right_y * s1 >= d1 and left_x * c1 + left_y * s1 >= d1:
                 return count
-    return _add(surfaces, count, (distance, c, s, 0.0, low, high, square), chip.height, span, strength)
+    return _add_surface(
+        surfaces, count, (distance, c, s, 0.0, low, high, square), chip.height, span, strength
+    )
 
 
 @compilable
-def _add_cylinder(
-    surfaces: Vector[float],
-    count: int,
-    chip: Chip,
-    shape: Upright,
-    reflectance: float,
-) -> int:
+def _add_cylinder(surfaces: Vector[float], count: int, chip: Chip, shape: Upright, reflectance: float) -> int:
     """Add a cylinder."""
     centre, _, (radius, _), span = shape
     dx, dy = centre[0] - chip.x, centre[1] - chip.y
@@ -180,7 +164,9 @@ def _add_cylinder(
             projection = distance * (c * surfaces[row + COSINE] + s * surfaces[row + SINE])
             if projection - radius >= surfaces[row + DISTANCE]:
                 return count
-    return _add(surfaces, count, (distance, c, s, radius, low, high, square), chip.height, span, strength)
+    return _add_surface(
+        surfaces, count, (distance, c, s, radius, low, high, square), chip.height, span, strength
+    )
 
 
 @compilable
@@ -205,7 +191,7 @@ def _add_enclosing(
     """Add the object around a sensor inside it, which happens only by rounding or after a manual move."""
     if span[0] > chip.height or span[1] < chip.height:
         return count
-    return _add(
+    return _add_surface(
         surfaces,
         count,
         (_MIN_DISTANCE, 1.0, 0.0, 0.0, -1.0, 1.0, _MIN_DISTANCE * _MIN_DISTANCE),
@@ -216,7 +202,7 @@ def _add_enclosing(
 
 
 @compilable
-def _add(
+def _add_surface(
     surfaces: Vector[float],
     count: int,
     shape: tuple[float, float, float, float, float, float, float],

@@ -1,4 +1,4 @@
-"""Actions on the line, as particles replay them: commands, settings of the board, replies with values."""
+"""Actions on the line that particles (hypothetical robots) replay: commands, register writes, replies."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ class WheelCommand(NamedTuple):
 
     Attributes:
         time_ns: Time at which the robot executed it [ns].
-        command: SPEED, DUTY, TARGET or POSITION of `planes`.
+        command: SPEED, DUTY, TARGET or POSITION of `wheel_commands`.
         left: Argument for the left wheel.
         right: Argument for the right wheel.
         is_unconfirmed: True if no reply confirms that it was executed: every other particle executes it.
@@ -48,7 +48,7 @@ class Restart(NamedTuple):
 
 
 class Silence(NamedTuple):
-    """A silence until `time_ns` [ns]."""
+    """No bytes on the line until `time_ns` [ns]."""
 
     time_ns: int
 
@@ -62,7 +62,7 @@ class ProximityReply(NamedTuple):
 
     @property
     def in_sight(self) -> bool:
-        """True if something is in sight."""
+        """True if an obstacle is in sight of a sensor."""
         return bool(self.readings.max() > THRESHOLDS.in_sight)
 
 
@@ -75,27 +75,27 @@ class CounterReply(NamedTuple):
 
 
 LATE_NS = 20_000_000
-"""Lateness of a reply above which the time of its command or reading is uncertain, and the time between the
-particles' executions of that command (assumed) [ns]."""
+"""Delay of a reply above which the time of its command or reading is uncertain; also the interval at which
+groups of particles then execute the command (assumed) [ns]."""
 
 Action = WheelCommand | RegisterWrite | Restart | Silence | ProximityReply | CounterReply
 
 
 def apply_action(action: Action, particles: Particles) -> None:
     """Advance particles to an action and, unless it is a reply, apply it to them."""
-    planes = particles.planes
-    planes.advance_to(action.time_ns)
+    twins = particles.twins
+    twins.advance_to(action.time_ns)
     match action:
         case WheelCommand(time_ns, command, left, right, is_unconfirmed, late_ns):
-            n_slots = max(late_ns - time_ns, 0) // LATE_NS + 1
-            for slot in range(n_slots):
-                planes.advance_to(time_ns + slot * LATE_NS)
-                rows = slice(slot, None, 2 * n_slots if is_unconfirmed else n_slots)
-                planes.select(rows).command(command, left, right)
+            n_groups = max(late_ns - time_ns, 0) // LATE_NS + 1
+            for group in range(n_groups):
+                twins.advance_to(time_ns + group * LATE_NS)
+                rows = slice(group, None, 2 * n_groups if is_unconfirmed else n_groups)
+                twins.select(rows).command(command, left, right)
         case RegisterWrite(_, registers, values):
-            planes.registers[:, registers] = values
+            twins.registers[:, registers] = values
         case Restart():
-            for board in planes.registers:
+            for board in twins.registers:
                 kernel.reset(board.data)
             particles.counter_offsets[:] = np.nan
         case _:

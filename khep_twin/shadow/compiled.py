@@ -1,4 +1,4 @@
-"""Many planar twins, compiled by numba: their motion, the light at their sensors, commands.
+"""Functions of many planar twins, compiled by numba: motion, light at the sensors, commands.
 
 Imported only where numba is installed.
 """
@@ -25,7 +25,7 @@ from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.shadow.wheel_commands import DUTY, SPEED, TARGET
 from khep_twin.simulation.compiled import compiled
 
-assert planar_compiled.run  # This module uses its queries of a plane.
+assert planar_compiled.run  # Its import registers the queries of a plane for numba.
 
 _SENSING = seen_surfaces, reflection, robot_sensors, light, optics
 _SOURCES = units, kernel, *_SENSING, casting, contact_solver, motion, plane, pushing, shadows
@@ -40,9 +40,9 @@ _BRAKING = 6.0
 """Brake of a blocked wheel, as a multiple of that of a motor without voltage."""
 
 
-def _advance(things, order, near, empty, robots, registers, processor, strength, constant, voltage, ticks):
+def _advance(obstacles, order, near, empty, robots, registers, processor, strength, constant, voltage, ticks):
     for twin in range(len(robots)):
-        scene = Plane(things[twin], order[twin], near, empty, empty, robots[twin])
+        scene = Plane(obstacles[twin], order[twin], near, empty, empty, robots[twin])
         board = registers[twin]
         for _ in range(ticks):
             motion.step(scene)
@@ -63,9 +63,9 @@ def _motor_voltage(strength, back_emf, applied, supply):
     return back_emf + min(max(_BRAKING * strength * back_emf, -supply), supply)
 
 
-def _illuminate(things, order, near, empty, robots, sensors, turns, light, slope):
+def _illuminate(obstacles, order, near, empty, robots, sensors, turns, light, slope):
     for twin in range(len(robots)):
-        scene = Plane(things[twin], order[twin], near, empty, empty, robots[twin])
+        scene = Plane(obstacles[twin], order[twin], near, empty, empty, robots[twin])
         motion.find_near(scene)
         for channel in range(units.N_SENSORS):
             face, turn = chip(scene, sensors[0], channel), turns[twin, channel]
@@ -142,9 +142,9 @@ def _observe(
                     covariance[row, row] = max(covariance[row, row], law.min_variances[row])
 
 
-def _lamplight(things, order, near, empty, robots, sensors, law, bulbs, hidden, powers, min_count, light):
+def _lamplight(obstacles, order, near, empty, robots, sensors, law, bulbs, hidden, powers, min_count, light):
     for twin in range(len(robots)):
-        scene = Plane(things[twin], order[twin], near, empty, empty, robots[twin])
+        scene = Plane(obstacles[twin], order[twin], near, empty, empty, robots[twin])
         for channel in range(units.N_SENSORS):
             for lamp in range(len(bulbs)):
                 bulb, ambient = bulbs[lamp], sensors[0].ambient
@@ -170,19 +170,19 @@ def _command(registers, command, left, right):
                 kernel.set_position(registers[twin], side, value)
 
 
-def _clear(things, robots, poses, is_clear):
+def _clear(obstacles, robots, poses, is_clear):
     for twin in range(len(robots)):
         is_clear[twin] = True
-        for thing in range(things.shape[1]):
-            distance = plane.distance_to(things[twin], thing, poses[twin, 0], poses[twin, 1])
-            if things[twin, thing, plane.TOUCHABLE] and distance < robots[twin].radius:
+        for obstacle in range(obstacles.shape[1]):
+            distance = plane.distance_to(obstacles[twin], obstacle, poses[twin, 0], poses[twin, 1])
+            if obstacles[twin, obstacle, plane.TOUCHABLE] and distance < robots[twin].radius:
                 is_clear[twin] = False
                 break
 
 
-def _measure(things, order, near, empty, robots):
+def _measure(obstacles, order, near, empty, robots):
     for twin in range(len(robots)):
-        motion.measure_distances(Plane(things[twin], order[twin], near, empty, empty, robots[twin]))
+        motion.measure_distances(Plane(obstacles[twin], order[twin], near, empty, empty, robots[twin]))
 
 
 advance: Any = compiled(_advance, _SOURCES)
@@ -193,16 +193,12 @@ illuminate: Any = compiled(_illuminate, _SOURCES)
 
 observe: Any = compiled(_observe, _SOURCES)
 """Compute the expected reading of each sensor and the likelihood of the reading; update the sensor's traits.
-
-The reading is an observation of gain, turn and threshold for a Kalman filter. If it is clipped, mean and
-variance of the normal tail beyond the limit replace it.
-"""
+The reading is an observation of log gain, turn and threshold for a Kalman filter. If it is clipped, mean and
+variance of the normal tail beyond the limit replace it."""
 
 lamplight: Any = compiled(_lamplight, _SOURCES)
-"""Compute the light of each lamp at each receiver, below its dark level (n, 8, n_lamps) [counts].
-
-Light that cannot reach `min_count`, even without obstacles, is 0.
-"""
+"""Compute the light of each lamp at each receiver, below its dark level (n, 8, n_lamps) [counts]; light that
+cannot reach `min_count`, even without obstacles, is 0."""
 
 command: Any = compiled(_command, _SOURCES)
 """Execute a command on all boards."""

@@ -1,10 +1,10 @@
-"""Diagnosis: which fault explains a robot's replies better than a sound robot does.
+"""Diagnosis: which fault explains a robot's replies better than a robot without faults does.
 
-While replies are as expected, the filter has unchanged twins alone. After unexpected replies, when it is due
-by `SearchSchedule`, `Search` replays the last ones with twins of each fault that may have started or ended
-(`changes`), and of a robot that was put elsewhere. `FaultWatch` decides which of them is certain; the
-filter continues with its twins. `PoseWatch` has the state of the pose; while it is lost, no fault of wheels
-or obstacles is considered. Other watches cover sensors, counters, lamps and the line. Limits: `thresholds`.
+While replies are as expected, all twins (particles) of the filter are without a change. After unexpected
+replies, when due by `SearchSchedule`, `Search` replays the last actions with twins of each fault that may
+have started or ended (`changes`), and of a robot put elsewhere. `FaultWatch` decides which one is certain;
+the filter continues with its twins. `PoseWatch` has the state of the pose; while it is lost, faults of wheels
+and obstacles are not considered. Other watches cover sensors, counters, lamps and the line (`thresholds`).
 """
 
 from dataclasses import replace
@@ -46,15 +46,15 @@ class Diagnosis:
     """
 
     def __init__(self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator) -> None:
-        planes = tracker.particles.planes
-        model = SensorModel(planes)
+        twins = tracker.particles.twins
+        model = SensorModel(twins)
         self.filter = tracker
         self.ended: tuple[Alarm, ...] = ()
-        self._has_lamps = bool(planes.lamps.names)
+        self._has_lamps = bool(twins.lamps.names)
         self._quiet = model.quiet
         self._sensors = SensorWatch(model.quiet, model.limit, self._has_lamps)
         self._wheels = WheelWatch()
-        self._lamps = LampWatch(setup.playpen, planes)
+        self._lamps = LampWatch(setup.playpen, twins)
         self._line = LineWatch()
         self._faults = FaultWatch()
         self._pose = PoseWatch(PoseState.FOLLOWED if self._is_pose_known else PoseState.LOST)
@@ -83,7 +83,7 @@ class Diagnosis:
         return tuple(replace(item, probability=factor * item.probability) for item in suspicions)
 
     def start_exchange(self, exchange: Exchange) -> None:
-        """Start with an exchange, whose actions follow."""
+        """Begin an exchange (a command and its reply); calls of `follow` with its actions come next."""
         self.ended = self._line.update(exchange)
         if self._pose.is_blind(exchange.reply_ns) and not self._is_pose_known:
             self._pose.set_unsure(exchange.reply_ns)
@@ -106,8 +106,8 @@ class Diagnosis:
             self._wheels.restart()
         return residual
 
-    def see_light(self, time_ns: int, readings: NDArray[np.int64]) -> Floats:
-        """Take a reply to O; return the expected readings (8,) [counts], NaN for a pose not known well."""
+    def update_lamps(self, time_ns: int, readings: NDArray[np.int64]) -> Floats:
+        """Update lamps by a reply to O; return expected readings (8,) [counts], NaN at an unsure pose."""
         self.filter.follow(Silence(time_ns), self._sensors.is_sound)
         is_followed = self.state is PoseState.FOLLOWED
         if not (is_followed and self._is_within(THRESHOLDS.lamp_place, THRESHOLDS.lamp_turn)):
@@ -127,19 +127,19 @@ class Diagnosis:
         return usable_range
 
     def _update(self, reply: ProximityReply) -> None:
-        """Take a reply to N: update alarms, search for changes if it is due, and save a snapshot."""
+        """Update alarms by a reply to N, search for changes if a search is due, and save a snapshot."""
         time_ns = reply.time_ns
-        self.ended += self._faults.expire(time_ns)
+        self.ended += self._faults.end_events(time_ns)
         is_changed = np.argmax(self.filter.probabilities) != 0
         is_known = self._is_pose_known or bool(is_changed)
         self._pose.update(time_ns, self.filter.surprisal, in_sight=reply.in_sight, is_known=is_known)
-        self._candidates.note_encounters(time_ns, self.filter)
+        self._candidates.record_encounters(time_ns, self.filter)
         self._diagnose(time_ns)
-        self._look_back(time_ns)
+        self._search_if_due(time_ns)
         self._search.save_snapshot(time_ns, self.filter)
 
-    def _look_back(self, time_ns: int) -> None:
-        """Search for changes if it is due; drop improbable ones."""
+    def _search_if_due(self, time_ns: int) -> None:
+        """Search for changes if a search is due; otherwise drop changes that are improbable."""
         unchanged = float(self.filter.probabilities[0])
         is_explained = unchanged < THRESHOLDS.explained_below
         onset = self._schedule.pending_onset(time_ns, self._pose.onset, is_explained)
@@ -150,10 +150,10 @@ class Diagnosis:
             changes = self._changes_since(onset)
             candidate = self._search.search_since(self.filter, onset, changes, self._sensors.is_sound)
             if candidate is not None:
-                self._use_search(candidate)
+                self._adopt_search(candidate)
 
-    def _use_search(self, candidate: ParticleFilter) -> None:
-        """Continue with the filter of a search."""
+    def _adopt_search(self, candidate: ParticleFilter) -> None:
+        """Continue with the filter that a search returned."""
         self.filter = candidate
         self._pose.reset_surprisal()
         is_found = candidate.probabilities[0] <= THRESHOLDS.explained_below
@@ -165,12 +165,12 @@ class Diagnosis:
         """Drop changes that no reply has shown for long enough after the last search."""
         passed_ns = time_ns - self._schedule.last_ns
         if unchanged > THRESHOLDS.drop_above and passed_ns >= THRESHOLDS.drop_delay_ns:
-            self.filter.consider([])
+            self.filter.consider_changes([])
         elif self.filter.changes and passed_ns >= THRESHOLDS.window_ns and self._faults.leading is None:
             is_fault = [False, *(change.hypothesis.is_fault for change in self.filter.changes)]
-            sound = np.where(is_fault, 0.0, self.filter.probabilities)
-            if sound.max() > 1 - THRESHOLDS.certain_above:
-                self._adopt(int(sound.argmax()), time_ns)
+            no_fault_probabilities = np.where(is_fault, 0.0, self.filter.probabilities)
+            if no_fault_probabilities.max() > 1 - THRESHOLDS.certain_above:
+                self._adopt(int(no_fault_probabilities.argmax()), time_ns)
 
     def _was_lossy(self, time_ns: int) -> bool:
         """Return whether the line lost commands at a time [ns], or shortly before."""
@@ -188,10 +188,10 @@ class Diagnosis:
     def _is_pose_known(self) -> bool:
         return self._is_within(THRESHOLDS.known_place, THRESHOLDS.known_turn)
 
-    def _is_within(self, place: float, turn: float) -> bool:
+    def _is_within(self, position: float, heading: float) -> bool:
         """Return whether the pose is known to these standard deviations [m, rad]."""
         variances = self.filter.estimate(0).covariance.diagonal()
-        return bool(variances[0] + variances[1] < place**2 and variances[2] < turn**2)
+        return bool(variances[0] + variances[1] < position**2 and variances[2] < heading**2)
 
     def _diagnose(self, time_ns: int) -> None:
         """Raise and end alarms as changes become probable."""
@@ -212,7 +212,7 @@ class Diagnosis:
             self._confirm(group, faults.leading[1], time_ns)
 
     def _accept(self, group: AmbiguityGroup, time_ns: int) -> None:
-        """Accept a group that is certain, once replies have shown it for long enough."""
+        """Raise the alarm of a certain group, or adopt its change, once replies have shown it long enough."""
         since_ns = group.since_ns
         is_shown = time_ns - since_ns >= THRESHOLDS.alarm_delay_ns
         if not (is_shown and self._faults.is_distinguished(group, time_ns)):
@@ -223,14 +223,14 @@ class Diagnosis:
             self._schedule.state = SearchState.REPEAT
         elif isinstance(group.hypotheses[0], Lifted):
             if self._pose.is_proven and not (self._had_wheel_fault(time_ns) or self._was_uncertain(since_ns)):
-                self._faults.show(group, time_ns)
+                self._faults.show_event(group, time_ns)
             self._adopt(group.changes[0], time_ns)
             self._pose.lose()
         elif not self._was_uncertain(since_ns):
             self._faults.raise_alarm(group, time_ns)
 
     def _confirm(self, group: AmbiguityGroup, alarm: Alarm, time_ns: int) -> None:
-        """Name the group that has the leading alarm, or settle it after a while."""
+        """Name the fault of the leading alarm if one is certain, or settle the fault after a delay."""
         if self._faults.rename(group):
             self.ended += (replace(alarm, ended_ns=time_ns),)
         elif time_ns - alarm.raised_ns > THRESHOLDS.settle_delay_ns:
@@ -238,18 +238,18 @@ class Diagnosis:
             self._adopt(group.changes[0], time_ns)
 
     def _adopt(self, number: int, time_ns: int) -> None:
-        """Continue with the particles of one change."""
+        """Continue with the particles of one change (0 for none) alone."""
         self.ended += self._faults.drop_leading(time_ns)
         self.filter.adopt(number)
         self._pose.reset_surprisal()
 
     def _changes_since(self, onset: Onset) -> list[FaultChange]:
-        """Return the changes that may have happened since the pose was confirmed last."""
+        """Return the changes that may have happened since the last reply that confirmed the pose."""
         start_ns = self._search.start_ns(onset)
-        present = {fault.name: fault for fault in self._faults.settled_since(start_ns)}
+        settled = {fault.name: fault for fault in self._faults.settled_since(start_ns)}
         changes = [FaultChange(Lifted(), True), FaultChange(Displaced(), True)]
-        changes += [FaultChange(fault, False) for fault in present.values()]
+        changes += [FaultChange(fault, False) for fault in settled.values()]
         if self._had_wheel_fault(start_ns) or not self._pose.is_proven or self._was_lossy(onset.calm_ns):
             return changes
-        starts = self._candidates.changes_since(onset.calm_ns, self._wheels.has_counters)
-        return changes + [change for change in starts if change.hypothesis.name not in present]
+        starting = self._candidates.changes_since(onset.calm_ns, self._wheels.has_counters)
+        return changes + [change for change in starting if change.hypothesis.name not in settled]

@@ -18,7 +18,7 @@ _TURN_PER_METRE = 10.0
 
 
 class Relocated(Placed):
-    """A robot that is elsewhere; its odds are those at an onset of unexpected replies, not in a second."""
+    """A robot at another pose; its odds are per onset of unexpected replies, not per second."""
 
     needs_search = True
 
@@ -51,7 +51,7 @@ class Displaced(Relocated):
 
 
 class Lifted(Relocated):
-    """A robot that was put elsewhere in no time; `Search` draws its pose."""
+    """A robot that someone lifted and put elsewhere; `Search` draws its pose."""
 
     log_odds_against = 10.0
     quota = 600
@@ -68,5 +68,5 @@ class Lifted(Relocated):
 
 def _perturb(particles: Particles, deviations: tuple[float, float, float], rng: np.random.Generator) -> None:
     """Add noise of these standard deviations to the poses [m, rad]."""
-    planes = particles.planes
-    planes.move(planes.poses + rng.standard_normal((len(particles), 3)) * deviations)
+    twins = particles.twins
+    twins.move(twins.poses + rng.standard_normal((len(particles), 3)) * deviations)

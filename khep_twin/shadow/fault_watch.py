@@ -1,9 +1,9 @@
-"""Watch of the faults that twins are compared with, by their probabilities.
+"""Watch of faults by the probabilities of the particles that have them: suspicion, alarm, settled fault.
 
     none -- 20 % --> suspected -- 95 %, for a second --> alarm -- 5 s --> settled -- its end is 95 % --> none
 
-Faults that look alike, as a weak motor and a slipping wheel of one side, form an ambiguity group: the sum of
-their probabilities decides about the alarm, which names the most probable one, or all of them.
+Faults that look alike in the replies, such as a weak motor and a slipping wheel, form an ambiguity group: the
+sum of their probabilities decides about the alarm, which names one fault, or all if none stands out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ class AmbiguityGroup(NamedTuple):
         changes: Their numbers among a filter's changes.
         shares: Shares of the group's probability.
         probability: Probability that the robot has one of them.
-        since_ns: Time since when [ns].
+        since_ns: Mean time at which the most probable fault started [ns].
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -64,7 +64,7 @@ class FaultWatch:
         self.settled: list[tuple[Hypothesis, Alarm]] = []
         self.leading: tuple[AmbiguityGroup, Alarm] | None = None
         self.suspected: tuple[Suspicion, ...] = ()
-        self._certain: tuple[int, int] | None = None
+        self._certain_since: tuple[int, int] | None = None
         """Time since when a group is certain [ns], and number of replies since."""
         self._ended_ns: dict[Hypothesis, int] = {}
         """Settled faults that have ended, and when [ns]."""
@@ -78,7 +78,7 @@ class FaultWatch:
         return [alarm for _, alarm in self.settled] + leading + self._events
 
     def update(self, time_ns: int, tracker: ParticleFilter) -> AmbiguityGroup | None:
-        """Take the probabilities after a reply; return the group that is certain by now."""
+        """Update suspicions by the probabilities after a reply; return the group that is certain, if any."""
         groups = sorted(_ambiguity_groups(tracker), key=lambda group: -group.probability)
         leading_key = self.leading[0].key if self.leading is not None else ""
         self.suspected = tuple(
@@ -87,10 +87,10 @@ class FaultWatch:
             if group.key != leading_key and group.hypotheses[0].is_fault
         )
         if not groups or groups[0].probability <= THRESHOLDS.certain_above:
-            self._certain = None
+            self._certain_since = None
             return None
-        since_ns, n_replies = self._certain or (time_ns, 0)
-        self._certain = since_ns, n_replies + 1
+        since_ns, n_replies = self._certain_since or (time_ns, 0)
+        self._certain_since = since_ns, n_replies + 1
         is_held = time_ns - since_ns >= THRESHOLDS.hold_ns
         return groups[0] if is_held and n_replies + 1 >= THRESHOLDS.min_replies else None
 
@@ -129,12 +129,12 @@ class FaultWatch:
         """Raise the alarm of a group, which then leads."""
         self.leading = group, _alarm_of(group, time_ns)
 
-    def show(self, group: AmbiguityGroup, time_ns: int) -> None:
+    def show_event(self, group: AmbiguityGroup, time_ns: int) -> None:
         """Raise the alarm of an event without a duration."""
         self._events = [_alarm_of(group, time_ns)]
 
-    def expire(self, time_ns: int) -> tuple[Alarm, ...]:
-        """Return the alarms of events, which end, if they were shown for long enough."""
+    def end_events(self, time_ns: int) -> tuple[Alarm, ...]:
+        """End the alarms of events that were shown for long enough; return them."""
         expired = [alarm for alarm in self._events if time_ns - alarm.raised_ns > SHOWN_NS]
         self._events = [alarm for alarm in self._events if alarm not in expired]
         return tuple(replace(alarm, ended_ns=time_ns) for alarm in expired)
@@ -156,7 +156,7 @@ class FaultWatch:
             self.leading = None
 
     def drop_leading(self, time_ns: int) -> tuple[Alarm, ...]:
-        """Drop the leading group; return its alarm, which ends."""
+        """End the alarm of the leading group and return it; without one, return no alarms."""
         if self.leading is None:
             return ()
         ended = replace(self.leading[1], ended_ns=time_ns)
@@ -166,9 +166,9 @@ class FaultWatch:
 
 def _alarm_of(group: AmbiguityGroup, time_ns: int) -> Alarm:
     """Return the alarm of a group."""
-    is_one = group.shares[0] >= THRESHOLDS.name_above
-    name = group.hypotheses[0].name if is_one else FAULT_SEPARATOR.join(group.names)
-    sureness = min(group.probability * (group.shares[0] if is_one else 1.0), THRESHOLDS.max_sureness)
+    is_named = group.shares[0] >= THRESHOLDS.name_above
+    name = group.hypotheses[0].name if is_named else FAULT_SEPARATOR.join(group.names)
+    sureness = min(group.probability * (group.shares[0] if is_named else 1.0), THRESHOLDS.max_sureness)
     return Alarm(name, group.hypotheses[0].channel, group.since_ns, time_ns, sureness)
 
 

@@ -1,7 +1,7 @@
 """Following a robot's line with a shadow: silence on the line, and alarms that start and end.
 
-Silence advances the shadow at whole steps of `STEP_NS`, so that the same bytes at the same times give the
-same updates, whether they come from a log or from the line.
+A silence advances the shadow in whole steps of `STEP_NS`. The same bytes at the same times thus give the same
+updates, whether they are read from a log or from the line.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ STEP_NS = NS_PER_S // 5
 
 
 class AlarmChange(NamedTuple):
-    """Alarm that has started or, if it has an end, ended, and the time of the reply that showed it [ns]."""
+    """Alarm that has started, or ended if its end is set, and the time of the reply that showed it [ns]."""
 
     time_ns: int
     alarm: Alarm
@@ -29,7 +29,7 @@ class Follower:
     """A shadow that follows a line.
 
     Attributes:
-        last: Last update; None before the first.
+        last_update: Last update; None before the first.
         states: Times in each state so far.
         replies: Number of replies with values that were used.
     """
@@ -39,12 +39,12 @@ class Follower:
         self._advanced_ns = 0
         self._alarms = LastingAlarms()
         self._is_lost: bool | None = None
-        self.last: Update | None = None
+        self.last_update: Update | None = None
         self.states = StateTimes()
         self.replies = 0
 
     def feed(self, chunk: LineChunk) -> Iterator[Update]:
-        """Yield the updates of the silence before a chunk, and of its bytes, if any."""
+        """Yield the updates by the silence before a chunk, then those by its bytes, if any."""
         yield from self.wait(chunk.time_ns)
         for update in self._shadow.feed(*chunk) if chunk.data else ():
             self.replies += 1
@@ -71,7 +71,7 @@ class Follower:
         return None if was_lost is None or self._is_lost is was_lost else self._is_lost
 
     def _record(self, update: Update) -> Update:
-        self.last = update
+        self.last_update = update
         self.states.add(update.time_ns, update.state)
         return update
 
@@ -87,7 +87,7 @@ class LastingAlarms:
 
         `alarms` last after it, `ended` end with it.
         """
-        ended_by_key, lasting = _by_key(ended), _by_key(alarms)
+        ended_by_key, lasting = _index_alarms(ended), _index_alarms(alarms)
         for key, alarm in ended_by_key.items():
             if key not in self._lasting:
                 yield AlarmChange(time_ns, replace(alarm, ended_ns=None))
@@ -100,5 +100,5 @@ class LastingAlarms:
         self._lasting = lasting
 
 
-def _by_key(alarms: Sequence[Alarm]) -> dict[tuple[str, int], Alarm]:
+def _index_alarms(alarms: Sequence[Alarm]) -> dict[tuple[str, int], Alarm]:
     return {(alarm.fault, alarm.raised_ns): alarm for alarm in alarms}

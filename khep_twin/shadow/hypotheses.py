@@ -1,4 +1,4 @@
-"""Hypotheses of faults: each one injects its fault into twins, and removes it.
+"""Hypotheses of faults: each injects its fault into particles (simulated robots), and removes it.
 
 `wheel_faults` has those of wheels, `thing_faults` of obstacles, `displacements` of a robot that was moved.
 """
@@ -23,7 +23,7 @@ class Hypothesis(ABC):
 
     Attributes:
         channel: Channel in which it shows.
-        log_odds_against: Logarithm of the odds against it, in a second (assumed).
+        log_odds_against: Logarithm of the odds against its start within a second (assumed).
         quota: Least number of particles that have it.
         needs_search: True if only a search injects it; others may start and end at any resampling.
         is_fault: False if it has no alarm.
@@ -51,7 +51,7 @@ class Hypothesis(ABC):
 
     @abstractmethod
     def end(self, particles: Particles) -> None:
-        """Remove it from them."""
+        """Remove the fault from particles."""
 
     def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
         """Add noise to the fault's values in equally probable particles; by default there are none."""
@@ -59,7 +59,7 @@ class Hypothesis(ABC):
 
 
 class Placed(Hypothesis):
-    """One fault that has a place, which a search samples with tempered likelihoods."""
+    """A fault with an unknown place, of the robot or of an obstacle, which a search samples by tempering."""
 
     @abstractmethod
     def roughen(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:

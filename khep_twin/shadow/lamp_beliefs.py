@@ -3,8 +3,8 @@
     any state  -- exp(-9) 1/s --> off                  off, moved -- exp(-5) 1/s --> nominal
     any state  -- exp(-9.5) 1/s, all places --> moved  moved -- exp(-4) 1/s --> another place nearby
 
-The hypotheses are that all lamps are as believed, and for each lamp that only it is in another state. Replies
-to O weight them by their likelihoods. Places lie on a grid; where few are probable, finer ones are resampled.
+There is a hypothesis that all lamps are in the states believed now, and one for each other state of each
+lamp. Replies to O weight them by likelihood. Places lie on a grid; where few are probable, finer ones follow.
 """
 
 import math
@@ -14,8 +14,8 @@ import numpy as np
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.light_model import LightModel
 from khep_twin.shadow.particles import Floats, resample_indices
-from khep_twin.shadow.planes import Planes
-from khep_twin.shadow.start import inside
+from khep_twin.shadow.planes import Twins
+from khep_twin.shadow.start import are_inside
 
 NOMINAL, OFF, MOVED = range(3)
 """States of a lamp: as in the playpen, off, or at the place that is believed."""
@@ -28,7 +28,7 @@ MOVED_DISTANCE = 0.12
 """Standard deviation of half of the moves of lamps, along x and y [m] (assumed); the others end anywhere."""
 
 _MIN_WEIGHT = 1e-9
-"""Least sum of the weights of places near a lamp; a lamp far outside the arena has none."""
+"""Least sum of the weights of places near a lamp, for a lamp far outside the arena."""
 
 _FIRST_PLACE = 3
 """First state that stands for a place."""
@@ -46,7 +46,7 @@ _MIN_SPREAD, _MIN_CORRECTION = 0.004, 0.01
 """Least standard deviations of a lamp's place and of its correction [m] (assumed)."""
 
 _DISTANCE_POWER = 2.5
-"""Power of the distance by which light falls, about."""
+"""Approximate power of the distance by which light decreases."""
 
 _MIN_LIGHT = 3.0
 """Light below which it is not computed [counts]."""
@@ -66,16 +66,16 @@ class LampBeliefs:
 
     Args:
         playpen: Playpen.
-        planes: Twins of its robot.
+        twins: Twins of its robot.
 
     Attributes:
         state: State in which each lamp is believed (n_lamps,).
         probability: Probability that all of them are.
     """
 
-    def __init__(self, playpen: Playpen, planes: Planes) -> None:
-        self._nominal_places: Floats = np.array(planes.lamps.positions)
-        places, spacing = _grid(playpen, max(_N_GRID // len(self._nominal_places), _MIN_GRID))
+    def __init__(self, playpen: Playpen, twins: Twins) -> None:
+        self._nominal_places: Floats = np.array(twins.lamps.positions)
+        places, spacing = _grid_places(playpen, max(_N_GRID // len(self._nominal_places), _MIN_GRID))
         shape = len(self._nominal_places), _FIRST_PLACE + len(places) + _N_FINE
         self.state = np.full(shape[0], NOMINAL)
         self.probability = 1.0
@@ -102,7 +102,7 @@ class LampBeliefs:
         marginal[lamps, self.state] += np.maximum(1 - changed.sum(axis=1), 0)
         return changed, marginal
 
-    def light(self, planes: Planes, model: LightModel) -> tuple[Floats, Floats]:
+    def light(self, twins: Twins, model: LightModel) -> tuple[Floats, Floats]:
         """Return the light of all lamps with its slope (2, n, 8, m + 1), and its variance (n, 8, m + 1).
 
         In each of the first m, one lamp is in another state with that variance; the last is as believed.
@@ -111,22 +111,22 @@ class LampBeliefs:
         is_used[:, :_FIRST_PLACE] = False
         is_used[:, MOVED] = self.state == MOVED
         lamps, states = np.nonzero(is_used)
-        places, powers = self._places[lamps, states], planes.powers[lamps]
-        lamplight = np.zeros((2, len(planes), 8, *is_used.shape))
+        places, powers = self._places[lamps, states], twins.powers[lamps]
+        lamplight = np.zeros((2, len(twins), 8, *is_used.shape))
         for light, turns in zip(lamplight, model.turns, strict=True):
-            light[..., NOMINAL] = planes.lamplight(_MIN_LIGHT, turns)
-            light[:, :, lamps, states] = planes.lamplight_from(places, powers, _MIN_LIGHT, turns)
+            light[..., NOMINAL] = twins.lamplight(_MIN_LIGHT, turns)
+            light[:, :, lamps, states] = twins.lamplight_from(places, powers, _MIN_LIGHT, turns)
         lamp_light = model.light(*lamplight)
         believed = lamp_light[..., np.arange(len(self.state)), self.state]
         total = believed.sum(axis=3)
-        squares = np.square(self._places - (*planes.poses[:, :2].mean(axis=0), 0)).sum(axis=2)
-        variance = np.square(_DISTANCE_POWER * self._spread) / squares * np.square(lamp_light[0])
+        square_distances = np.square(self._places - (*twins.poses[:, :2].mean(axis=0), 0)).sum(axis=2)
+        variance = np.square(_DISTANCE_POWER * self._spread) / square_distances * np.square(lamp_light[0])
         alternatives = (total[..., None, None] - believed[..., None] + lamp_light).reshape(*total.shape, -1)
         all_light = np.concatenate([alternatives, total[..., None]], axis=3)
         return all_light, np.pad(variance.reshape(*total.shape[1:], -1), ((0, 0), (0, 0), (0, 1)))
 
     def update(self, passed_s: float, likelihoods: Floats) -> None:
-        """Take the likelihoods of the m other states and of the belief, a time after the last ones [s]."""
+        """Update by the likelihoods of the m other states, then of the belief (m + 1,), after a time [s]."""
         self._predict(min(passed_s, _MAX_INTERVAL_S))
         self.probability *= float(likelihoods[-1])
         self._weights *= likelihoods[:-1].reshape(self._weights.shape)
@@ -136,7 +136,7 @@ class LampBeliefs:
         self._resample()
 
     def set_belief(self, lamp: int, state: int) -> None:
-        """Believe a lamp in a state from now on: nominal, off, or at its mean place."""
+        """Set the believed state of a lamp: NOMINAL, OFF, or MOVED to the mean of its probable places."""
         self._rates[lamp, -_N_FINE:] = 0
         if state == MOVED:
             weights, places = self._weights[lamp, _FIRST_PLACE:], self._places[lamp, _FIRST_PLACE:, :2]
@@ -174,8 +174,8 @@ class LampBeliefs:
             rows = _FIRST_PLACE + resample_indices(weights, _N_FINE, 0.5)
             spread = self._spread[lamp, rows]
             finer_spread = np.maximum(spread * _SPREAD_FACTOR, _MIN_SPREAD)
-            step = np.sqrt(np.maximum(spread**2 - finer_spread**2, (_MIN_SPREAD / 2) ** 2))
-            places = self._places[lamp, rows, :2] + step[:, None] * _OFFSETS
+            jitter = np.sqrt(np.maximum(spread**2 - finer_spread**2, (_MIN_SPREAD / 2) ** 2))
+            places = self._places[lamp, rows, :2] + jitter[:, None] * _OFFSETS
             self._places[lamp, -_N_FINE:, :2], self._spread[lamp, -_N_FINE:] = places, finer_spread
             is_elsewhere = _distances(places, self._nominal_places[lamp]) > _SAME_PLACE
             weights[:] = 0
@@ -188,7 +188,7 @@ def _distances(places: Floats, place: Floats) -> Floats:
 
 
 def normal_offsets(count: int) -> Floats:
-    """Return offsets x, y with an about normal distribution, also of any few in a row (count, 2)."""
+    """Return a low-discrepancy sequence of standard normal offsets x, y (count, 2)."""
     radii = np.sqrt(-2 * np.log((np.arange(count) * 0.618034 + 0.31) % 1))
     angles = np.arange(count) * 2.4
     points = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1)
@@ -198,7 +198,7 @@ def normal_offsets(count: int) -> Floats:
 _OFFSETS = normal_offsets(_N_FINE)
 
 
-def _grid(playpen: Playpen, count: int) -> tuple[Floats, float]:
+def _grid_places(playpen: Playpen, count: int) -> tuple[Floats, float]:
     """Return about this number of places on a grid within the arena (n, 2), and their distance [m]."""
     corners = np.array(playpen.arena.corners) * 1e-3
     low: Floats = corners.min(axis=0)
@@ -207,4 +207,4 @@ def _grid(playpen: Playpen, count: int) -> tuple[Floats, float]:
     columns, rows = np.ceil(size / spacing).astype(int).tolist()
     fractions = [((i + 0.5) / columns, (j + 0.5) / rows) for i in range(columns) for j in range(rows)]
     places: Floats = low + np.array(fractions) * size
-    return places[inside(corners, places)], spacing
+    return places[are_inside(corners, places)], spacing

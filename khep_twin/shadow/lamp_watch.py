@@ -19,7 +19,7 @@ from khep_twin.shadow.lamp_beliefs import MOVED, NOMINAL, OFF, LampBeliefs, norm
 from khep_twin.shadow.light_model import LightModel
 from khep_twin.shadow.particles import Floats, Particles
 from khep_twin.shadow.persistence import SENSOR_RADIUS, novelty_of
-from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.planes import Twins
 from khep_twin.shadow.thresholds import THRESHOLDS
 
 _N_POSES = 8
@@ -48,7 +48,7 @@ _POSE_OFFSETS: Floats = np.column_stack([_OFFSETS, np.roll(_OFFSETS, 3, axis=0)[
 
 
 class _Evidence(NamedTuple):
-    """Time since when a fault is not improbable, since when it is certain [ns], and replies since then."""
+    """Times since when a fault is possible, and certain [ns], and number of replies since it is certain."""
 
     since_ns: int
     sure_ns: int
@@ -60,18 +60,18 @@ class LampWatch:
 
     Args:
         playpen: Playpen.
-        planes: Twins of its robot.
+        twins: Twins of its robot.
 
     Attributes:
         expected: Expected ambient readings of the last reply (8,) [counts]; NaN for alternating lamps.
         suspected: Faults that are suspected without an alarm, the most probable first.
     """
 
-    def __init__(self, playpen: Playpen, planes: Planes) -> None:
-        self._names = [] if planes.lamps_are_unknown else planes.lamps.names
-        self._model = LightModel(planes)
-        self._beliefs = LampBeliefs(playpen, planes) if self._names else None
-        self.expected = self._model.expected(np.full(8, math.nan if planes.lamps.names else 0.0))
+    def __init__(self, playpen: Playpen, twins: Twins) -> None:
+        self._names = [] if twins.lamps_are_unknown else twins.lamps.names
+        self._model = LightModel(twins)
+        self._beliefs = LampBeliefs(playpen, twins) if self._names else None
+        self.expected = self._model.expected(np.full(8, math.nan if twins.lamps.names else 0.0))
         self.suspected: tuple[Suspicion, ...] = ()
         self._evidence: dict[tuple[int, int], _Evidence] = {}
         self._alarms: dict[tuple[int, int], Alarm] = {}
@@ -86,12 +86,12 @@ class LampWatch:
         return list(self._alarms.values())
 
     def update(self, time_ns: int, readings: NDArray[np.int64], particles: Particles) -> tuple[Alarm, ...]:
-        """Take a reply to O (8,) [counts], with particles of its time; return the alarms that it ends."""
+        """Update by a reply to O (8,) [counts] and the particles at its time; return the alarms that end."""
         beliefs, model = self._beliefs, self._model
         if beliefs is None:
             return ()
-        planes, mean = _sample_poses(particles)
-        all_light, variance = beliefs.light(planes, model)
+        twins, mean = _sample_poses(particles)
+        all_light, variance = beliefs.light(twins, model)
         light = all_light[..., -1]
         self.expected = model.expected(light[0].mean(axis=0))
         novelty, distance = self._novelty(readings, mean)
@@ -105,13 +105,13 @@ class LampWatch:
         return self._decide(time_ns, beliefs)
 
     def _decide(self, time_ns: int, beliefs: LampBeliefs) -> tuple[Alarm, ...]:
-        """Raise and end alarms; believe certain faults."""
+        """Raise and end alarms; set settled faults and certain returns to nominal as believed."""
         changed, marginal = beliefs.probabilities
         ended: list[Alarm] = []
         suspected: list[Suspicion] = []
         for lamp, state in ((lamp, state) for lamp in range(len(marginal)) for state in _NAMES):
             key, probability = (lamp, state), float(marginal[lamp, state])
-            since_ns = self._track(key, probability, time_ns)
+            since_ns = self._update_evidence(key, probability, time_ns)
             alarm = self._alarms.get(key)
             if alarm is not None and probability < 1 - THRESHOLDS.certain_above:
                 ended.append(replace(self._alarms.pop(key), ended_ns=time_ns))
@@ -126,8 +126,8 @@ class LampWatch:
         self.suspected = tuple(sorted(suspected, key=lambda suspicion: -suspicion.probability))
         return tuple(ended)
 
-    def _track(self, key: tuple[int, int], probability: float, time_ns: int) -> int:
-        """Take a fault's probability, raise its alarm; return since when it is not improbable [ns]."""
+    def _update_evidence(self, key: tuple[int, int], probability: float, time_ns: int) -> int:
+        """Update the evidence of a fault, raise its alarm if due; return since when it is possible [ns]."""
         previous = self._evidence.pop(key, _Evidence(time_ns, time_ns, 0))
         if probability < 1 - THRESHOLDS.certain_above:
             return time_ns
@@ -141,7 +141,7 @@ class LampWatch:
         return evidence.since_ns
 
     def _fault_name(self, key: tuple[int, int]) -> str:
-        """Return the name of a fault."""
+        """Return the name of a fault, by its key: lamp and state."""
         return f"{self._names[key[0]]} {_NAMES[key[1]]}"
 
     def _log_likelihoods(self, by_pose: Floats, distance: float) -> Floats:
@@ -162,20 +162,20 @@ class LampWatch:
         return novelty_of(float(travel @ (1, 1, SENSOR_RADIUS)), _PERSISTENCE), float(travel[:2].sum())
 
 
-def _sample_poses(particles: Particles) -> tuple[Planes, Floats]:
+def _sample_poses(particles: Particles) -> tuple[Twins, Floats]:
     """Return twins at fixed offsets from the particles' mean pose, by their covariance, and the mean (3,)."""
-    best = int(particles.log_weights.argmax())
-    weights: Floats = np.exp(particles.log_weights - particles.log_weights[best])
+    best_index = int(particles.log_weights.argmax())
+    weights: Floats = np.exp(particles.log_weights - particles.log_weights[best_index])
     weights /= weights.sum()
-    deviations = particles.planes.poses - particles.planes.poses[best]
+    deviations = particles.twins.poses - particles.twins.poses[best_index]
     deviations[:, 2] = (deviations[:, 2] + math.pi) % math.tau - math.pi
     mean: Floats = weights @ deviations
     covariance: Floats = (deviations - mean).T @ ((deviations - mean) * weights[:, None])
     covariance += np.diag(np.square(_POSE_NOISE))
-    mean += particles.planes.poses[best]
-    planes = particles.planes.select(np.full(_N_POSES, best))
-    planes.move(mean + _POSE_OFFSETS @ np.transpose(np.linalg.cholesky(covariance)))
-    return planes, mean
+    mean += particles.twins.poses[best_index]
+    twins = particles.twins.select(np.full(_N_POSES, best_index))
+    twins.move(mean + _POSE_OFFSETS @ np.transpose(np.linalg.cholesky(covariance)))
+    return twins, mean
 
 
 def _log_mean_exp(log_values: Floats) -> Floats:

@@ -1,12 +1,13 @@
 """The likelihood of ambient readings, with estimates of each sensor's gain and heading.
 
-Where lamps shine with E on a sensor, O reads dark - E, at least its floor. The likelihood of a reading z is
+Where lamps shine with E [counts] on a sensor, command O reads dark - E, but at least the sensor's floor. The
+likelihood of a reading z, with the part e of outliers, is
 
     (1 - e) N(z; dark - E, s^2) + e / (dark - floor),    s^2 = noise^2 + STRAY^2 + (MODEL E)^2 + J P J' + v
 
-with the covariance P of the sensor's traits, the derivatives J of E by them and a variance v of the lamp's
-place; near the floor it is the probability of lower readings. That of a reply is the mean over twins of the
-product over sensors, as the error of a pose is common to all sensors.
+with the covariance P of the sensor's traits (log gain, turn), derivatives J of E by them and the variance
+v due to the lamp's place; near the floor it is the probability of lower readings. That of a whole reply is
+the mean over twins of the product over sensors, as all sensors share the error of the pose.
 """
 
 import math
@@ -15,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.sensing.calibration import HEADING_SPREAD_DEG, LAMP_SPREAD
-from khep_twin.shadow.planes import Booleans, Floats, Planes
+from khep_twin.shadow.planes import Booleans, Floats, Twins
 from khep_twin.units import N_SENSORS
 
 MODEL_DEVIATION = 0.08
 """Relative deviation of a lamp's light from the model's, besides the sensors' traits (assumed)."""
 
 STRAY_DEVIATION = 5.0
-"""Deviation of the light from the model's where lamps hardly shine [counts] (assumed)."""
+"""Standard deviation of the light from the model's, even where lamps hardly shine [counts] (assumed)."""
 
 MIN_POSE_NOVELTY = 0.12
 """Novelty of a reading where the error of the pose is larger than all others (assumed)."""
@@ -47,15 +48,15 @@ class LightModel:
     """Likelihood of replies to O.
 
     Args:
-        planes: Twins of the robot.
+        twins: Twins of the robot.
 
     Attributes:
         traits: Logarithm of each sensor's gain and its turn [rad], beyond those of the calibration (8, 2).
         covariances: Their covariances (8, 2, 2).
     """
 
-    def __init__(self, planes: Planes) -> None:
-        ambient = planes.ambient
+    def __init__(self, twins: Twins) -> None:
+        ambient = twins.ambient
         self._dark, self._floor = float(ambient["dark"]), float(ambient["floor"])
         self._noise = float(ambient["noise"])
         self.traits: Floats = np.zeros((N_SENSORS, 2))
@@ -124,9 +125,9 @@ class LightModel:
         """Return likelihoods of readings, those of inliers (n, 8, m), and whether they are clipped (8,)."""
         bright = light[0]
         variance = self._variance(light) + extra_variance
-        edge = self._floor + _CLIP_DEVIATIONS * self._noise
-        is_clipped = readings <= edge
-        innovation = (np.maximum(readings, edge)[:, None] - self._dark + bright) / np.sqrt(variance)
+        clip_limit = self._floor + _CLIP_DEVIATIONS * self._noise
+        is_clipped = readings <= clip_limit
+        innovation = (np.maximum(readings, clip_limit)[:, None] - self._dark + bright) / np.sqrt(variance)
         inlier = np.exp(-0.5 * innovation * innovation) / np.sqrt(math.tau * variance)
         inlier[:, is_clipped] = 1 / (1 + np.exp(-np.clip(1.702 * innovation[:, is_clipped], -500, 500)))
         outlier = np.where(is_clipped, _FLOOR_OUTLIERS, 1 / (self._dark - self._floor))[:, None]

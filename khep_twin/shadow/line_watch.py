@@ -1,6 +1,6 @@
 """Watch of the line: missing or damaged replies, and restarts.
 
-sound -- 3 bad replies within 5 s --> losing bytes -- 5 mean intervals, at most 5 s, without one --> sound
+sound -- 3 bad replies within 5 s --> losing bytes -- no bad reply in 5 mean intervals, at most 5 s --> sound
 """
 
 import re
@@ -22,7 +22,7 @@ _N_BAD, _WINDOW_NS = 3, 5_000_000_000
 """Number of damaged or missing replies within a time [ns] that raise an alarm (assumed)."""
 
 _N_INTERVALS, _MAX_SOUND_NS = 5, 5_000_000_000
-"""Time without one after which the alarm ends: a number of mean intervals, and its maximum [ns]. If losses
+"""Time without a bad reply that ends the alarm: a number of mean intervals, and its maximum [ns]. If losses
 are independent, one interval in 150 (exp(5)) is that long."""
 
 SHOWN_NS = 1_000_000_000
@@ -43,7 +43,7 @@ class LineWatch:
         self.lossy_ns = -2 * _MAX_SOUND_NS
 
     def update(self, exchange: Exchange) -> tuple[Alarm, ...]:
-        """Take an exchange; return the alarms that it ends."""
+        """Update by an exchange; return the alarms that end."""
         time_ns = exchange.reply_ns
         ended = self._end_alarms(time_ns)
         if exchange.reply is not None and BANNER in exchange.reply:

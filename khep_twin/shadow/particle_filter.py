@@ -1,8 +1,8 @@
 """A particle filter whose particles are planar twins: it estimates a robot's pose from commands and replies.
 
-Each particle has a pose, wheels and sensors; learned values of these decay slowly to the prior. Replies to N
-weight the particles (`sensor_model`), by their novelty (`persistence`); those to H move them; at a low
-effective sample size they are resampled. Some have a fault that may have started, or ended (`changes`).
+Each particle has a pose, wheels and sensors; learned wheels and sensors decay slowly to the prior.
+Replies to N weight the particles (`sensor_model`), by their novelty (`persistence`); replies to H move them;
+at a low effective sample size they are resampled. Some have a started or ended fault (`changes`).
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as planar
 from khep_twin.shadow.actions import LATE_NS, Action, CounterReply, ProximityReply, WheelCommand, apply_action
 from khep_twin.shadow.changes import FaultChange, quotas, resample_changes
 from khep_twin.shadow.motion_noise import draw_moves
@@ -30,7 +30,7 @@ MIN_EFFECTIVE = 0.5
 """Effective sample size, over the number of particles, below which they are resampled."""
 
 FEW_EFFECTIVE, ROUGHENING = 0.1, 0.3
-"""The same below which they are also roughened, and the noise over their standard deviation (assumed)."""
+"""The same ratio below which they are also roughened, and that noise over their deviation (assumed)."""
 
 _TICK_S = TICK_NS * 1e-9
 
@@ -54,7 +54,7 @@ class ParticleFilter:
         particles: Particles.
         changes: Changes that are considered, with the numbers 1, 2, ... in `Particles.changes`.
         evidence: Logarithm of the marginal likelihood of all replies so far.
-        expected: Readings expected last, over all particles (8,).
+        expected: Proximity expected at the last reply to N, mean over the particles (8,) [counts].
         surprisal: Log likelihood ratio of the most probable reading and the last one, by sensor (8,).
         novelty: Novelty of the last reply to N.
     """
@@ -66,13 +66,13 @@ class ParticleFilter:
         self._setup = setup
         self._rng = rng
         self._count = count
-        self._model = SensorModel(particles.planes)
+        self._model = SensorModel(particles.twins)
         self.changes: list[FaultChange] = []
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
         self.surprisal: Floats = np.zeros(8)
         self.novelty = 1.0
-        self._noise_ticks = particles.planes.ticks
+        self._noise_ticks = particles.twins.ticks
         self._timing_s = _TICK_S
         """Uncertainty of the time of the last command [s]."""
         self._timing_variances: Floats = np.zeros(3)
@@ -83,7 +83,7 @@ class ParticleFilter:
         """Wheels of the particles when the robot last drove freely (n, 3)."""
 
     def with_particles(self, particles: Particles) -> Self:
-        """Return a filter of other particles."""
+        """Return a filter of the same robot with other particles, without changes."""
         return type(self)(self._setup, particles, self._rng, self._count)
 
     def follow(self, action: Action, is_used: Booleans) -> Floats:
@@ -98,14 +98,14 @@ class ParticleFilter:
 
         The default novelty is that by the travel of these particles; evidence compares only at equal novelty.
         """
-        last_poses, last_speeds = self.particles.planes.poses, self._speeds
+        last_poses, last_speeds = self.particles.twins.poses, self._speeds
         apply_action(action, self.particles)
         # Twins execute commands at whole ticks; the time at which the robot did is uncertain.
-        squares = np.square(self._speeds - last_speeds)
-        self._timing_variances += self.weights @ squares * (self._timing_s**2 / 12)
+        square_speed_changes = np.square(self._speeds - last_speeds)
+        self._timing_variances += self.weights @ square_speed_changes * (self._timing_s**2 / 12)
         if isinstance(action, WheelCommand):
             self._timing_s = _TICK_S + min(max(action.late_ns - action.time_ns, 0), LATE_NS) * 1e-9
-        travel = np.abs(self.particles.planes.poses - last_poses) @ (1, 1, SENSOR_RADIUS)
+        travel = np.abs(self.particles.twins.poses - last_poses) @ (1, 1, SENSOR_RADIUS)
         self._travel += float(self.weights @ travel)
         if isinstance(action, ProximityReply):
             travel_novelty = self._novelty(action)
@@ -118,8 +118,8 @@ class ParticleFilter:
     @property
     def _speeds(self) -> Floats:
         """Speeds of the particles along x, y [m/s] and in turning [rad/s] (n, 3)."""
-        forward, sideways, turn = self.particles.planes.robots["speeds"][:, :3].T
-        heading = self.particles.planes.poses[:, 2]
+        forward, sideways, turn = self.particles.twins.robots["speeds"][:, :3].T
+        heading = self.particles.twins.poses[:, 2]
         c, s = np.cos(heading), np.sin(heading)
         return np.stack([c * forward - s * sideways, s * forward + c * sideways, turn], axis=1)
 
@@ -128,7 +128,7 @@ class ParticleFilter:
         """Part of each sensor's range that the lamps left at the last reply (8,)."""
         return self._model.usable_range
 
-    def consider(self, requested: Sequence[FaultChange]) -> None:
+    def consider_changes(self, requested: Sequence[FaultChange]) -> None:
         """Consider changes from now on; present ones remain unless they are improbable."""
         keys = [change.key for change in requested]
         pairs = zip(self.changes, self.probabilities[1:] > _IMPROBABLE, strict=True)
@@ -157,8 +157,8 @@ class ParticleFilter:
         self.changes = []
         if len(particles) < self._count:
             self.particles = particles.resample(self._count, self._rng.random())
-        # Many may be copies of few.
-        self._noise_ticks = self.particles.planes.ticks - _ROUGHENING_TICKS
+        # Many particles may be copies of few, so noise of some time separates them.
+        self._noise_ticks = self.particles.twins.ticks - _ROUGHENING_TICKS
         self._add_noise(np.zeros(3))
 
     def _weigh_reply(self, reply: ProximityReply, is_used: Booleans) -> None:
@@ -184,10 +184,10 @@ class ParticleFilter:
     def estimate(self, time_ns: int) -> PoseEstimate:
         """Return the estimate of the pose, by the particles of the most probable change."""
         is_likely = self.particles.changes == np.argmax(self.probabilities)
-        poses, weights = self.particles.planes.poses[is_likely], self.weights[is_likely]
+        poses, weights = self.particles.twins.poses[is_likely], self.weights[is_likely]
         weights /= weights.sum()
         # Twins are at a whole tick; the robot has moved since.
-        since_s = min(max(time_ns - self.particles.planes.ticks * TICK_NS, 0), TICK_NS) * 1e-9
+        since_s = min(max(time_ns - self.particles.twins.ticks * TICK_NS, 0), TICK_NS) * 1e-9
         poses = poses + self._speeds[is_likely] * since_s
         return PoseEstimate.of(time_ns, poses, weights)
 
@@ -209,12 +209,12 @@ class ParticleFilter:
     @property
     def poses(self) -> Floats:
         """Poses of equally probable particles (n, 3) [m, rad]."""
-        return self.particles.planes.poses[resample_indices(self.weights, len(self.particles), 0.5)]
+        return self.particles.twins.poses[resample_indices(self.weights, len(self.particles), 0.5)]
 
     def _resample(self) -> None:
         """Resample the particles at a low effective sample size, and from time to time; add noise."""
         weights = self.weights
-        ticks = self.particles.planes.ticks
+        ticks = self.particles.twins.ticks
         passed_ticks = ticks - self._noise_ticks
         effective = 1 / np.square(weights).sum()
         max_ticks = _MAX_TICKS if self.changes else _MAX_SOUND_TICKS
@@ -229,8 +229,8 @@ class ParticleFilter:
                 # A robot that pushes or slips does not move as its wheels turn, so they are not learned.
                 rows = self._rng.integers(len(self._free_wheels), size=len(self.particles))
                 self.particles.wheels = self._free_wheels[rows]
-            is_few = effective < FEW_EFFECTIVE * len(weights)
-            self._add_noise(ROUGHENING * deviations if is_few else np.zeros(3))
+            needs_roughening = effective < FEW_EFFECTIVE * len(weights)
+            self._add_noise(ROUGHENING * deviations if needs_roughening else np.zeros(3))
 
     @property
     def _quota(self) -> int:
@@ -240,8 +240,8 @@ class ParticleFilter:
     @property
     def _drives_freely(self) -> bool:
         """True if most particles touch nothing and do not slip."""
-        planes = self.particles.planes
-        is_hindered = planes.push_directions.any(axis=1) | (planes.robots["last"][:, flat.SLIPS] != 0)
+        twins = self.particles.twins
+        is_hindered = twins.push_directions.any(axis=1) | (twins.robots["last_step"][:, planar.SLIPS] != 0)
         return float(self.weights @ is_hindered) < 0.5
 
     def _n_needed(self, weights: Floats) -> int:
@@ -249,17 +249,17 @@ class ParticleFilter:
         available = len(weights) - self._quota
         if available <= 2 * self._count:
             return self._count
-        poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]
+        poses = self.particles.twins.poses[weights > 1e-3 / len(weights)]
         cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
         per_cell = _PER_CELL_CHANGED if self.changes else _PER_CELL
         return int(np.clip(per_cell * len(cells), self._count, available))
 
     def _add_noise(self, roughening: Floats) -> None:
         """Add the noise of the time since the last one, and that of a roughening (3,) [m, rad]."""
-        particles, planes = self.particles, self.particles.planes
-        passed_s = (planes.ticks - self._noise_ticks) * TICK_NS * 1e-9
-        self._noise_ticks = planes.ticks
-        moves = draw_moves(planes, passed_s, self._timing_variances, roughening, self._rng)
-        planes.move(planes.poses + moves)
+        particles, twins = self.particles, self.particles.twins
+        passed_s = (twins.ticks - self._noise_ticks) * TICK_NS * 1e-9
+        self._noise_ticks = twins.ticks
+        moves = draw_moves(twins, passed_s, self._timing_variances, roughening, self._rng)
+        twins.move(twins.poses + moves)
         self._timing_variances = np.zeros(3)
         particles.forget(passed_s, self._rng)

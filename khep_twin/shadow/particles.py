@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board import kernel
-from khep_twin.shadow.planes import Floats, Planes
+from khep_twin.shadow.planes import Floats, Twins
 from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 FORGETTING_S = 60.0
@@ -69,7 +69,7 @@ class Particles:
     """Particles of a filter.
 
     Attributes:
-        planes: Their twins.
+        twins: Their twins.
         prior: Knowledge of the robot before it drives.
         log_weights: Logarithms of their weights (n,).
         wheels: Wheels' mean radius, ratio and base, as multiples of the calibration's (n, 3).
@@ -77,11 +77,11 @@ class Particles:
             the calibration (n, 8, 3).
         covariances: Their covariances (n, 8, 3, 3).
         counter_offsets: Counters of the last reply less those of the twins (n, 2) [pulses]; NaN before any.
-        changes: Number of the filter's change that each has; 0 for none (n,).
-        since_ns: Time since when it has that (n,) [ns].
+        changes: Number of the change (of `ParticleFilter.changes`) that each has; 0 for none (n,).
+        since_ns: Time since when each has its change (n,) [ns].
     """
 
-    planes: Planes
+    twins: Twins
     prior: Prior
     log_weights: Floats
     wheels: Floats
@@ -94,13 +94,13 @@ class Particles:
     def select(self, indices: NDArray[np.intp] | slice) -> "Particles":
         """Return copies of particles at these indices, or views of those of a slice."""
         rest = (getattr(self, field.name)[indices] for field in fields(self)[2:])
-        return Particles(self.planes.select(indices), self.prior, *rest)
+        return Particles(self.twins.select(indices), self.prior, *rest)
 
     def concatenate(self, other: "Particles") -> "Particles":
-        """Return these and others of the same time."""
+        """Return these particles and others of the same time."""
         pairs = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self)[2:])
         rest = (np.concatenate(pair) for pair in pairs)
-        return Particles(self.planes.concatenate(other.planes), self.prior, *rest)
+        return Particles(self.twins.concatenate(other.twins), self.prior, *rest)
 
     def resample(self, count: int, offset: float) -> "Particles":
         """Return equally probable copies by systematic resampling with an offset of 0 to 1."""
@@ -111,9 +111,9 @@ class Particles:
 
     def follow_counters(self, counters: NDArray[np.int64]) -> Floats:
         """Move the particles by counters (2,); return the residuals beyond commands (n, 2) [pulses]."""
-        offsets = counters - self.planes.registers[:, _POSITIONS].astype(np.float64)
+        offsets = counters - self.twins.registers[:, _POSITIONS].astype(np.float64)
         residuals = offsets - np.where(np.isnan(self.counter_offsets), offsets, self.counter_offsets)
-        self.planes.roll(residuals)
+        self.twins.roll_wheels(residuals)
         self.counter_offsets[:] = offsets
         return residuals
 
@@ -122,7 +122,7 @@ class Particles:
         retention = math.exp(-passed_s / FORGETTING_S)
         drift = rng.standard_normal((len(self), 4)) * math.sqrt(1 - retention * retention)
         self.wheels = 1 + (self.wheels - 1) * retention + drift[:, :3] * self.prior.wheels
-        self.planes.set_wheels(*self.wheels.T)
+        self.twins.set_wheels(*self.wheels.T)
         self.traits *= retention
         self.traits[:, :, 0] += drift[:, 3:] * self.prior.gain
         self.covariances *= retention * retention

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.shadow.planes import Booleans, Floats, Planes
+from khep_twin.shadow.planes import Booleans, Floats, Twins
 from khep_twin.shadow.sensor_model import usable_range
-from khep_twin.shadow.start import inside
+from khep_twin.shadow.start import are_inside
 from khep_twin.units import N_SENSORS
 
 Integers = NDArray[np.int64]
@@ -29,7 +29,7 @@ SOFT_COUNTS = 30.0
 """Counts added to readings before the logarithm, for noise and the spread of thresholds (assumed)."""
 
 LOG_DEVIATION = 0.7
-"""Standard deviation of that logarithm from the map, due to gains and errors within a cell (assumed)."""
+"""Standard deviation of log(reading + SOFT_COUNTS) from the map, by gains and cell size (assumed)."""
 
 UNIFORM_SHARE = 0.2
 """Share of a uniform distribution in the proposal."""
@@ -39,7 +39,7 @@ _MAX_MISFIT = 60.0
 
 
 class Sighting(NamedTuple):
-    """Readings (8,) [counts], and the robot's move from the start by then: x, y [m], heading [rad]."""
+    """Readings (8,) [counts] at a reply, and the robot's move since the start: x, y [m], heading [rad]."""
 
     moved: tuple[float, float, float]
     readings: Integers
@@ -54,21 +54,21 @@ class PlaceMap:
 
     def __init__(self, setup: EpisodeSetup) -> None:
         corners = np.array(setup.playpen.arena.corners) * 1e-3
-        self._low = corners.min(axis=0)
-        extent = corners.max(axis=0) - self._low
+        self._low_corner = corners.min(axis=0)
+        extent = corners.max(axis=0) - self._low_corner
         self._cell = max(CELL_SIZE, math.sqrt(float(extent.prod()) / MAX_CELLS))
         nx, ny = (np.ceil(extent / self._cell)).astype(int).tolist()
         cells = np.stack([indices.ravel() for indices in np.indices((nx, ny))], axis=1)
-        places = np.column_stack([self._low + (cells + 0.5) * self._cell, np.zeros(nx * ny)])
-        planes = Planes(setup, CHUNK)
+        places = np.column_stack([self._low_corner + (cells + 0.5) * self._cell, np.zeros(nx * ny)])
+        twins = Twins(setup, CHUNK)
         # The robot is round: a place with room has it for all headings.
-        is_free = _in_chunks(planes.are_clear, places) & inside(corners, places)
+        is_free = _apply_in_chunks(twins.are_clear, places) & are_inside(corners, places)
         self.poses: Floats = np.repeat(places[is_free], N_HEADINGS, axis=0)
         self.poses[:, 2] = np.tile(np.arange(N_HEADINGS) * (math.tau / N_HEADINGS), int(is_free.sum()))
-        self._rows = np.full((nx, ny, N_HEADINGS), -1)
-        self._rows[*cells[is_free].T] = np.arange(len(self.poses)).reshape(-1, N_HEADINGS)
+        self._pose_rows = np.full((nx, ny, N_HEADINGS), -1)
+        self._pose_rows[*cells[is_free].T] = np.arange(len(self.poses)).reshape(-1, N_HEADINGS)
         outside = np.full((1, N_SENSORS), np.inf)  # or without room
-        log_readings = _in_chunks(partial(_log_readings_at, planes), self.poses)
+        log_readings = _apply_in_chunks(partial(_log_readings_at, twins), self.poses)
         self._log_readings = np.concatenate([log_readings, outside]).astype(np.float32)
 
     def draw(
@@ -96,25 +96,25 @@ class PlaceMap:
 
     def _rows_at(self, place: Floats, heading: Floats) -> NDArray[np.intp]:
         """Return the rows of poses (n,); the last row for those without room."""
-        cells = np.floor((place - self._low) / self._cell).astype(np.intp)
+        cells = np.floor((place - self._low_corner) / self._cell).astype(np.intp)
         headings = np.rint(heading * (N_HEADINGS / math.tau)).astype(np.intp) % N_HEADINGS
-        nx, ny, _ = self._rows.shape
+        nx, ny, _ = self._pose_rows.shape
         is_inside = (cells >= 0).all(axis=1) & (cells[:, 0] < nx) & (cells[:, 1] < ny)
         x, y = cells.clip(0, (nx - 1, ny - 1)).T
-        return np.where(is_inside, self._rows[x, y, headings], -1)
+        return np.where(is_inside, self._pose_rows[x, y, headings], -1)
 
 
-def _in_chunks(function: Callable[[Floats], NDArray[Any]], poses: Floats) -> NDArray[Any]:
+def _apply_in_chunks(function: Callable[[Floats], NDArray[Any]], poses: Floats) -> NDArray[Any]:
     """Apply a function of CHUNK poses to any number; the last pose fills the last chunk."""
     rows = np.arange(-(-len(poses) // CHUNK) * CHUNK).reshape(-1, CHUNK)
     chunks = np.minimum(rows, len(poses) - 1)
     return np.concatenate([function(poses[chunk]) for chunk in chunks])[: len(poses)]
 
 
-def _log_readings_at(planes: Planes, poses: Floats) -> Floats:
+def _log_readings_at(twins: Twins, poses: Floats) -> Floats:
     """Return the logarithms of readings at poses, plus SOFT_COUNTS (n, 8)."""
-    planes.reset_poses(poses)
-    light, _ = planes.illuminate(np.zeros((len(planes), N_SENSORS)))
-    limit = float(planes.proximity["limit"])
-    counts = np.clip(light - planes.proximity["threshold"], 0, limit * usable_range(planes))
+    twins.reset_poses(poses)
+    light, _ = twins.illuminate(np.zeros((len(twins), N_SENSORS)))
+    limit = float(twins.proximity["limit"])
+    counts = np.clip(light - twins.proximity["threshold"], 0, limit * usable_range(twins))
     return np.log(counts + SOFT_COUNTS)

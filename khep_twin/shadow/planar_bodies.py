@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board import battery, kernel
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.planar_world import PlanarForms
 from khep_twin.errors import PlaypenError
 from khep_twin.simulation.ready import module_of
@@ -27,7 +27,7 @@ N_SPARE = 1
 _EMPTY = np.zeros((0, 0))
 """Table without rows."""
 
-_ROWS = "things", "_order", "robots", "registers", "processor", "strength"
+_ROWS = "obstacles", "_order", "robots", "registers", "processor", "strength"
 """Arrays that have a row for each twin."""
 
 AWAY = 1e3
@@ -43,7 +43,7 @@ class PlanarBodies:
         count: Number of twins.
 
     Attributes:
-        things: Obstacles (n, n_things + N_SPARE, flat.N_COLUMNS).
+        obstacles: Obstacles (n, n_obstacles + N_SPARE, planar.N_COLUMNS).
         robots: Records of `PlanarRobot` (n,).
         registers: States of the boards (n, N_REGISTERS).
         processor: States of the processors (n, N_PROCESSOR).
@@ -51,16 +51,16 @@ class PlanarBodies:
     """
 
     def __init__(self, setup: EpisodeSetup, forms: PlanarForms, count: int) -> None:
-        self._code: Any = module_of("shadow")
+        self._compiled: Any = module_of("shadow")
         state = forms.robot_states()[0]
-        things, order, _, bodies, _, robot = forms.compiled()
+        obstacles, order, _, bodies, _, robot = forms.compiled()
         if len(bodies):
             problem = f"{setup.playpen.name}: {len(bodies)} movable objects"
             raise PlaypenError(f"{problem}; expected none in the playpen of a shadow")
-        spare = np.zeros((N_SPARE, flat.N_COLUMNS))
-        spare[:, [flat.CENTRE_X, flat.COSINE, flat.WIDTH, flat.BODY]] = AWAY, 1.0, -1.0, -1.0
-        self._scene: Floats = np.concatenate([things, spare])
-        self.things: Floats = np.repeat(self._scene[None], count, axis=0)
+        spare = np.zeros((N_SPARE, planar.N_COLUMNS))
+        spare[:, [planar.CENTRE_X, planar.COSINE, planar.HALF_WIDTH, planar.BODY]] = (AWAY, 1.0, -1.0, -1.0)
+        self._scene: Floats = np.concatenate([obstacles, spare])
+        self.obstacles: Floats = np.repeat(self._scene[None], count, axis=0)
         self._order = np.repeat(np.concatenate([order, len(order) + np.arange(N_SPARE)])[None], count, axis=0)
         self._near = np.zeros_like(self._scene)
         self.robots: Any = np.repeat(robot, count)
@@ -94,8 +94,8 @@ class PlanarBodies:
         return bodies
 
     @property
-    def _scenes(self) -> tuple[Any, ...]:
-        return self.things, self._order, self._near, _EMPTY, self.robots
+    def _scene_arrays(self) -> tuple[Any, ...]:
+        return self.obstacles, self._order, self._near, _EMPTY, self.robots
 
     @property
     def poses(self) -> Floats:
@@ -105,8 +105,8 @@ class PlanarBodies:
     @property
     def push_directions(self) -> Floats:
         """Unit vectors x, y in which obstacles push the twins, or 0 without one (n, 2)."""
-        forward, sideways = self.robots["impulses"][:, [flat.PUSHED, flat.PUSHED_ASIDE]].T
-        heading = self.robots["joints"][:, flat.HEADING]
+        forward, sideways = self.robots["impulses"][:, [planar.PUSHED, planar.PUSHED_ASIDE]].T
+        heading = self.robots["joints"][:, planar.HEADING]
         direction = (forward + 1j * sideways) * np.exp(1j * heading)
         direction /= np.where(direction == 0, 1, np.abs(direction))
         return np.stack([direction.real, direction.imag], axis=1)
@@ -121,35 +121,36 @@ class PlanarBodies:
         """Move the twins to poses x, y [m], heading [rad] (n, 3); speeds remain."""
         robots = self.robots
         robots["joints"][:, :3] = poses
-        last = robots["last"]
-        last[:, : flat.CENTRE_Y + 1] = poses[:, :2]
-        last[:, flat.HEADING_COSINE], last[:, flat.HEADING_SINE] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        last = robots["last_step"]
+        last[:, : planar.CENTRE_Y + 1] = poses[:, :2]
+        last[:, planar.HEADING_COSINE] = np.cos(poses[:, 2])
+        last[:, planar.HEADING_SINE] = np.sin(poses[:, 2])
         self.remeasure()
 
     def remeasure(self) -> None:
         """Measure the distances to all obstacles again, after one was moved."""
-        self.robots["last"][:, flat.ANCHOR_X] = np.inf
-        self._code.measure(*self._scenes)
+        self.robots["last_step"][:, planar.ANCHOR_X] = np.inf
+        self._compiled.measure(*self._scene_arrays)
 
-    def thing_offsets(self, rows: Sequence[int]) -> Floats:
+    def obstacle_offsets(self, rows: Sequence[int]) -> Floats:
         """Return the offsets of an obstacle, by its rows, from its place in the playpen: x, y (n, 2) [m]."""
-        place = slice(flat.CENTRE_X, flat.CENTRE_Y + 1)
-        return self.things[:, rows[0], place] - self._scene[rows[0], place]
+        place = slice(planar.CENTRE_X, planar.CENTRE_Y + 1)
+        return self.obstacles[:, rows[0], place] - self._scene[rows[0], place]
 
-    def set_thing_offsets(self, rows: Sequence[int], offsets: Floats) -> None:
+    def set_obstacle_offsets(self, rows: Sequence[int], offsets: Floats) -> None:
         """Set the offsets of an obstacle, by its rows, from its place in the playpen: x, y (n, 2) [m]."""
-        place = slice(flat.CENTRE_X, flat.CENTRE_Y + 1)
-        self.things[:, rows, place] = self._scene[rows, place] + offsets[:, None]
+        place = slice(planar.CENTRE_X, planar.CENTRE_Y + 1)
+        self.obstacles[:, rows, place] = self._scene[rows, place] + offsets[:, None]
         self.remeasure()
 
-    def remove_things(self) -> None:
+    def remove_obstacles(self) -> None:
         """Move all obstacles out of reach."""
-        self.things[:, :, flat.CENTRE_X] += AWAY
+        self.obstacles[:, :, planar.CENTRE_X] += AWAY
         self.remeasure()
 
-    def restore(self, rows: Sequence[int]) -> None:
+    def restore_obstacles(self, rows: Sequence[int]) -> None:
         """Move obstacles, by rows, back to their places in the playpen."""
-        self.things[:, rows, : flat.REFLECTANCE + 1] = self._scene[rows, : flat.REFLECTANCE + 1]
+        self.obstacles[:, rows, : planar.REFLECTANCE + 1] = self._scene[rows, : planar.REFLECTANCE + 1]
         self.remeasure()
 
     def set_wheels(self, radius: Floats, right_over_left: Floats, base: Floats) -> None:
@@ -172,9 +173,9 @@ class PlanarBodies:
         self.ticks += ticks
         voltage = battery.voltage(self._used_min, self.ticks * TICK_NS)
         boards = self.registers, self.processor, self.strength
-        self._code.advance(*self._scenes, *boards, self._motor_constant, voltage, ticks)
+        self._compiled.advance(*self._scene_arrays, *boards, self._motor_constant, voltage, ticks)
 
-    def roll(self, pulses: Floats) -> None:
+    def roll_wheels(self, pulses: Floats) -> None:
         """Move the twins as their wheels roll by pulses, left and right (n, 2)."""
         robots, poses = self.robots, self.poses
         angles = pulses * (math.tau / units.PULSES_PER_TURN)
@@ -187,10 +188,10 @@ class PlanarBodies:
 
     def command(self, command: int, left: int, right: int) -> None:
         """Execute a command of `wheel_commands` on all boards."""
-        self._code.command(self.registers, command, left, right)
+        self._compiled.command(self.registers, command, left, right)
 
     def are_clear(self, poses: Floats) -> Booleans:
         """Return whether a robot is clear of each twin's obstacles at a pose (n,)."""
         is_clear = np.zeros(len(self), np.bool_)
-        self._code.clear(self.things, self.robots, poses, is_clear)
+        self._compiled.clear(self.obstacles, self.robots, poses, is_clear)
         return is_clear

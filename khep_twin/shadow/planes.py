@@ -40,7 +40,7 @@ class SensorLaw(NamedTuple):
     outliers: float
 
 
-class Planes(PlanarBodies):
+class Twins(PlanarBodies):
     """Planar twins of one robot, without noise.
 
     Args:
@@ -49,7 +49,7 @@ class Planes(PlanarBodies):
 
     Attributes:
         lamps: Lamps of the playpen.
-        has_other_robots: Whether other robots drive there, which the twins lack.
+        has_other_robots: Whether other robots, which the twins lack, drive in the playpen.
     """
 
     def __init__(self, setup: EpisodeSetup, count: int) -> None:
@@ -91,7 +91,7 @@ class Planes(PlanarBodies):
         left from their headings there (n, 8) [rad].
         """
         light, slope = np.zeros((2, len(self), N_SENSORS))
-        self._code.illuminate(*self._scenes, self._sensors, turns, light, slope)
+        self._compiled.illuminate(*self._scene_arrays, self._sensors, turns, light, slope)
         return light, slope
 
     def observe(
@@ -118,7 +118,7 @@ class Planes(PlanarBodies):
         light, slope = self.illuminate(traits[:, :, 1])
         counts, deviations, likelihoods = np.zeros((3, len(self), N_SENSORS))
         inputs = light, slope, usable_range, readings, is_used, novelty
-        self._code.observe(*inputs, law, traits, covariances, counts, deviations, likelihoods)
+        self._compiled.observe(*inputs, law, traits, covariances, counts, deviations, likelihoods)
         return counts, deviations, likelihoods
 
     def lamplight(self, min_count: float, turns: Floats | float = 0.0) -> Floats:
@@ -130,7 +130,7 @@ class Planes(PlanarBodies):
         return self._lamplight(self._light, self.powers, min_count, turns)
 
     def lamplight_from(self, places: Floats, powers: Floats, min_count: float, turns: Floats) -> Floats:
-        """Return the same for lamps of these powers (m,) [W] at places x, y, z (m, 3) [m]."""
+        """Return what `lamplight` does, for lamps of these powers (m,) [W] at places x, y, z (m, 3) [m]."""
         law, known_bulbs, hidden = self._light
         bulbs = np.zeros(len(places), known_bulbs.dtype)
         bulbs["x"], bulbs["y"], bulbs["z"] = places.T
@@ -157,5 +157,5 @@ class Planes(PlanarBodies):
             axes = (ambient["cosine"] + 1j * ambient["sine"]) * np.exp(1j * np.asarray(turns))
             ambient["cosine"], ambient["sine"] = axes.real, axes.imag
         if powers.any():
-            self._code.lamplight(*self._scenes, sensors, *light, powers, min_count, lamplight)
+            self._compiled.lamplight(*self._scene_arrays, sensors, *light, powers, min_count, lamplight)
         return lamplight

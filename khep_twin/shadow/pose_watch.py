@@ -1,9 +1,9 @@
 """Watch of the estimated pose: its state, by the width of its region and by unexpected replies.
 
     followed -- wide region or high surprisal, for 0.4 s; no reply to N for 1 s --> unsure
-    unsure   -- known, low surprisal, for 0.4 s --> followed
+    unsure   -- known pose, low surprisal, for 0.4 s --> followed
     any      -- the robot was put elsewhere --> lost
-    lost     -- known, without lasting surprisal, for 5 s --> followed
+    lost     -- known pose, without lasting surprisal, for 5 s --> followed
 
 A pose that is unknown at the start is lost. The surprisal of a reply is the logarithm by which its likelihood
 is below that of the most probable reply; for Gaussian noise, half the squared normalised innovation.
@@ -39,9 +39,9 @@ class Onset(NamedTuple):
 
 
 class _Reply(NamedTuple):
-    """A reply to N: its time and that of the reply before [ns], and whether something is in sight.
+    """A reply to N: its time and that of the previous reply [ns], and whether an obstacle is in sight.
 
-    Further the largest sum of surprisal of a sensor by then, and the surprisal of all sensors in this reply.
+    `largest_sum` is the largest summed surprisal of a sensor so far, `surprisal` that of this reply alone.
     """
 
     time_ns: int
@@ -79,7 +79,7 @@ class PoseWatch:
         self._replies: deque[_Reply] = deque()
 
     def update(self, time_ns: int, surprisal: Floats, *, in_sight: bool, is_known: bool) -> None:
-        """Take the surprisal of a reply to N (8,), with something in sight or not, at a known pose or not."""
+        """Update by the surprisal of a reply to N (8,); `in_sight` is an obstacle, `is_known` the pose."""
         previous_ns, self._last_reply_ns = self._last_reply_ns, time_ns
         self.surprisal = self.surprisal * math.exp((previous_ns - time_ns) * 1e-9 / THRESHOLDS.surprisal_s)
         surprisal = np.maximum(surprisal - THRESHOLDS.usual_surprisal, 0)

@@ -13,7 +13,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import Exchange
 from khep_twin.shadow.actions import Action, RegisterWrite, WheelCommand
-from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.planes import Twins
 from khep_twin.shadow.wheel_commands import DUTY, POSITION, SPEED, TARGET
 
 Pose = tuple[float, float, float]
@@ -35,13 +35,13 @@ class Reckoning:
 
     Args:
         setup: Playpen with the robot, prepared for the plane.
-        planes: Twin, one.
+        twins: Twin, one.
     """
 
-    def __init__(self, setup: EpisodeSetup, planes: Planes) -> None:
+    def __init__(self, setup: EpisodeSetup, twins: Twins) -> None:
         entry = setup.entry
-        self._planes = planes
-        board = planes.registers[0], planes.processor[0]
+        self._planes = twins
+        board = twins.registers[0], twins.processor[0]
         self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, *board)
 
     @property

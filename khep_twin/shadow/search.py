@@ -44,7 +44,7 @@ TEMPERED_NS, MAX_TEMPERED_NS = 500_000_000, 1_500_000_000
 
 
 class _Step(NamedTuple):
-    """A step of the tempering.
+    """A step of the tempering, which raises likelihoods to a small power.
 
     Attributes:
         size: Number of particles, as a multiple of the quota.
@@ -57,7 +57,7 @@ class _Step(NamedTuple):
     roughening: float
 
 
-STEPS = _Step(5, 0.02, 8e-3), _Step(5, 0.05, 5e-3), _Step(3.5, 0.13, 3e-3), _Step(2.5, 0.3, 2e-3)
+STEPS = (_Step(5, 0.02, 8e-3), _Step(5, 0.05, 5e-3), _Step(3.5, 0.13, 3e-3), _Step(2.5, 0.3, 2e-3))
 """Steps of the tempering (assumed); the last resamples to its own size, the others to that of the next."""
 
 SNAPSHOT_NS, MAX_AGE_NS = 250_000_000, 8 * NS_PER_S
@@ -70,7 +70,7 @@ _UNCHANGED_ABOVE = 0.9
 """Probability of no change above which snapshots are saved."""
 
 _N_SIGHTINGS = 4
-"""Replies with something in sight that draw places, and as many without."""
+"""Number of replies with an obstacle in sight that draw places, and of replies without."""
 
 
 class _ReplayedAction(NamedTuple):
@@ -115,7 +115,7 @@ class Search:
         particles = snapshot.resample(N_UNMOVED, 0.5)
         particles.changes[:] = 0
         candidate = tracker.with_particles(particles)
-        candidate.consider(changes)
+        candidate.consider_changes(changes)
         actions = [action for action in self._actions if action.time_ns > start_ns]
         jumps_ns = {max(jump_ns, start_ns) for jump_ns in onset.jumps_ns}
         log_evidences = dict.fromkeys((*sorted(jumps_ns), max(onset.largest_ns, start_ns)), 0.0)
@@ -171,17 +171,17 @@ class Search:
             # Replies of the whole time propose the poses, as the first ones fit many places. The log weights
             # correct for that in the end.
             poses, log_weights = self._places.draw(sizes[0], sightings, is_used, self._rng)
-            particles.planes.reset_poses(poses)
+            particles.twins.reset_poses(poses)
         else:
             fault.begin(particles, self._rng)
         change_ns = replayed[0].action.time_ns
         sights = (step.action for step in replayed if isinstance(step.action, ProximityReply))
         sight_ns = next((reply.time_ns for reply in sights if reply.in_sight), change_ns)
         tempered_ns = min(sight_ns + TEMPERED_NS, change_ns + MAX_TEMPERED_NS)
-        first = [step for step in replayed if step.action.time_ns <= tempered_ns]
+        early = [step for step in replayed if step.action.time_ns <= tempered_ns]
         evidence = 0.0
         for step, size in zip(STEPS, [*sizes[1:], sizes[-1]], strict=True):
-            tempered = step.power * _log_likelihoods(_copy_with(tracker, particles), first, is_used)
+            tempered = step.power * _log_likelihoods(_copy_with(tracker, particles), early, is_used)
             norm = log_sum_exp(tempered)
             evidence += norm - math.log(len(tempered))
             indices = resample_indices(np.exp(tempered - norm), size, self._rng.random())
@@ -190,8 +190,8 @@ class Search:
             particles.log_weights = np.full(size, -math.log(size))
             fault.roughen(particles, step.roughening, self._rng)
         sample = _copy_with(tracker, particles)
-        tempered = sum(step.power for step in STEPS) * _log_likelihoods(sample, first, is_used)
-        log_weights = log_weights + _log_likelihoods(sample, replayed[len(first) :], is_used) - tempered
+        tempered = sum(step.power for step in STEPS) * _log_likelihoods(sample, early, is_used)
+        log_weights = log_weights + _log_likelihoods(sample, replayed[len(early) :], is_used) - tempered
         norm = log_sum_exp(log_weights)
         sample.particles.log_weights = log_weights - norm
         sample.evidence = evidence + norm - math.log(sizes[-1])
@@ -203,12 +203,12 @@ def _sightings(twin: Particles, replayed: Sequence[_ReplayedAction]) -> list[Sig
 
     Half of them are of replies with something in sight, if there are any.
     """
-    twin.planes.move(np.array([[-AWAY, -AWAY, 0.0]]))
+    twin.twins.move(np.array([[-AWAY, -AWAY, 0.0]]))
     by_sight: tuple[list[Sighting], list[Sighting]] = [], []
     for step in replayed:
         apply_action(step.action, twin)
         if isinstance(step.action, ProximityReply):
-            x, y, heading = twin.planes.poses[0].tolist()
+            x, y, heading = twin.twins.poses[0].tolist()
             sighting = Sighting((x + AWAY, y + AWAY, heading), step.action.readings)
             by_sight[step.action.in_sight].append(sighting)
     numbers = range(_N_SIGHTINGS)

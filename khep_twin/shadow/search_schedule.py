@@ -1,7 +1,7 @@
 """Schedule of the search for changes, by the outcome of the last one.
 
     not found -- a search finds a change --> found -- a search finds none --> not found
-    not found -- a change becomes certain all the same --> repeat -- any search --> found or not found
+    not found -- a change becomes certain without a search --> repeat -- any search --> found or not found
 
 In `REPEAT` a change became certain after a search that found none. The robot may also be elsewhere, where
 only a search has particles.
@@ -35,7 +35,7 @@ class SearchSchedule:
         self._onset: Onset | None = None
 
     def pending_onset(self, time_ns: int, onset: Onset | None, is_explained: bool) -> Onset | None:
-        """Return the onset from which to search, by the present one, if any; None if nothing is unexpected.
+        """Return the onset from which to search, given the present one; None if replies are as expected.
 
         `is_explained` is True if the changes that are considered explain the replies.
         """

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.shadow.particles import Floats, Particles
-from khep_twin.shadow.planes import Booleans, Planes, SensorLaw
+from khep_twin.shadow.planes import Booleans, SensorLaw, Twins
 from khep_twin.shadow.thresholds import THRESHOLDS
 
 OUTLIERS = 0.02
@@ -44,8 +44,8 @@ class SensorModel:
         usable_range: Part of each sensor's range that the lamps left at the last reply (8,).
     """
 
-    def __init__(self, planes: Planes) -> None:
-        proximity = planes.proximity
+    def __init__(self, twins: Twins) -> None:
+        proximity = twins.proximity
         quantum = int(proximity["quantum"])
         self.limit = int(proximity["limit"])
         self.usable_range: Floats = np.ones(8)
@@ -58,17 +58,13 @@ class SensorModel:
             np.square(MIN_DEVIATIONS),
             self.limit,
             self.quiet,
-            self.limit * (1 - _MIN_LAMP_SHARE if planes.lamps.names else 1),
+            self.limit * (1 - _MIN_LAMP_SHARE if twins.lamps.names else 1),
             MODEL_DEVIATION,
             OUTLIERS,
         )
 
     def observe(
-        self,
-        particles: Particles,
-        readings: NDArray[np.int64],
-        is_used: Booleans,
-        novelty: float = 1.0,
+        self, particles: Particles, readings: NDArray[np.int64], is_used: Booleans, novelty: float = 1.0
     ) -> tuple[Floats, Floats, Floats]:
         """Update the traits of the particles' sensors by readings (8,) [counts] with a novelty.
 
@@ -77,18 +73,18 @@ class SensorModel:
         Returns expected counts (8,), surprisals (8,), which are log likelihood ratios of the most probable
         reading and the actual one, and the log likelihoods (n, 8).
         """
-        believed_range = lamp_range = usable_range(particles.planes)
-        if particles.planes.has_other_robots:
+        believed_range = lamp_range = usable_range(particles.twins)
+        if particles.twins.has_other_robots:
             # An unexpected obstacle may be another robot.
             is_used = is_used & ((readings <= self.quiet) | (self._expected > THRESHOLDS.in_sight))
-        if particles.planes.lamps_are_unknown:
+        if particles.twins.lamps_are_unknown:
             # Of a sensor that a lamp may blind, only readings with something in sight count.
             is_lit = lamp_range.min(axis=0) < UNLIT
             is_used = is_used & ~(is_lit & (readings <= self.quiet))
             believed_range = np.ones_like(lamp_range)
         traits = particles.traits, particles.covariances
         inputs = believed_range, readings, is_used, novelty
-        counts, deviations, likelihood = particles.planes.observe(*traits, self._law, *inputs)
+        counts, deviations, likelihood = particles.twins.observe(*traits, self._law, *inputs)
         weights = np.exp(particles.log_weights - log_sum_exp(particles.log_weights))
         self._expected = expected = np.clip(weights @ counts, 0, self.limit)
         self.usable_range = weights @ lamp_range
@@ -98,18 +94,18 @@ class SensorModel:
         return expected, surprisal, np.where(is_used, np.log(likelihood), 0.0)
 
 
-def usable_range(planes: Planes) -> Floats:
+def usable_range(twins: Twins) -> Floats:
     """Return the part of each sensor's range that the lamps leave (n, 8)."""
-    if not planes.lamps.names:
-        return np.ones((len(planes), 8))
-    full_range = float(planes.ambient["dark"] - planes.ambient["floor"])
-    return np.clip(1 - planes.lamplight(_MIN_LAMP_SHARE * full_range).sum(axis=2) / full_range, 0, 1)
+    if not twins.lamps.names:
+        return np.ones((len(twins), 8))
+    full_range = float(twins.ambient["dark"] - twins.ambient["floor"])
+    return np.clip(1 - twins.lamplight(_MIN_LAMP_SHARE * full_range).sum(axis=2) / full_range, 0, 1)
 
 
 def min_usable_range(particles: Particles) -> Floats:
     """Return that part at the most probable pose, if no obstacle were in the light of any lamp (8,)."""
-    best_twin = particles.planes.select(np.array([np.argmax(particles.log_weights)]))
-    best_twin.remove_things()
+    best_twin = particles.twins.select(np.array([np.argmax(particles.log_weights)]))
+    best_twin.remove_obstacles()
     return usable_range(best_twin)[0]
 
 

@@ -22,10 +22,10 @@ ALARM_LOG_ODDS = 24.0
 """Logarithm of the odds above which a sensor counts as stuck."""
 
 _PRIOR = 4.0, 8.0
-"""Repetitions and readings that are counted before the first."""
+"""Prior counts: repetitions, and readings."""
 
 _PRIOR_READINGS = 20.0
-"""Readings of one sensor as which all others count (assumed)."""
+"""Number of readings of one sensor as which those of all other sensors count (assumed)."""
 
 _PRIOR_LOG_ODDS = 8.0
 """Logarithm of the odds against a stuck sensor (assumed)."""
@@ -35,7 +35,7 @@ _SATURATED, _READABLE = 0.85, 0.7
 (assumed): a sound sensor repeats readings there."""
 
 _USUAL_SURPRISAL, _SURPRISAL_FACTOR, _MAX_EVIDENCE = 0.3, 2.0, 1.5
-"""There: surprisal that does not count, factor of the rest, and the largest log odds (assumed)."""
+"""In these ranges: surprisal not counted, factor of the rest, largest log odds per reply (assumed)."""
 
 
 class SensorWatch:
@@ -52,7 +52,7 @@ class SensorWatch:
         self._limit = limit
         self._has_lamps = has_lamps
         self._repeats = np.tile(np.array(_PRIOR), (2, N_SENSORS, 1))
-        self._run = np.zeros_like(self._repeats)
+        self._unfinished_repeats = np.zeros_like(self._repeats)
         """Repetitions and readings since the last change of each sensor's reading."""
         self._last: NDArray[np.int64] | None = None
         self._log_odds = np.zeros(N_SENSORS)
@@ -77,8 +77,8 @@ class SensorWatch:
             return ()
         for sensor, (last, now) in enumerate(zip(previous.tolist(), action.readings.tolist(), strict=True)):
             if now != last:
-                self._repeats[:, sensor] += self._run[:, sensor]
-                self._run[:, sensor] = 0
+                self._repeats[:, sensor] += self._unfinished_repeats[:, sensor]
+                self._unfinished_repeats[:, sensor] = 0
                 self._log_odds[sensor] = 0
                 self._since_ns[sensor] = action.time_ns
                 if alarm := self._alarms.pop(sensor, None):
@@ -89,9 +89,9 @@ class SensorWatch:
                 excess = surprisal[sensor] - np.delete(surprisal, sensor).max() - _USUAL_SURPRISAL
                 evidence = min(_SURPRISAL_FACTOR * excess, _MAX_EVIDENCE) if now == last else 0.0
             else:
-                kind = int(last > self._quiet)
-                evidence = -math.log(self._repeat_probability(kind, sensor)) if now == last else 0.0
-                self._run[kind, sensor] += now == last, 1
+                reading_kind = int(last > self._quiet)
+                evidence = -math.log(self._repeat_probability(reading_kind, sensor)) if now == last else 0.0
+                self._unfinished_repeats[reading_kind, sensor] += now == last, 1
                 if last == 0:
                     # It may get more light of lamps than in the twins, the likelier the more it has there.
                     evidence *= min((sensor_range - _READABLE) / (UNLIT - _READABLE), 1) ** 2
@@ -112,10 +112,10 @@ class SensorWatch:
                 self._alarms[sensor] = Alarm(fault, "proximity", since_ns, action.time_ns, sureness)
         return tuple(ended)
 
-    def _repeat_probability(self, kind: int, sensor: int) -> float:
+    def _repeat_probability(self, reading_kind: int, sensor: int) -> float:
         """Return the probability that a sound sensor repeats a quiet (0) or another reading (1)."""
-        all_readings = self._repeats[kind] + self._run[kind]
+        all_readings = self._repeats[reading_kind] + self._unfinished_repeats[reading_kind]
         repeats, n_readings = np.delete(all_readings, sensor, axis=0).sum(axis=0).tolist()
         prior = repeats / n_readings
-        repeats, n_readings = self._repeats[kind, sensor].tolist()
+        repeats, n_readings = self._repeats[reading_kind, sensor].tolist()
         return max(prior, (repeats + _PRIOR_READINGS * prior) / (n_readings + _PRIOR_READINGS))

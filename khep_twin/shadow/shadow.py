@@ -76,12 +76,12 @@ class Shadow:
         count = settings.particles * (len(starts) if settings.known else ANYWHERE_FACTOR)
         particle_starts = starts if settings.known else None
         particles = draw_particles(self._setup, particle_starts, settings.spread, count, rng)
-        particles.planes.has_other_robots = settings.others
+        particles.twins.has_other_robots = settings.others
         tracker = ParticleFilter(self._setup, particles, rng, settings.particles)
         diagnosis_rng = stream(settings.seed, "shadow", "hypotheses")
         self._diagnosis = Diagnosis(self._setup, tracker, diagnosis_rng)
         reckoned_twin = draw_particles(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
-        self._reckoning = Reckoning(self._setup, reckoned_twin.planes)
+        self._reckoning = Reckoning(self._setup, reckoned_twin.twins)
         self._dialogue = Dialogue(self._byte_ns)
         self._measured: Floats = np.full(N_SENSORS, np.nan)
         self._time_ns = 0
@@ -150,7 +150,7 @@ class Shadow:
                 residuals = residuals._replace(wheels=wheel_residuals)
             case "O", tuple() if len(values) == N_SENSORS:
                 light = np.array(values)
-                residuals = residuals._replace(light=light - self._diagnosis.see_light(time_ns, light))
+                residuals = residuals._replace(light=light - self._diagnosis.update_lamps(time_ns, light))
             case _ if old_alarms == self._diagnosis.alarms:
                 return None
             case _:

@@ -5,7 +5,7 @@
         log.write(update)
     log.close()
 
-Times are those of the shadow's line. The same updates give the same bytes.
+Times are those of the bytes on the robot's serial line. The same updates give the same file.
 """
 
 import json
@@ -46,7 +46,7 @@ PARTICLES_NS = NS_PER_S
 """Time between two messages of particles [ns]."""
 
 MIN_CHANGE = 0.05
-"""Change of a suspected fault's probability from which it is written."""
+"""Change of a suspected fault's probability from which a message is written."""
 
 
 class ShadowLog(FileRecorder):
@@ -72,7 +72,7 @@ class ShadowLog(FileRecorder):
         parent: Path | None = None,
         flush_ns: int = FLUSH_NS,
     ) -> None:
-        parent_facts = {} if parent is None else {"parent": parent.name, "parent_sha256": hash_file(parent)}
+        origin = {} if parent is None else {"parent": parent.name, "parent_sha256": hash_file(parent)}
         self._time_ns = self._flushed_ns = 0
         self._flush_ns = flush_ns
         self._particles_ns = -PARTICLES_NS
@@ -80,13 +80,13 @@ class ShadowLog(FileRecorder):
         self._state: PoseState | None = None
         self._suspected: dict[frozenset[str], float] = {}
         self._ghost = _Ghost(playpen)
-        label = f"{', '.join(SENSOR_LABELS)} [counts]"
-        self._proximity = ArrayFrame(len(SENSOR_LABELS), "f8", label)
+        proximity_label = f"{', '.join(SENSOR_LABELS)} [counts]"
+        self._proximity = ArrayFrame(len(SENSOR_LABELS), "f8", proximity_label)
         self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
         self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(VALUE_NAMES))
         self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
         self._file = LogFile(path, lambda: self._time_ns)
-        self._write_header(playpen, settings, parent_facts)
+        self._write_header(playpen, settings, origin)
         self._file.on_exit = self.close
 
     def write(self, update: Update) -> None:
@@ -110,7 +110,7 @@ class ShadowLog(FileRecorder):
         if update.state is not self._state:
             self._state = update.state
             self._add_line("state", shadow_channels.state_line(time_ns, update.state))
-        if self._note_suspected(update.suspected):
+        if self._update_suspected(update.suspected):
             self._add_line("suspected", shadow_channels.suspicion_line(time_ns, update.suspected))
         for change in self._alarms.changes(time_ns, update.alarms, update.ended):
             is_start = change.alarm.ended_ns is None
@@ -142,8 +142,8 @@ class ShadowLog(FileRecorder):
     def _add_line(self, name: str, line: TextLine) -> None:
         self._file.add(f"/shadow/{name}", channels.LINES, line.time_ns, channels.line_message(line))
 
-    def _note_suspected(self, suspected: Sequence[Suspicion]) -> bool:
-        """Return whether suspected faults differ from the last ones by `MIN_CHANGE`; if so, note them."""
+    def _update_suspected(self, suspected: Sequence[Suspicion]) -> bool:
+        """Store suspected faults that differ by `MIN_CHANGE` from the stored ones; return whether they do."""
         current = {frozenset(suspicion.faults): suspicion.probability for suspicion in suspected}
         last = self._suspected
         if current.keys() == last.keys() and all(abs(current[key] - last[key]) < MIN_CHANGE for key in last):
@@ -158,14 +158,14 @@ class ShadowLog(FileRecorder):
             "configuration.json": json.dumps(asdict(settings), indent=2, sort_keys=True, default=str) + "\n",
             f"calibration/{ROBOT}.toml": calibration.read(playpen.robots[0].calibration)[1],
         }
-        facts = {"playpen": playpen.name, "robots": ROBOT, "shadow": "1", **versions(), **parent}
-        self._file.describe(attachments, {**facts, **asdict(settings)})
+        metadata = {"playpen": playpen.name, "robots": ROBOT, "shadow": "1", **versions(), **parent}
+        self._file.describe(attachments, {**metadata, **asdict(settings)})
         self._file.add_scene(0, self._ghost.model)
         self._file.flush()
 
 
 class _Ghost:
-    """Robot of a compiled model that is placed at estimates."""
+    """Robot of a compiled model that is drawn at the estimated poses."""
 
     def __init__(self, playpen: Playpen) -> None:
         spec = to_spec(playpen)

@@ -23,7 +23,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import LIVE_FLUSH_NS, ShadowLog
 from khep_twin.shadow.update import Update
-from khep_twin.signals import clear_at_end, undisturbed
+from khep_twin.signals import block_signals, register_cleanup
 from khep_twin.status_line import STATUS_LINE_VARIABLE
 
 _POLL_S = 0.05
@@ -52,13 +52,13 @@ class ShadowViewer:
             log = Path(self._folder.name) / "shadow.mcap"
             self._log = ShadowLog(log, playpen, settings, flush_ns=LIVE_FLUSH_NS)
         command = [sys.executable, "-m", "khep_twin", "view", "--live", str(log), *(["--web"] if web else [])]
-        with undisturbed():
+        with block_signals():
             # Ctrl-C in a terminal is for the shadow, which then ends the viewer.
             env = {**os.environ, STATUS_LINE_VARIABLE: "1"}
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, start_new_session=True, env=env
             )
-            self._unregister = clear_at_end(self.close)
+            self._unregister = register_cleanup(self.close)
 
     def __enter__(self) -> Self:
         return self

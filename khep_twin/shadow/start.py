@@ -12,7 +12,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen.starts import defined_starts
 from khep_twin.sensing import calibration
 from khep_twin.shadow.particles import Floats, Particles, Prior
-from khep_twin.shadow.planes import Booleans, Planes
+from khep_twin.shadow.planes import Booleans, Twins
 
 Pose = tuple[float, float, float]
 
@@ -67,23 +67,23 @@ def draw_particles(
         count: Number of particles.
         rng: Random stream.
     """
-    planes = Planes(setup, count)
+    twins = Twins(setup, count)
     if starts is None:
-        planes.reset_poses(draw_anywhere(setup, planes, rng))
+        twins.reset_poses(draw_anywhere(setup, twins, rng))
     else:
         deviations = spread.place, spread.place, spread.heading
         poses = np.array(starts)[np.arange(count) * len(starts) // count]
-        planes.reset_poses(poses + rng.standard_normal((count, 3)) * deviations)
+        twins.reset_poses(poses + rng.standard_normal((count, 3)) * deviations)
     wheels = 1 + rng.standard_normal((count, 3)) * (spread.radius, spread.ratio, spread.base)
-    planes.set_wheels(*wheels.T)
+    twins.set_wheels(*wheels.T)
     traits = np.zeros((count, 8, 3))
     traits[:, :, 0] = rng.standard_normal((count, 1)) * spread.gain
-    thresholds = setup.calibration.proximity.threshold_spread * planes.proximity["threshold"]
+    thresholds = setup.calibration.proximity.threshold_spread * twins.proximity["threshold"]
     prior = np.zeros((8, 3, 3))
     prior[:, 0, 0], prior[:, 1, 1] = calibration.GAIN_SPREAD**2, HEADING_DEVIATION**2
     prior[:, 2, 2] = thresholds**2
     return Particles(
-        planes,
+        twins,
         Prior(np.array([spread.radius, spread.ratio, spread.base]), spread.gain, prior),
         np.full(count, -math.log(count)),
         wheels,
@@ -95,22 +95,22 @@ def draw_particles(
     )
 
 
-def draw_anywhere(setup: EpisodeSetup, planes: Planes, rng: np.random.Generator) -> Floats:
+def draw_anywhere(setup: EpisodeSetup, twins: Twins, rng: np.random.Generator) -> Floats:
     """Return a random pose with room for each twin: x, y [m] and heading [rad] (n, 3)."""
     corners = np.array(setup.playpen.arena.corners) * 1e-3
     low, high = corners.min(axis=0), corners.max(axis=0)
-    poses = np.zeros((len(planes), 3))
-    is_missing = np.ones(len(planes), np.bool_)
+    poses = np.zeros((len(twins), 3))
+    is_missing = np.ones(len(twins), np.bool_)
     for _ in range(_MAX_TRIES):
         candidates = rng.uniform((*low, 0), (*high, math.tau), poses.shape)
         poses[is_missing] = candidates[is_missing]
-        is_missing = ~(planes.are_clear(poses) & inside(corners, poses))
+        is_missing = ~(twins.are_clear(poses) & are_inside(corners, poses))
         if not is_missing.any():
             return poses
     raise PlaypenError(f"{setup.playpen.name}: no room for the robot was found; expected a start pose")
 
 
-def inside(corners: Floats, poses: Floats) -> Booleans:
+def are_inside(corners: Floats, poses: Floats) -> Booleans:
     """Return whether positions are inside a polygon (n,)."""
     is_inside = np.zeros(len(poses), np.bool_)
     x, y = poses[:, 0], poses[:, 1]

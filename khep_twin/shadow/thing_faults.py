@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as planar
 from khep_twin.sensing.mujoco_scene import visible_geoms
 from khep_twin.shadow.hypotheses import Hypothesis, Placed, shrink_and_jitter
 from khep_twin.shadow.particles import Floats, Particles
@@ -21,53 +21,53 @@ ADDED_RADII = 0.004, 0.03
 """Radii of an obstacle that is not in the playpen [m] (assumed)."""
 
 ADDED_REACH = 0.03
-"""Largest distance of it from a sensor that sees it [m] (assumed)."""
+"""Largest distance of an added obstacle's surface from the sensor that sees it [m] (assumed)."""
 
 _MIN_SPREAD = 0.003
 """Least standard deviation of the jitter of an obstacle's place and size [m] (assumed)."""
 
-_HEIGHT = 0.05
+_HEIGHT = 0.05  # of an added obstacle [m]
 
-_CIRCLE = flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH
+_CIRCLE = planar.CENTRE_X, planar.CENTRE_Y, planar.HALF_LENGTH
 """Columns of a round obstacle's place and radius."""
 
 
 @dataclass(frozen=True)
-class _ThingFault(Hypothesis):
-    """A fault of an obstacle of the playpen, with its name and its rows in `PlanarBodies.things`."""
+class _ObstacleFault(Hypothesis):
+    """A fault of an obstacle of the playpen, with its name and its rows in `PlanarBodies.obstacles`."""
 
     log_odds_against = 10.0
     kind: ClassVar[str]
-    thing: str
+    obstacle: str
     rows: tuple[int, ...]
 
     @property
     def name(self) -> str:
         """Name of the fault."""
-        return f"{self.kind} {self.thing}"
+        return f"{self.kind} {self.obstacle}"
 
     @property
     def group(self) -> str:
         """Name of the obstacle."""
-        return self.thing
+        return self.obstacle
 
     def end(self, particles: Particles) -> None:
         """Move the obstacle back."""
-        particles.planes.restore(self.rows)
+        particles.twins.restore_obstacles(self.rows)
 
 
-class Missing(_ThingFault):
+class Missing(_ObstacleFault):
     """An obstacle that is missing in the playpen."""
 
     kind = "missing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Remove the obstacle."""
-        particles.planes.things[:, self.rows, flat.CENTRE_X] += AWAY
-        particles.planes.remeasure()
+        particles.twins.obstacles[:, self.rows, planar.CENTRE_X] += AWAY
+        particles.twins.remeasure()
 
 
-class Moved(_ThingFault, Placed):
+class Moved(_ObstacleFault, Placed):
     """An obstacle that is not at its place in the playpen."""
 
     kind = "moved"
@@ -77,22 +77,22 @@ class Moved(_ThingFault, Placed):
         distance = MIN_MOVE + np.abs(rng.standard_normal(len(particles))) * MOVE_DEVIATION
         direction = rng.uniform(0, math.tau, len(particles))
         offsets = np.stack([distance * np.cos(direction), distance * np.sin(direction)], axis=1)
-        particles.planes.set_thing_offsets(self.rows, offsets)
+        particles.twins.set_obstacle_offsets(self.rows, offsets)
 
     def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Add noise to its place."""
-        offsets = particles.planes.thing_offsets(self.rows)
+        """Add noise to the obstacle's place."""
+        offsets = particles.twins.obstacle_offsets(self.rows)
         self._set_offsets(particles, shrink_and_jitter(offsets, _MIN_SPREAD, rng))
 
     def roughen(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
-        """Add noise to its place."""
-        offsets = particles.planes.thing_offsets(self.rows)
+        """Add noise to the obstacle's place."""
+        offsets = particles.twins.obstacle_offsets(self.rows)
         self._set_offsets(particles, offsets + spread * rng.standard_normal(offsets.shape))
 
     def _set_offsets(self, particles: Particles, offsets: Floats) -> None:
         distances = np.hypot(*offsets.T)[:, None]
         offsets = offsets * np.maximum(MIN_MOVE / np.maximum(distances, 1e-9), 1)
-        particles.planes.set_thing_offsets(self.rows, offsets)
+        particles.twins.set_obstacle_offsets(self.rows, offsets)
 
 
 class Unexpected(Placed):
@@ -108,42 +108,42 @@ class Unexpected(Placed):
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Add a cylinder in front of one sensor of each robot."""
-        planes, count = particles.planes, len(particles)
-        x, y, heading = planes.poses.T
-        mounts = planes.robots["mounts"][0, rng.integers(N_SENSORS, size=count)]
+        twins, count = particles.twins, len(particles)
+        x, y, heading = twins.poses.T
+        mounts = twins.robots["mounts"][0, rng.integers(N_SENSORS, size=count)]
         forward, left, cosine, sine = mounts[:, :4].T
         radius = rng.uniform(*ADDED_RADII, count)
         distance = rng.uniform(0.001, ADDED_REACH, count) + radius
         direction = heading + np.arctan2(sine, cosine) + rng.standard_normal(count) * math.radians(20)
         c, s = np.cos(heading), np.sin(heading)
-        row = planes.things[:, -N_SPARE]
-        row[:, flat.CENTRE_X] = x + c * forward - s * left + distance * np.cos(direction)
-        row[:, flat.CENTRE_Y] = y + s * forward + c * left + distance * np.sin(direction)
-        row[:, flat.LENGTH], row[:, flat.WIDTH] = radius, -1
-        row[:, flat.BOTTOM], row[:, flat.TOP] = 0, _HEIGHT
-        row[:, flat.TOUCHABLE] = row[:, flat.REFLECTANCE] = 1
-        planes.remeasure()
+        row = twins.obstacles[:, -N_SPARE]
+        row[:, planar.CENTRE_X] = x + c * forward - s * left + distance * np.cos(direction)
+        row[:, planar.CENTRE_Y] = y + s * forward + c * left + distance * np.sin(direction)
+        row[:, planar.HALF_LENGTH], row[:, planar.HALF_WIDTH] = radius, -1
+        row[:, planar.BOTTOM], row[:, planar.TOP] = 0, _HEIGHT
+        row[:, planar.TOUCHABLE] = row[:, planar.REFLECTANCE] = 1
+        twins.remeasure()
 
     def end(self, particles: Particles) -> None:
-        """Remove it."""
-        particles.planes.restore((-N_SPARE,))
+        """Move the added obstacle back out of reach."""
+        particles.twins.restore_obstacles((-N_SPARE,))
 
     def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Add noise to its place and its size."""
-        row = particles.planes.things[:, -N_SPARE]
+        """Add noise to the obstacle's place and radius."""
+        row = particles.twins.obstacles[:, -N_SPARE]
         row[:, _CIRCLE] = shrink_and_jitter(row[:, _CIRCLE], _MIN_SPREAD, rng)
-        particles.planes.remeasure()
+        particles.twins.remeasure()
 
     def roughen(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
-        """Add noise to its place and its size."""
-        row = particles.planes.things[:, -N_SPARE]
+        """Add noise to the obstacle's place and radius."""
+        row = particles.twins.obstacles[:, -N_SPARE]
         row[:, _CIRCLE] += spread * rng.standard_normal((len(particles), len(_CIRCLE)))
-        row[:, flat.LENGTH] = np.clip(row[:, flat.LENGTH], *ADDED_RADII)
-        particles.planes.remeasure()
+        row[:, planar.HALF_LENGTH] = np.clip(row[:, planar.HALF_LENGTH], *ADDED_RADII)
+        particles.twins.remeasure()
 
 
-def thing_rows(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
-    """Return the rows of each obstacle of a playpen in `PlanarBodies.things`, without the arena's walls."""
+def obstacle_rows(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
+    """Return the rows of a playpen's obstacles in `PlanarBodies.obstacles`, without the arena's walls."""
     model = setup.model
     rows: dict[str, tuple[int, ...]] = {}
     upright = [geom for geom in visible_geoms(model) if model.geom_bodyid[geom] == 0]

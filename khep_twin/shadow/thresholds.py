@@ -1,6 +1,7 @@
 """Thresholds of the diagnosis, in one place; those without a source were chosen on stand-in robots.
 
-`python -m studies twin-trials` prints the resulting rates, on other robots, hosts and seeds.
+`python -m studies twin-trials` prints the rates of detected faults and false alarms with these thresholds, on
+robots, hosts and seeds that were not used to choose them.
 """
 
 import math
@@ -17,14 +18,14 @@ class Thresholds:
         known_place: Standard deviation of a known position [m] (assumed).
         known_turn: Standard deviation of a known heading [rad] (assumed).
         lamp_place: Largest standard deviation of a position for which lamps are compared [m] (assumed).
-        lamp_turn: The same of a heading [rad] (assumed).
+        lamp_turn: Largest standard deviation of a heading for which lamps are compared [rad] (assumed).
         usual_surprisal: Surprisal of one reading that is not counted (assumed).
         surprisal_s: Time constant of the decay of summed surprisal [s].
         unsure_above: Sum of one sensor above which a pose is unsure.
         search_above: Sum of one sensor from which a search starts.
-        max_search_above: Largest value of it after searches that have found nothing.
-        raise_factor: Factor that each of them applies to it.
-        raise_decay_s: Time constant with which it decays again [s].
+        max_search_above: Largest value of `search_above` after searches without a result.
+        raise_factor: Factor by which a search without a result raises `search_above`.
+        raise_decay_s: Time constant with which `search_above` decays again [s].
         calm_below: Sum of any sensor below which replies are as expected, or a tenth of a later sum.
         in_sight: Reading that confirms a pose [counts].
         search_delay_ns: Time after the onset of unexpected replies before the search [ns].
@@ -32,16 +33,16 @@ class Thresholds:
         explained_below: Probability of no change below which changes explain the replies.
         window_ns: Time before the present within which a change may have happened [ns].
         drop_above: Probability of no change above which changes are dropped.
-        drop_delay_ns: Time after a search before that [ns].
+        drop_delay_ns: Least time after a search before changes are dropped [ns].
         relocated_ns: Time of a known pose, without lasting surprisal, after which a search has found it [ns].
-        proven_ns: Time after that before which another place explains replies better than a fault [ns].
-        start_proven_ns: The same after a known start: it is known to about a centimetre [ns].
+        proven_ns: Time after a search has found the pose before which faults are not considered [ns].
+        start_proven_ns: The same time after a start at a known pose [ns].
         suspect_above: Probability above which a fault is suspected (assumed), before the next factor.
         suspicion_factor: Factor of a suspicion's probability, for causes that are not considered: of 180
             suspicions with 80 % or more before it, 122 were right (faults, seeds 930 to 959).
         certain_above: Probability of an ambiguity group above which it has an alarm.
         max_sureness: Highest probability that an alarm states.
-        name_above: Share of that probability from which the alarm names one fault.
+        name_above: Share of the group's probability from which the alarm names one fault.
         min_replies: Least number of replies before a decision, however long they take.
         alarm_delay_ns: Time for which replies show a fault before an alarm, or are unexpected while a pose
             counts as known [ns].

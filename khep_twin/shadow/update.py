@@ -62,4 +62,4 @@ class Update:
 _NONE: Floats = np.full(N_SENSORS, np.nan)
 
 NOTHING_ASKED = Residuals(_NONE, _NONE, _NONE[:2], math.nan)
-"""Residuals without a reply."""
+"""Residuals of an update without a reply that has values."""

@@ -46,12 +46,12 @@ class StandingWheel(_WheelFault):
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Cut the current of every other motor, block the others."""
-        particles.planes.strength[:, self.side] = -1
-        particles.planes.strength[::2, self.side] = 0
+        particles.twins.strength[:, self.side] = -1
+        particles.twins.strength[::2, self.side] = 0
 
     def end(self, particles: Particles) -> None:
         """Restore the motor."""
-        particles.planes.strength[:, self.side] = 1
+        particles.twins.strength[:, self.side] = 1
 
 
 class WeakMotor(_WheelFault):
@@ -62,15 +62,15 @@ class WeakMotor(_WheelFault):
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Weaken the motor."""
-        particles.planes.strength[:, self.side] = rng.uniform(MIN_STRENGTH, MAX_STRENGTH, len(particles))
+        particles.twins.strength[:, self.side] = rng.uniform(MIN_STRENGTH, MAX_STRENGTH, len(particles))
 
     def end(self, particles: Particles) -> None:
         """Restore the motor."""
-        particles.planes.strength[:, self.side] = 1
+        particles.twins.strength[:, self.side] = 1
 
     def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Add noise to its strength."""
-        strength = particles.planes.strength[:, self.side]
+        """Add noise to the motor's share of torque."""
+        strength = particles.twins.strength[:, self.side]
         strength[:] = np.clip(shrink_and_jitter(strength, 0.01, rng), MIN_STRENGTH, MAX_STRENGTH)
 
 
@@ -82,17 +82,17 @@ class SlippingWheel(_WheelFault):
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Make the tyre slip."""
-        hold = MAX_HOLD * rng.uniform(0, 1, len(particles)) ** 2
-        particles.planes.robots[f"{SIDES[self.side]}_grip"] = hold
+        grip = MAX_HOLD * rng.uniform(0, 1, len(particles)) ** 2
+        particles.twins.robots[f"{SIDES[self.side]}_grip"] = grip
 
     def end(self, particles: Particles) -> None:
-        """Make it grip."""
-        particles.planes.robots[f"{SIDES[self.side]}_grip"] = 1
+        """Restore the tyre's friction."""
+        particles.twins.robots[f"{SIDES[self.side]}_grip"] = 1
 
     def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Add noise to its hold."""
-        hold = particles.planes.robots[f"{SIDES[self.side]}_grip"]
-        hold[:] = np.clip(shrink_and_jitter(hold, 0.005, rng), 0, MAX_HOLD)
+        """Add noise to the tyre's share of friction."""
+        grip = particles.twins.robots[f"{SIDES[self.side]}_grip"]
+        grip[:] = np.clip(shrink_and_jitter(grip, 0.005, rng), 0, MAX_HOLD)
 
 
 def wheel_faults() -> Iterator[Hypothesis]:

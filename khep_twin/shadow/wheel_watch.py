@@ -14,7 +14,7 @@ _WINDOW_NS = 1_000_000_000
 """Time over which pulses are summed [ns]."""
 
 _MIN_PULSES = 25.0
-"""Pulses that sound wheels turn within it at the least, for a decision (assumed)."""
+"""Least pulses that a sound wheel would turn in the window, for a decision (assumed)."""
 
 _STANDING_BELOW, _WEAK_BELOW, _SOUND_ABOVE = 0.05, 0.8, 0.9
 """Limits of the share of expected pulses of a wheel that stands, is weak, or is sound (assumed)."""
@@ -40,23 +40,23 @@ class WheelWatch:
         return self._counters is not None
 
     def restart(self) -> None:
-        """Take a restart of the processor, which resets the counters."""
+        """Handle a restart of the processor, which resets the counters."""
         self._counters = None
 
     def take_counters(self, reply: CounterReply, residual: Floats) -> tuple[Alarm, ...]:
-        """Take a reply to H and its residual (2,) [pulses]; return the alarms that it ends."""
+        """Update by a reply to H and its residual (2,) [pulses]; return the alarms that end."""
         last, self._counters = self._counters, reply.counters.astype(np.float64)
         is_late = reply.late_ns - reply.time_ns >= LATE_NS
         was_late, self._was_late = self._was_late, is_late
         if is_late or was_late:
             self._pulses.clear()  # The time of a reply is uncertain.
         elif last is not None:
-            turned = reply.counters - last
-            return self.update(reply.time_ns, turned, turned - residual)
+            turned_pulses = reply.counters - last
+            return self.update(reply.time_ns, turned_pulses, turned_pulses - residual)
         return ()
 
     def update(self, time_ns: int, turned: Floats, expected: Floats) -> tuple[Alarm, ...]:
-        """Take the pulses since the last reply, and those of sound wheels (2,); return alarms that end."""
+        """Update by the pulses since the last reply and those expected (2,); return the alarms that end."""
         self._pulses.append((time_ns, turned * np.sign(expected), np.abs(expected)))
         while self._pulses[0][0] < time_ns - _WINDOW_NS:
             self._pulses.popleft()

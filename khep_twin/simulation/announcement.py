@@ -20,7 +20,7 @@ from khep_twin.status_line import announced
 COMPILING = "khep_twin: compiling with numba"
 """Start of each line of an announcement."""
 
-_MIN_PART = 0.15
+_MIN_SHARE = 0.15
 """Part of the bytecode after which the total duration is estimated, to about a third."""
 
 _MIN_DURATION_S = 2.0
@@ -42,8 +42,8 @@ class Announcer(event.Listener):
         self._compiled: set[Callable[..., Any]] = set()
         self._status_lines = ExitStack()
         self._start_s = 0.0
-        self._outer: object | None = None
-        self._is_joint = self._is_shown = False
+        self._outermost: object | None = None
+        self._is_grouped = self._is_shown = False
 
     def add(self, function: object, sources: Iterable[ModuleType]) -> None:
         """Announce the compilation of a function that calls functions of these modules."""
@@ -52,36 +52,36 @@ class Announcer(event.Listener):
     @contextmanager
     def group(self, functions: Iterable[object]) -> Generator[None, None, None]:
         """Announce the compilations of several functions together."""
-        self._is_joint = True
-        self._expect(functions)
+        self._is_grouped = True
+        self._set_expected(functions)
         try:
             yield
         finally:
-            self._is_joint = False
+            self._is_grouped = False
             self._close()
 
     def on_start(self, event: Any) -> None:
         """Start the announcement if this is the outermost function."""
         function = event.data["dispatcher"]
-        if function in self._sources and self._outer is None:
-            self._outer = function
+        if function in self._sources and self._outermost is None:
+            self._outermost = function
             self._start_s = time.monotonic()
-            if not self._is_joint:
-                self._expect([function])
+            if not self._is_grouped:
+                self._set_expected([function])
 
     def on_end(self, event: Any) -> None:
         """Count a function; announce the compilation once its duration can be estimated."""
         function = event.data["dispatcher"]
         self._compiled.add(function.py_func)
-        if function is self._outer and not self._is_joint:
+        if function is self._outermost and not self._is_grouped:
             self._close()
-        elif self._outer is not None and not self._is_shown and self._done_part() >= _MIN_PART:
+        elif self._outermost is not None and not self._is_shown and self._compiled_fraction() >= _MIN_SHARE:
             self._is_shown = True
-            if (seconds := self._elapsed_s() / self._done_part()) >= _MIN_DURATION_S:
+            if (seconds := self._elapsed_s() / self._compiled_fraction()) >= _MIN_DURATION_S:
                 text = f"{COMPILING}, once per version: about {seconds:.0f} s"
                 self._status_lines.enter_context(announced(text, self._progress_text, self._end_text))
 
-    def _expect(self, roots: Iterable[object]) -> None:
+    def _set_expected(self, roots: Iterable[object]) -> None:
         modules = frozenset[str]().union(*(self._sources[function] for function in roots))
         functions = {
             function for function in (*FUNCTIONS, *IMPLEMENTATIONS) if function.__module__ in modules
@@ -89,27 +89,27 @@ class Announcer(event.Listener):
         self._expected = functions - self._compiled
 
     def _close(self) -> None:
-        self._outer = None
+        self._outermost = None
         self._is_shown = False
         self._status_lines.close()
 
-    def _done_part(self) -> float:
-        """Return the compiled part of the bytecode, to which the duration is roughly proportional."""
-        return _size(self._expected & self._compiled) / max(_size(self._expected), 1)
+    def _compiled_fraction(self) -> float:
+        """Return the compiled fraction of the bytecode, to which the duration is roughly proportional."""
+        return _bytecode_size(self._expected & self._compiled) / max(_bytecode_size(self._expected), 1)
 
     def _elapsed_s(self) -> float:
         return time.monotonic() - self._start_s
 
     def _progress_text(self) -> str:
-        part = self._done_part()
-        remaining_s = max(self._elapsed_s() * (1 - part) / part, 1.0)
-        return f"{COMPILING}, once per version: {100 * part:.0f} %, about {remaining_s:.0f} s to go"
+        fraction = self._compiled_fraction()
+        remaining_s = max(self._elapsed_s() * (1 - fraction) / fraction, 1.0)
+        return f"{COMPILING}, once per version: {100 * fraction:.0f} %, about {remaining_s:.0f} s to go"
 
     def _end_text(self) -> str:
         return f"{COMPILING} took {self._elapsed_s():.0f} s"
 
 
-def _size(functions: Iterable[Callable[..., Any]]) -> int:
+def _bytecode_size(functions: Iterable[Callable[..., Any]]) -> int:
     return sum(len(function.__code__.co_code) for function in functions)
 
 

@@ -59,7 +59,7 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
         sources: Modules of the functions that it calls.
     """
     register()
-    function.__qualname__ = f"{function.__name__}_{stamp(map(source_of, (*sources, foreign, linking)))}"
+    function.__qualname__ = f"{function.__name__}_{digest_of(map(source_of, (*sources, foreign, linking)))}"
     # Reference counting of arrays would take half of the time, and is not needed without new arrays.
     decorate = numba.njit(nogil=True, _nrt=False, error_model="numpy", pipeline_class=OuterCompiler)
     dispatcher = decorate(function)
@@ -69,7 +69,7 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
     return dispatcher
 
 
-def stamp(sources: Iterable[Path]) -> str:
+def digest_of(sources: Iterable[Path]) -> str:
     """Return a digest of source files, and of the versions of numba and MuJoCo."""
     digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
     for source in sources:
@@ -88,8 +88,8 @@ def register() -> None:
         _REGISTERED.append(register_jitable(**INNER)(function))
 
 
-def _advance(scene, timing, law, bulbs, hidden, robots, counters, powers, tables, end_step, stops):
-    calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
+def _advance(scene, timing, law, bulbs, hidden_sectors, robots, counters, powers, tables, end_step, stops):
+    calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden_sectors)
     simulated = Simulated(calls, timing[0], light, robots, counters)
     inputs = StepInputs(powers, tables)
     if end_step < 0:

@@ -5,9 +5,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.simulation.fitted_robots import pairs_of
+from khep_twin.simulation.fitted_robots import contact_pairs_of
 
-FIELDS = ("dof_armature", "dof_frictionloss", "dof_invweight0", "pair_friction")
+WHEEL_FIELDS = ("dof_armature", "dof_frictionloss", "dof_invweight0", "pair_friction")
 """Arrays of a model that wheel faults change."""
 
 _INERTIA = 1.0
@@ -24,22 +24,22 @@ class FaultyWheels:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotIndices) -> None:
         self._model = model
         self._data = data
-        self._dofs = list(robot.wheel_speeds)
-        self._pairs = [pairs_of(model, [tyre]) for tyre in robot.tyres]
-        self._saved: list[tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]] = []
-        for name in FIELDS:
+        self._dofs = list(robot.wheel_dofs)
+        self._tyre_pairs = [contact_pairs_of(model, [tyre]) for tyre in robot.tyres]
+        self._sound_values: list[tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]] = []
+        for name in WHEEL_FIELDS:
             array = getattr(model, name)
-            indices = np.concatenate(self._pairs) if name == "pair_friction" else np.array(self._dofs)
-            self._saved.append((array, indices, array[indices].copy()))
+            indices = np.concatenate(self._tyre_pairs) if name == "pair_friction" else np.array(self._dofs)
+            self._sound_values.append((array, indices, array[indices].copy()))
 
     def mend(self) -> None:
         """Restore wheels without faults, to the last bit."""
-        for array, indices, values in self._saved:
+        for array, indices, values in self._sound_values:
             array[indices] = values
 
-    def slip(self, side: int, part: float) -> None:
-        """Reduce the friction of a tyre (0 left, 1 right) on the floor to a part."""
-        self._model.pair_friction[self._pairs[side], :2] *= part
+    def slip(self, side: int, factor: float) -> None:
+        """Reduce the friction of a tyre (0 left, 1 right) on the floor by a factor."""
+        self._model.pair_friction[self._tyre_pairs[side], :2] *= factor
 
     def block(self, side: int) -> None:
         """Block a wheel (0 left, 1 right)."""

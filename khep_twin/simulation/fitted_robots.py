@@ -1,4 +1,4 @@
-"""Robots of a compiled scene fitted to other calibrations, without another compilation.
+"""Other calibrations for the robots of a compiled scene, without another compilation.
 
 The result is the model that `playpen_to_mjcf` would compile from these calibrations, to the last bit (static
 deflection of tyres: to rounding), in a fiftieth of the time: wheels, motors, tyres and headings are set, and
@@ -41,7 +41,7 @@ FIELDS = (
 """Arrays of a model that depend on a calibration, directly or by MuJoCo's computation."""
 
 
-class FittedRobots:
+class CalibratedRobots:
     """Robots of a compiled model, which no other world may use."""
 
     def __init__(self, model: mujoco.MjModel, robots: Sequence[RobotIndices]) -> None:
@@ -51,10 +51,10 @@ class FittedRobots:
             name: getattr(model, name).copy() for name in FIELDS
         }
         self._mean_inertia = model.stat.meaninertia
-        self._tyre_pairs = [pairs_of(model, robot.tyres) for robot in robots]
+        self._tyre_pairs = [contact_pairs_of(model, robot.tyres) for robot in robots]
 
-    def fit(self, calibrations: Sequence[Calibration] | None, data: mujoco.MjData) -> None:
-        """Fit the robots to these calibrations; None restores the compiled model, to the last bit.
+    def set_calibrations(self, calibrations: Sequence[Calibration] | None, data: mujoco.MjData) -> None:
+        """Set the robots' calibrations; None restores the compiled model, to the last bit.
 
         Args:
             calibrations: Calibration of each robot.
@@ -67,7 +67,7 @@ class FittedRobots:
         if calibrations is None:
             return
         for robot, tyre_pairs, calibration in zip(self._robots, self._tyre_pairs, calibrations, strict=True):
-            _fit(model, robot, calibration)
+            _set_calibration(model, robot, calibration)
             model.pair_friction[tyre_pairs, :2] = calibration.wheels.friction
         mujoco.mj_setConst(model, data)
         invweight, compiled_invweight = model.body_invweight0, self._compiled_fields["body_invweight0"]
@@ -79,7 +79,7 @@ class FittedRobots:
         model.stat.meaninertia = float(np.cumsum(model.dof_M0)[-1]) / model.nv
 
 
-def _fit(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> None:
+def _set_calibration(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> None:
     """Set the values that `robot_to_mjcf` derives from a robot's calibration, except contacts."""
     half_base = units.metres(calibration.wheels.base_mm) / 2
     for side, (y, radius) in enumerate(zip((half_base, -half_base), calibration.wheels.radii, strict=True)):
@@ -91,7 +91,7 @@ def _fit(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -
         model.geom_rbound[tyre], model.geom_rbound[rim] = radius, np.hypot(radius, half_width)
         model.geom_aabb[tyre, 3:], model.geom_aabb[rim, 3:5] = radius, radius
         motors = calibration.motors
-        model.dof_frictionloss[robot.wheel_speeds[side]] = motors.friction_torque_n_m
+        model.dof_frictionloss[robot.wheel_dofs[side]] = motors.friction_torque_n_m
         model.actuator_gainprm[robot.motors[side], :2] = motors.resistance, motors.constant
     for camera, heading_deg in zip(robot.cameras, calibration.heading_deg, strict=False):
         # A camera looks along its -z, with x to its right and y up.
@@ -100,6 +100,6 @@ def _fit(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -
         mujoco.mju_mat2Quat(model.cam_quat[camera], np.array([s, 0, -c, -c, 0, -s, 0, 1, 0]))
 
 
-def pairs_of(model: mujoco.MjModel, geoms: Sequence[int]) -> NDArray[np.intp]:
+def contact_pairs_of(model: mujoco.MjModel, geoms: Sequence[int]) -> NDArray[np.intp]:
     """Return the contact pairs with one of these geoms."""
     return np.flatnonzero(np.isin(model.pair_geom1, geoms) | np.isin(model.pair_geom2, geoms))

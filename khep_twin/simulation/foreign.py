@@ -1,4 +1,4 @@
-"""Building blocks of compiled code: memory at an address, calls of C functions, queries to a kind of scene.
+"""Parts of compiled code: memory by address, C calls, implementations of scene queries for one scene class.
 
 Imported only where numba is installed.
 """
@@ -20,17 +20,17 @@ _ADDRESS, _BYTE_POINTER = types.intp, ir.IntType(8).as_pointer()
 _INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
 
 
-def implements(query: Callable[..., Any], kind: type | None = None) -> Callable[[Any], Any]:
+def implements(query: Callable[..., Any], scene_class: type | None = None) -> Callable[[Any], Any]:
     """Return a decorator for a function that implements a query in compiled code.
 
     Args:
-        query: Function of `sensing.scene`.
-        kind: Kind of scene; None for all.
+        query: Function of `sensing.scene`, which asks a scene for a value or an action.
+        scene_class: Class of scenes; None for all.
     """
 
     def register(function: Any) -> Any:
         def choose(scene, *rest):
-            fits = kind is None or getattr(scene, "instance_class", None) is kind
+            fits = scene_class is None or getattr(scene, "instance_class", None) is scene_class
             return function if fits else None
 
         IMPLEMENTATIONS.append(function)
@@ -45,7 +45,7 @@ def load(typing_context, address, index):
     """Return the float64 number at an address and an index."""
 
     def generate(context, builder, signature, arguments):
-        return builder.load(_element(builder, arguments, _DOUBLE))
+        return builder.load(_element_pointer(builder, arguments, _DOUBLE))
 
     return types.float64(_ADDRESS, types.intp), generate
 
@@ -55,7 +55,7 @@ def load_int(typing_context, address, index):
     """Return the int32 number at an address and an index."""
 
     def generate(context, builder, signature, arguments):
-        return builder.load(_element(builder, arguments, _INT))
+        return builder.load(_element_pointer(builder, arguments, _INT))
 
     return types.int32(_ADDRESS, types.intp), generate
 
@@ -65,7 +65,7 @@ def store(typing_context, address, index, value):
     """Set the float64 number at an address and an index."""
 
     def generate(context, builder, signature, arguments):
-        builder.store(arguments[2], _element(builder, arguments, _DOUBLE))
+        builder.store(arguments[2], _element_pointer(builder, arguments, _DOUBLE))
         return context.get_dummy_value()
 
     return types.void(_ADDRESS, types.intp, types.float64), generate
@@ -83,21 +83,21 @@ def address_of(typing_context, array):
 
 
 @intrinsic
-def moved(typing_context, values, addresses, row):
-    """Return nested tuples whose arrays are moved to the addresses in a row of a table (n, n_arrays)."""
+def relocate(typing_context, values, addresses, row):
+    """Return nested tuples whose arrays lie at the addresses in a row of a table (n, n_arrays) instead."""
 
     def generate(context, builder, signature, arguments):
         values_arg, table, row = arguments
         addresses = context.make_array(signature.args[1])(context, builder, table)
         n_arrays = builder.extract_value(addresses.shape, 1)
-        place = [builder.mul(row, n_arrays)]
+        element = [builder.mul(row, n_arrays)]
 
         def move(kind, value):
             if isinstance(kind, types.Array):
                 array = context.make_array(kind)(context, builder, value)
-                address = builder.load(builder.gep(addresses.data, [place[0]]))
+                address = builder.load(builder.gep(addresses.data, [element[0]]))
                 array.data = builder.inttoptr(address, array.data.type)
-                place[0] = builder.add(place[0], ir.Constant(ir.IntType(64), 1))
+                element[0] = builder.add(element[0], ir.Constant(ir.IntType(64), 1))
                 return array._getvalue()
             if isinstance(kind, types.BaseTuple):
                 kinds: Any = kind
@@ -115,19 +115,19 @@ def call_step(typing_context, function, model, data):
     """Call mj_step."""
 
     def generate(context, builder, signature, arguments):
-        _foreign(builder, arguments, [_BYTE_POINTER] * 2, ir.VoidType())
+        _emit_c_call(builder, arguments, [_BYTE_POINTER] * 2, ir.VoidType())
         return context.get_dummy_value()
 
     return types.void(*[_ADDRESS] * 3), generate
 
 
 @intrinsic
-def call_ray_geom(typing_context, function, place, turn, size, point, way, kind, normal):
+def call_ray_geom(typing_context, function, position, rotation, size, start, direction, geom_type, normal):
     """Call mju_rayGeom; return the ray's length."""
 
     def generate(context, builder, signature, arguments):
-        kinds = [*[_BYTE_POINTER] * 5, _INT, _BYTE_POINTER]
-        return _foreign(builder, arguments, kinds, _DOUBLE)
+        argument_types = [*[_BYTE_POINTER] * 5, _INT, _BYTE_POINTER]
+        return _emit_c_call(builder, arguments, argument_types, _DOUBLE)
 
     return types.float64(*[_ADDRESS] * 8), generate
 
@@ -137,25 +137,25 @@ def call_controller(typing_context, function, registers, memory, n_memory, genes
     """Call a compiled controller."""
 
     def generate(context, builder, signature, arguments):
-        _foreign(builder, arguments, [ir.IntType(64)] * 6, ir.VoidType())
+        _emit_c_call(builder, arguments, [ir.IntType(64)] * 6, ir.VoidType())
         return context.get_dummy_value()
 
     return types.void(*[_ADDRESS] * 7), generate
 
 
-def _element(builder, arguments, kind):
+def _element_pointer(builder, arguments, element_type):
     """Return the pointer to an element of the array at an address."""
-    return builder.gep(builder.inttoptr(arguments[0], kind.as_pointer()), [arguments[1]])
+    return builder.gep(builder.inttoptr(arguments[0], element_type.as_pointer()), [arguments[1]])
 
 
-def _foreign(builder, arguments, kinds, result):
-    """Call the function at the address in the first argument; `kinds` are C types of the others."""
+def _emit_c_call(builder, arguments, argument_types, return_type):
+    """Call the function at the address in the first argument; the others are converted."""
     converted = []
-    for value, kind in zip(arguments[1:], kinds, strict=True):
+    for value, kind in zip(arguments[1:], argument_types, strict=True):
         if isinstance(kind, ir.PointerType):
             value = builder.inttoptr(value, kind)
         elif isinstance(kind, ir.IntType) and kind.width < value.type.width:
             value = builder.trunc(value, kind)
         converted.append(value)
-    function = builder.inttoptr(arguments[0], ir.FunctionType(result, kinds).as_pointer())
+    function = builder.inttoptr(arguments[0], ir.FunctionType(return_type, argument_types).as_pointer())
     return builder.call(function, converted)

@@ -140,13 +140,13 @@ class MujocoCalls(NamedTuple):
 
 def make_calls(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Return a scene for compiled code, as the arrays of `MujocoCalls`; model and state must outlive it."""
-    names = ("qpos", "qvel", "ctrl", "xpos", "xmat", "cam_xpos", "cam_xmat", "geom_xpos", "geom_xmat")
+    array_names = ("qpos", "qvel", "ctrl", "xpos", "xmat", "cam_xpos", "cam_xmat", "geom_xpos", "geom_xmat")
     addresses = Addresses(
         step=function_address("mj_step"),
         ray_geom=function_address("mju_rayGeom"),
         model=object_address(model),
         data=object_address(data),
-        **{name: getattr(data, name).ctypes.data for name in names},
+        **{name: getattr(data, name).ctypes.data for name in array_names},
         force=data.actuator_force.ctypes.data,
         geom_size=model.geom_size.ctypes.data,
         warnings=data.warning.number.ctypes.data,
@@ -158,12 +158,12 @@ def make_calls(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.v
         coarse=bulb_points(COARSE),
         fine=bulb_points(FINE),
     )
-    drawn, visible = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist(), set(visible_geoms(model))
-    solids = [_solid(model, geom, geom in visible) for geom in drawn]
+    drawn_geoms, visible = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist(), set(visible_geoms(model))
+    solids = [_make_solid(model, geom, geom in visible) for geom in drawn_geoms]
     return as_records([addresses], addresses), as_records(solids, Solid())
 
 
-def _solid(model: mujoco.MjModel, geom: int, is_visible: bool) -> Solid:
+def _make_solid(model: mujoco.MjModel, geom: int, is_visible: bool) -> Solid:
     solid = Solid(
         geom,
         int(model.geom_type[geom]),
@@ -319,7 +319,7 @@ def _hidden_part(scene, sensors, channel, disc, left, up, ray, glass):
 
 @compilable
 def _is_blocked(scene, base, camera, x, y, glass):
-    """Return whether a solid blocks the ray from a sensor before the bulb's glass."""
+    """Return whether a solid blocks the ray in `address.ray`, with these x and y, before the bulb's glass."""
     origin = _vector(scene.address.cam_xpos, camera)
     square = x * x + y * y
     length = np.sqrt(square)

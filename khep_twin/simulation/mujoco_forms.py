@@ -28,8 +28,8 @@ from khep_twin.sensing.mujoco_scene import MujocoScene
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensors import proximity_optics
-from khep_twin.simulation.fitted_robots import FittedRobots
-from khep_twin.simulation.physics_state import CHANGED_FIELDS, fingerprint
+from khep_twin.simulation.fitted_robots import CalibratedRobots
+from khep_twin.simulation.physics_state import FIELDS_CHANGED_BY_RUNS, fingerprint
 from khep_twin.simulation.simulation import NO_LIGHT
 from khep_twin.status_line import announced
 from khep_twin.step import Reason, RobotState, Timing
@@ -94,10 +94,10 @@ class MujocoForms:
         self._shared = shared
         self._calibrations = [calibration.read(entry.calibration)[0] for entry in self._playpen.robots]
         self._sampled = self._calibrations
-        self._fitted: FittedRobots | None = None
+        self._calibrated: CalibratedRobots | None = None
         self._fingerprint = ""
         self._initial_fields: dict[str, Floats] = {
-            name: getattr(self.model, name).copy() for name in CHANGED_FIELDS
+            name: getattr(self.model, name).copy() for name in FIELDS_CHANGED_BY_RUNS
         }
         count = len(self._playpen.robots)
         self.indices = [RobotIndices.of(self.model, f"khepera{index}") for index in range(count)]
@@ -109,8 +109,8 @@ class MujocoForms:
     def objects(self) -> Floats:
         """Positions x, y [m] and headings [rad] of the movable objects (n, 3)."""
         rows: list[tuple[float, float, float]] = []
-        for first in self._free_joints:
-            px, py, _, w, x, y, z = self._data.qpos[first : first + 7].tolist()
+        for start in self._free_joints:
+            px, py, _, w, x, y, z = self._data.qpos[start : start + 7].tolist()
             rows.append((px, py, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
         return np.array(rows).reshape(-1, 3)
 
@@ -145,21 +145,21 @@ class MujocoForms:
         solids["bound"] = self.model.geom_rbound[solids["geom"]]
         return self._arrays
 
-    def vary(self, make_rng: Callable[[int], np.random.Generator] | None) -> None:
-        """Replace the robots by others of the same model; None restores those of the playpen."""
-        if self._fitted is None:
+    def vary_robots(self, make_rng: Callable[[int], np.random.Generator] | None) -> None:
+        """Draw each robot's calibration around the playpen's, by its stream; None restores the playpen's."""
+        if self._calibrated is None:
             if self._shared:
                 self.model = copy.copy(self.model)
                 self._plain = None
                 self._arrays = None
-            self._fitted = FittedRobots(self.model, self.indices)
+            self._calibrated = CalibratedRobots(self.model, self.indices)
         self._sampled = self._calibrations
         if make_rng is not None:
             self._sampled = [
                 calibration.vary(measured, make_rng(number))
                 for number, measured in enumerate(self._calibrations)
             ]
-        self._fitted.fit(None if make_rng is None else self._sampled, self._data)
+        self._calibrated.set_calibrations(None if make_rng is None else self._sampled, self._data)
 
     @property
     def n_robots(self) -> int:
@@ -176,7 +176,7 @@ class MujocoForms:
         states: list[RobotState] = []
         for number in self.core_robots:
             indices = self.indices[number]
-            joints = *indices.wheel_angles, *indices.wheel_speeds, *indices.motors, indices.pose
+            joints = *indices.wheel_qpos, *indices.wheel_dofs, *indices.motors, indices.pose
             states.append(
                 robot_state(self.model, indices, joints, self._sampled[number], self._playpen.robots[number])
             )
@@ -191,8 +191,8 @@ class MujocoForms:
         if reason == Reason.WARNED:
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._data.warning.number)[0])).name
             return f"MuJoCo warns of {kind}"
-        places, speeds = np.abs(self._data.xpos).max(), np.abs(self._data.qvel).max()
-        return f"something is {places:g} m off, at {speeds:g} m/s or rad/s"
+        positions, speeds = np.abs(self._data.xpos).max(), np.abs(self._data.qvel).max()
+        return f"something is {positions:g} m off, at {speeds:g} m/s or rad/s"
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
         """Return the lamps with the precomputed lines of sight to them."""

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Base64UrlBytes, Field
 
-from khep_twin.simulation.faulty_wheels import FIELDS
+from khep_twin.simulation.faulty_wheels import WHEEL_FIELDS
 
-CHANGED_FIELDS = ("body_pos", *FIELDS)
+FIELDS_CHANGED_BY_RUNS = ("body_pos", *WHEEL_FIELDS)
 """Arrays of a model that a run changes: LEDs are moved, and faults change the wheels."""
 
 _INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -82,7 +82,7 @@ def fingerprint(model: mujoco.MjModel, *extras: object) -> str:
     digest = hashlib.sha256(repr(extras).encode("utf-8"))
     digest.update(model.names)
     for name in sorted(vars(type(model))):
-        if not name.startswith("_") and name not in CHANGED_FIELDS:
+        if not name.startswith("_") and name not in FIELDS_CHANGED_BY_RUNS:
             value = getattr(model, name)
             if isinstance(value, np.ndarray):
                 array: NDArray[np.generic] = value
@@ -109,14 +109,14 @@ def _list_awake(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.tree_awake[:], data.body_awake[:] = awake, bodies
     data.ntree_awake = int(awake.sum())
     is_moving = bodies != mujoco.mjtSleepState.mjS_ASLEEP
-    data.nbody_awake = _fill(data.body_awake_ind, np.flatnonzero(is_moving))
-    data.nparent_awake = _fill(data.parent_awake_ind, 1 + np.flatnonzero(is_moving[model.body_parentid[1:]]))
+    data.nbody_awake = _write(data.body_awake_ind, np.flatnonzero(is_moving))
+    data.nparent_awake = _write(data.parent_awake_ind, 1 + np.flatnonzero(is_moving[model.body_parentid[1:]]))
     dof_bodies = model.dof_bodyid
     is_awake = (trees[dof_bodies] >= 0) & (bodies[dof_bodies] > 0)
-    data.nv_awake = _fill(data.dof_awake_ind, np.flatnonzero(is_awake))
+    data.nv_awake = _write(data.dof_awake_ind, np.flatnonzero(is_awake))
 
 
-def _fill(memory: NDArray[np.int32], values: NDArray[np.intp]) -> int:
+def _write(memory: NDArray[np.int32], values: NDArray[np.intp]) -> int:
     """Write values to the start of a list; return their number."""
     memory[: len(values)] = values
     return len(values)

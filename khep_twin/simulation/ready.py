@@ -21,7 +21,7 @@ CODE = {
     "vision": "khep_twin.vision.compiled:capture",
     "shadow": "khep_twin.shadow.compiled:advance",
 }
-"""Compiled parts and their functions; the shadow has several, of which this is one."""
+"""Parts of khep_twin that can be compiled, and their functions; of the shadow's, one of several."""
 
 BACKGROUND_NOTICE = (
     "khep_twin: numba compiles in the background, once per version; this run goes on uncompiled meanwhile, "

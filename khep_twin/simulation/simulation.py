@@ -1,6 +1,6 @@
 """A simulation's state, lamps and random draws, stepped by plain or compiled code.
 
-Both share the same memory and give the same bits, so a run may switch between them at any step.
+Both share the same memory and give the same values, bit for bit; a run may switch between them at any step.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,7 +42,7 @@ class SceneForms(Protocol):
         """Return the scene for compiled code, as arrays."""
         ...
 
-    def vary(self, make_rng: Callable[[int], np.random.Generator] | None) -> None:
+    def vary_robots(self, make_rng: Callable[[int], np.random.Generator] | None) -> None:
         """Replace the robots by others of the same model; None restores those of the playpen.
 
         The scene's state is overwritten.
@@ -140,7 +140,7 @@ class Simulation:
     def powers(self) -> Sequence[float]:
         """Powers of the lamps after the last step, without their flicker (n_lamps,) [W]."""
         rows = self.inputs.powers
-        return rows[0 if len(rows) == 1 else self.steps - 1 - int(self.counters[step.FIRST])]
+        return rows[0 if len(rows) == 1 else self.steps - 1 - int(self.counters[step.FIRST_POWERS_STEP])]
 
     @property
     def is_compiled(self) -> bool:
@@ -171,7 +171,7 @@ class Simulation:
             vary: Whether to draw each robot at random around its calibration.
         """
         if vary or self._has_varied:
-            self._scene.vary((lambda number: stream(seed, "robot", number, "spread")) if vary else None)
+            self._scene.vary_robots((lambda robot: stream(seed, "robot", robot, "spread")) if vary else None)
             self.refresh_scene()
             robots = self._scene.robot_states()
             for record, robot in zip(self.records, robots, strict=True):
@@ -243,32 +243,32 @@ class Simulation:
             DivergedError: The physics left its bounds, or a controller returned a speed that is not a number.
         """
         lamps = self.lamps
-        takes_turns = lamps is not None and lamps.lit_index is not None
-        if lamps is not None and not (lamps.are_constant or takes_turns) and end_step > self._powers_end:
+        in_turns = lamps is not None and lamps.lit_index is not None
+        if lamps is not None and not (lamps.are_constant or in_turns) and end_step > self._powers_end:
             self._set_powers(lamps.advance_steps(self.steps, end_step, self.plain.timing.step_ns))
             self._powers_end = end_step
-        stop_reasons = stops | step.Stop.STEPPED if takes_turns else stops
+        stop_reasons = stops | step.Stop.STEPPED if in_turns else stops
         while True:
             end = min(end_step, int(self.counters[step.STEPS]) + _MAX_STEPS)
             reason = self.check_reason(self._core(*self._arguments, end, stop_reasons))
-            if takes_turns and reason == step.Reason.STEPPED:
+            if in_turns and reason == step.Reason.STEPPED:
                 self._switch_lamps()
                 if not stops & step.Stop.STEPPED:
                     continue
             if reason != step.Reason.DONE or end >= end_step:
                 return reason
 
-    def scan(self, first: int) -> None:
-        """Convert all sensors of all robots now, starting with the sensor `first`, in plain code."""
+    def scan(self, first_channel: int) -> None:
+        """Convert all sensors of all robots now, in plain code, starting with `first_channel`."""
         inputs = self.inputs
         if self.lamps is not None:
             inputs = inputs._replace(powers=[self.lamps.powers])
         time_ns = self.steps * self.plain.timing.step_ns
         for offset in range(N_SENSORS):
-            channel = (first + offset) % N_SENSORS
+            channel = (first_channel + offset) % N_SENSORS
             for robot in range(len(self.plain.robots)):
                 step.convert_sensor(self.plain, inputs, robot, 0, time_ns, channel)
-            self.counters[step.DRAWN] += 1
+            self.counters[step.N_CONVERSIONS] += 1
 
     def check_reason(self, reason: int) -> int:
         """Check the reason of a return of the stepping core, and return it.
@@ -286,7 +286,7 @@ class Simulation:
 
     def _set_powers(self, rows: Sequence[Sequence[float]]) -> None:
         """Set the lamps' powers after each further step, or after all (n_steps or 1, n_lamps) [W]."""
-        self.counters[step.FIRST] = self.steps
+        self.counters[step.FIRST_POWERS_STEP] = self.steps
         self.inputs = self.inputs._replace(powers=rows)
         self._bind_arguments()
 

@@ -25,13 +25,13 @@ _MAX_SIZE = 64 << 20
 _State = TypeVar("_State", bound=NamedTuple)
 
 
-def pack(state: NamedTuple, scene: str) -> bytes:
+def pack(state: NamedTuple, fingerprint: str) -> bytes:
     """Return the snapshot of a state of the scene with this fingerprint."""
     packed = zlib.compress(_adapter(type(state)).dump_json(state), 6)
-    return _HEADER.pack(_MAGIC, VERSION, bytes.fromhex(scene)) + packed
+    return _HEADER.pack(_MAGIC, VERSION, bytes.fromhex(fingerprint)) + packed
 
 
-def unpack(data: bytes, kind: type[_State], scene: str | None) -> _State:
+def unpack(data: bytes, state_type: type[_State], fingerprint: str | None) -> _State:
     """Return the state in a snapshot of the scene with this fingerprint, or of any scene with None.
 
     Raises:
@@ -42,9 +42,9 @@ def unpack(data: bytes, kind: type[_State], scene: str | None) -> _State:
     _, version, scene_hash = _HEADER.unpack_from(data)
     if version != VERSION:
         raise SnapshotError(key="version of the snapshot", value=version, expected=str(VERSION))
-    if scene is not None and scene_hash.hex() != scene:
+    if fingerprint is not None and scene_hash.hex() != fingerprint:
         raise SnapshotError(
-            f"the snapshot is of another scene, {scene_hash.hex()}; expected {scene}, this world's"
+            f"the snapshot is of another scene, {scene_hash.hex()}; expected {fingerprint}, this world's"
         )
     inflater = zlib.decompressobj()
     try:
@@ -54,14 +54,14 @@ def unpack(data: bytes, kind: type[_State], scene: str | None) -> _State:
     if not inflater.eof:
         raise SnapshotError(f"the snapshot is torn, or larger than {_MAX_SIZE >> 20} MiB")
     try:
-        return _adapter(kind).validate_json(text, strict=True)
+        return _adapter(state_type).validate_json(text, strict=True)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        location = ".".join(map(str, first["loc"]))
-        value = repr(first["input"])[:40]
-        raise SnapshotError(f"snapshot: {location} = {value}: {first['msg']}") from None
+        first_error = error.errors(include_url=False)[0]
+        location = ".".join(map(str, first_error["loc"]))
+        value = repr(first_error["input"])[:40]
+        raise SnapshotError(f"snapshot: {location} = {value}: {first_error['msg']}") from None
 
 
 @cache
-def _adapter(kind: type[_State]) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
+def _adapter(state_type: type[_State]) -> TypeAdapter[Any]:
+    return TypeAdapter(state_type)

@@ -21,10 +21,10 @@ class SteppingCode:
 
     def __init__(self, simulation: Simulation, compiled: bool | None) -> None:
         self._simulation = simulation
-        self.switch_at: int | None = None
+        self.switch_step: int | None = None
         n_robots = len(simulation.records)
         if compiled is None and n_robots:
-            self.switch_at = _MIN_STEPS // n_robots
+            self.switch_step = _MIN_STEPS // n_robots
         elif compiled:
             self.compile()
 
@@ -34,17 +34,17 @@ class SteppingCode:
         Raises:
             MissingNumbaError: numba is not installed.
         """
-        self._use(function_of("world"))
+        self._switch_to(function_of("world"))
 
     def switch_if_ready(self) -> None:
         """Switch to compiled code if it is ready; if not, start its compilation and check again later."""
         if (advance := when_ready("world")) is None:
-            self.switch_at = self._simulation.steps + _MIN_STEPS // 10
+            self.switch_step = self._simulation.steps + _MIN_STEPS // 10
         else:
-            self._use(advance)
+            self._switch_to(advance)
 
-    def _use(self, advance: Advance) -> None:
-        self.switch_at = None
+    def _switch_to(self, advance: Advance) -> None:
+        self.switch_step = None
         if len(self._simulation.records):  # without robots there is nothing to compile
             self._simulation.step_with(advance, compiled=True)
             # The first call loads the code: now, rather than while a host waits for a reply.

@@ -35,7 +35,7 @@ class TurretWorld(Protocol):
         ...
 
 
-class TurretPlace:
+class WorldTurretContext:
     """Interface of a world to one turret, which implements `TurretContext`.
 
     Args:

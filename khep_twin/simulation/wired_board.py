@@ -61,7 +61,7 @@ class BoardFirmware(Protocol):
         """Read bytes from the line; return the replies to the commands that they complete."""
         ...
 
-    def remedy(self, baud: int) -> str:
+    def baud_rate_hint(self, baud: int) -> str:
         """Return how to set the robot's port to a host's baud rate."""
         ...
 
@@ -143,7 +143,7 @@ class WiredBoard:
         outcome = "still accepted" if self._line_noise is None else "garbled"
         return (
             f"the host has its line at {host.baud} baud, the robot's has {baud}; the bytes are {outcome}; "
-            f"{self.firmware.remedy(host.baud)}"
+            f"{self.firmware.baud_rate_hint(host.baud)}"
         )
 
     def send(self, data: bytes, time_ns: int = 0) -> None:
@@ -177,9 +177,9 @@ class WiredBoard:
             line.flush(time_ns)
 
     def next_command_ns(self) -> int | None:
-        """Return when the firmware accepts the next complete command [ns]; None without one on the line.
+        """Return when the firmware accepts the next command [ns]; None without a complete one on the line.
 
-        By then it has arrived, and at most REPLY_LIMIT bytes of replies are queued.
+        It is accepted when its last byte has arrived and at most REPLY_LIMIT bytes of replies are queued.
         """
         command = self._next_command()
         return command and command[1]

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from khep_twin.episodes.controllers import Driver, Floats, Function
-from khep_twin.errors import ControllerError, choices, in_a_line
+from khep_twin.errors import ControllerError, choices, exception_text
 from khep_twin.files.atomic import read_regular
 from khep_twin.files.text import decode
 from khep_twin.files.toml_files import format_value
@@ -63,7 +63,7 @@ def function_of(program: Program) -> Callable[..., Any]:
     except BaseException as error:
         if is_interruption(error):
             raise
-        raise ControllerError(f"{program.file}: {in_a_line(error)}") from error
+        raise ControllerError(f"{program.file}: {exception_text(error)}") from error
     member: object = vars(module).get(program.function)
     if not callable(member):
         names = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]

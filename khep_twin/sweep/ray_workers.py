@@ -75,8 +75,8 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Executor:
     @contextmanager
     def run_tasks(work: Work, tasks: Sequence[Shard]) -> Generator[Iterable[tuple[Shard, bytes]]]:
         try:
-            _join(ray, address, workers)
-            yield _results(ray, work, tasks)
+            _connect(ray, address, workers)
+            yield _collect_results(ray, work, tasks)
         except (ray.exceptions.RayError, ConnectionError) as error:
             raise KhepTwinError(f"ray: {_sentence(error)}; finished tasks are kept for --resume") from error
         finally:
@@ -93,7 +93,7 @@ def host_and_port(address: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def _join(ray: ModuleType, address: str | None, workers: int | None) -> None:
+def _connect(ray: ModuleType, address: str | None, workers: int | None) -> None:
     """Start Ray here, or join a cluster."""
     log_options: dict[str, object] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
@@ -103,9 +103,9 @@ def _join(ray: ModuleType, address: str | None, workers: int | None) -> None:
                 socket.create_connection((host, port), CLUSTER_TIMEOUT_S).close()
             ray.init(address=address, **log_options)
             return
-        count = workers or n_cores()
+        n_workers = workers or n_cores()
         # "local" ignores a cluster that the environment may name.
-        ray_context = ray.init(address="local", num_cpus=count, include_dashboard=False, **log_options)
+        ray_context = ray.init(address="local", num_cpus=n_workers, include_dashboard=False, **log_options)
     except (ValueError, RuntimeError, OSError) as error:
         if address is None:
             raise KhepTwinError(f"ray: cannot be started here: {_sentence(error)}") from error
@@ -119,19 +119,19 @@ def _join(ray: ModuleType, address: str | None, workers: int | None) -> None:
         )
 
 
-def _results(ray: ModuleType, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
+def _collect_results(ray: ModuleType, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
     """Yield the tasks' results as they arrive."""
     # A task that requests no GPU sees none.
     gpu_options = {"num_gpus": 1} if work.study.device == "cuda" else {}
-    remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES, **gpu_options)(_run_task)
-    shared = ray.put(work)
+    remote_task = ray.remote(num_cpus=1, max_retries=MAX_RETRIES, **gpu_options)(_run_task)
+    work_reference = ray.put(work)
     queue = iter(tasks)
     pending: dict[object, Shard] = {}
     while True:
         # A cluster may grow during the sweep.
         capacity = TASKS_PER_CORE * max(int(ray.cluster_resources().get("CPU", 1)), 1)
         while len(pending) < capacity and (task := next(queue, None)) is not None:
-            pending[remote.remote(shared, task)] = task
+            pending[remote_task.remote(work_reference, task)] = task
         if not pending:
             return
         ready, _ = ray.wait(list(pending), num_returns=1, timeout=10)

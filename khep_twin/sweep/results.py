@@ -39,6 +39,7 @@ from khep_twin.sweep.shards import Shard, Work
 from khep_twin.sweep.study import COLUMNS
 
 _STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
+"""Keys of a table's metadata."""
 
 _TYPES = {"failed_step": pa.int64(), "failure": pa.string()}
 """Types of columns that may be entirely empty."""
@@ -108,7 +109,7 @@ class SweepFolder:
             StudyError: The table cannot be written, or an episode is missing or duplicate; parts are kept.
         """
         if not self.table.exists():
-            self._join()
+            self._join_parts()
         shutil.rmtree(self._parts, ignore_errors=True)
         return self.table
 
@@ -122,6 +123,7 @@ class SweepFolder:
             raise StudyError(f"{self._path}: cannot be locked: {error.strerror}") from error
 
     def _prepare(self, resume: bool) -> None:
+        """Write study.json into a new folder, or check that of the previous sweep."""
         file, work = self._path / "study.json", self._work
         previous = _read_json(file)
         # A sweep killed at its start may have left an incomplete study.json.
@@ -176,13 +178,13 @@ class SweepFolder:
         is_same_work = metadata.get(_STUDY) == self._work.digest.encode() and metadata.get(_TASK) == task
         return is_same_work and footer.num_rows == n_episodes
 
-    def _join(self) -> None:
+    def _join_parts(self) -> None:
         part_table = self.table.with_name(f".{self.table.name}.part")
-        schema = self._read(self._work.tasks[0]).schema
+        schema = self._read_part(self._work.tasks[0]).schema
         try:
             with pq.ParquetWriter(part_table, schema) as writer:
                 for task in self._work.tasks:
-                    writer.write_table(self._read(task))
+                    writer.write_table(self._read_part(task))
             # The table must be on disk before the parts are deleted, in case of a power failure.
             with part_table.open("rb") as file:
                 os.fsync(file.fileno())
@@ -194,7 +196,7 @@ class SweepFolder:
         if written_path != self.table:
             raise StudyError(name_taken_message(self.table, written_path))
 
-    def _read(self, task: Shard) -> pa.Table:
+    def _read_part(self, task: Shard) -> pa.Table:
         """Return a part; check that it holds each of its episodes once."""
         file = self._part_path(task)
         try:

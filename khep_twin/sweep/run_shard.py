@@ -10,7 +10,7 @@ from khep_twin.episodes.batch import RolloutResult, rollout
 from khep_twin.episodes.controllers import Floats
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.errors import ControllerError, in_a_line
+from khep_twin.errors import ControllerError, exception_text
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen.starts import Start
 from khep_twin.signals import is_interruption
@@ -30,7 +30,7 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
     """
     study, group = work.study, work.groups[task.group]
     controller = work.controllers[group.controller]
-    setup = _setup(
+    setup = _make_setup(
         work.playpens[group.playpen],
         group.lighting,
         study.planar,
@@ -40,18 +40,18 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
     )
     indices = np.arange(task.first - group.first, task.first - group.first + task.count)
     combinations, seeds = np.divmod(indices, study.seeds)
-    genomes, start_indices = np.divmod(combinations, len(group.starts))
+    genome_indices, start_indices = np.divmod(combinations, len(group.starts))
     seeds += study.first_seed
     # np.divmod is typed for single numbers only.
     start_names: list[str] = [group.starts[index] for index in start_indices.tolist()]  # pyright: ignore
-    starts = [_start(setup, name, seed) for name, seed in zip(start_names, seeds.tolist(), strict=True)]
+    starts = [_start_pose(setup, name, seed) for name, seed in zip(start_names, seeds.tolist(), strict=True)]
     home = study.home
     results = rollout(
         setup,
         driver_of(controller.driver),
         seeds.tolist(),
         study.seconds,
-        genes=controller.genomes[genomes],
+        genes=controller.genomes[genome_indices],
         starts=starts,
         line=study.line_baud,
         options=EpisodeOptions(
@@ -68,7 +68,7 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         "episode": np.arange(task.first, task.first + count),
         "playpen": [study.playpens[group.playpen]] * count,
         "controller": [controller.name] * count,
-        "genome": genomes,
+        "genome": genome_indices,
         "seed": seeds,
         "noise": np.full(count, group.noise),
         "vary": np.full(count, group.vary),
@@ -100,29 +100,28 @@ def evaluate(measure: Program, results: RolloutResult) -> Floats:
         if index in failed_indices:
             continue
         metrics = {name: float(values[index]) for name, values in results.metrics.items()}
+        registers, pose = results.registers[index].copy(), tuple(results.poses[index].tolist())
         try:
-            column[index] = float(
-                function(metrics, results.registers[index].copy(), tuple(results.poses[index].tolist()))
-            )
+            column[index] = float(function(metrics, registers, pose))
         except BaseException as error:  # the user's own function may raise anything
             if is_interruption(error):
                 raise
-            where = f"{measure.file}:{measure.function}"
-            raise ControllerError(f"{where}: {in_a_line(error)}") from error
+            location = f"{measure.file}:{measure.function}"
+            raise ControllerError(f"{location}: {exception_text(error)}") from error
     return column
 
 
-def _start(setup: EpisodeSetup, name: str, seed: int) -> Start:
+def _start_pose(setup: EpisodeSetup, name: str, seed: int) -> Start:
     if name == "playpen":
         return setup.start(seed)
     return start_poses.starts([name], setup.playpen, 0, 1, seed)[0]
 
 
 @lru_cache(maxsize=4)
-def _setup(
-    text: str, lighting: str, planar: bool, at_line: bool, step_ms: float | None, period_ms: int
+def _make_setup(
+    playpen_toml: str, lighting: str, planar: bool, at_line: bool, step_ms: float | None, period_ms: int
 ) -> EpisodeSetup:
     override = "off" if lighting == "off" else None
-    study_playpen = start_poses.with_lighting(playpen.parse(text, "a study's playpen"), override)
+    study_playpen = start_poses.with_lighting(playpen.parse(playpen_toml, "a study's playpen"), override)
     step_ns, period_ns = None if step_ms is None else round(step_ms * NS_PER_MS), period_ms * NS_PER_MS
     return EpisodeSetup(study_playpen, step_ns=step_ns, period_ns=period_ns, planar=planar, at_line=at_line)

@@ -1,8 +1,8 @@
 """A study as work: all its episodes in a fixed order, divided into independent tasks.
 
 Episodes are numbered from 0 by playpen, controller, noise, vary, lighting, genome, start and seed; the last
-varies fastest. A task is a range of these numbers with one playpen, controller, noise, vary and lighting. Its
-results depend only on the study.
+varies fastest. A task (`Shard`) is a range of these numbers in which only genome, start and
+seed vary. Its results depend only on the study.
 """
 
 import hashlib
@@ -122,19 +122,19 @@ def work_of(file: StudyFile) -> Work:
         StudyError: A playpen, a program or genomes cannot be used.
     """
     study = file.study
-    playpens = [_playpen(file, name) for name in study.playpens]
-    controllers = tuple(_controllers(file))
+    playpens = [_load_playpen(file, name) for name in study.playpens]
+    controllers = tuple(_load_controllers(file))
     groups: list[Group] = []
-    first = 0
+    first_episode = 0
     grid = study.grid
-    starts = [tuple(_starts(file, model)) for model in playpens]
+    starts = [tuple(_start_texts(file, model)) for model in playpens]
     points = itertools.product(
         range(len(playpens)), range(len(controllers)), grid.noise, grid.vary, grid.lighting
     )
-    for number, controller, noise, vary, lighting in points:
-        count = len(controllers[controller].genomes) * len(starts[number]) * study.seeds
-        groups.append(Group(number, controller, noise, vary, lighting, starts[number], first, count))
-        first += count
+    for index, controller, noise, vary, lighting in points:
+        count = len(controllers[controller].genomes) * len(starts[index]) * study.seeds
+        groups.append(Group(index, controller, noise, vary, lighting, starts[index], first_episode, count))
+        first_episode += count
     tasks: list[Shard] = []
     for number, group in enumerate(groups):
         end = group.first + group.count
@@ -142,7 +142,7 @@ def work_of(file: StudyFile) -> Work:
             tasks.append(Shard(len(tasks), number, start, min(study.rollouts_per_task, end - start)))
     texts = tuple(playpen.dump(model) for model in playpens)
     measures = tuple(
-        (table.name, _program(file, "measure", index, table.file))
+        (table.name, _load_program(file, "measure", index, table.file))
         for index, table in enumerate(study.measures)
     )
     work = Work(study, texts, controllers, measures, tuple(groups), tuple(tasks), "", versions())
@@ -150,7 +150,7 @@ def work_of(file: StudyFile) -> Work:
     return replace(work, digest=_digest(work, calibrations))
 
 
-def _playpen(file: StudyFile, name: str) -> Playpen:
+def _load_playpen(file: StudyFile, name: str) -> Playpen:
     """Return one of a study's playpens, by the name of a shipped one or by path."""
     try:
         model = Playpen.load(name if name in playpen.names() else file.folder / name)
@@ -164,7 +164,7 @@ def _playpen(file: StudyFile, name: str) -> Playpen:
     return model
 
 
-def _controllers(file: StudyFile) -> Iterator[ControllerSpec]:
+def _load_controllers(file: StudyFile) -> Iterator[ControllerSpec]:
     for name in file.study.controllers:
         if not name.endswith(SUFFIX):
             yield ControllerSpec(name, Braitenberg(), np.zeros((1, 0)))
@@ -177,11 +177,11 @@ def _controllers(file: StudyFile) -> Iterator[ControllerSpec]:
     for index, table in enumerate(file.study.networks):
         yield ControllerSpec(table.name, table.network(), genomes_of(file, "network", index))
     for index, table in enumerate(file.study.programs):
-        program = _program(file, "program", index, table.file, table.memory)
+        program = _load_program(file, "program", index, table.file, table.memory)
         yield ControllerSpec(table.name, program, genomes_of(file, "program", index))
 
 
-def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0) -> Program:
+def _load_program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0) -> Program:
     """Return the program of a study's FILE.py:NAME."""
     path, _, function = name.rpartition(":")
     location, key = (kind, index, "file"), f'{kind} {index + 1}: file = "{name}"'
@@ -196,7 +196,7 @@ def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0)
     return program
 
 
-def _starts(file: StudyFile, model: Playpen) -> Iterator[str]:
+def _start_texts(file: StudyFile, model: Playpen) -> Iterator[str]:
     """Yield a text for each start in a playpen; a grid has one per position."""
     for spec in file.study.grid.starts:
         if spec in ("playpen", "random"):
@@ -210,11 +210,8 @@ def _starts(file: StudyFile, model: Playpen) -> Iterator[str]:
 
 def _digest(work: Work, calibrations: list[str]) -> str:
     """Return a hash of everything that results depend on: the study, its files, and the versions."""
-    content: list[object] = [
-        __version__,
-        mujoco.__version__,
-        work.study.model_dump(mode="json", exclude={"output"}),
-    ]
+    study = work.study.model_dump(mode="json", exclude={"output"})
+    content: list[object] = [__version__, mujoco.__version__, study]
     content += [list(work.playpens), calibrations, [[name, measure.text] for name, measure in work.measures]]
     for controller in work.controllers:
         genomes = hashlib.sha256(controller.genomes.tobytes()).hexdigest()

@@ -138,12 +138,12 @@ class Study(TomlTable):
     output: Annotated[str, Field(min_length=1, description="the path of a folder")]
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        if problems := list(self._problems()):
+    def _check_consistency(self) -> Self:
+        if problems := list(self._find_problems()):
             raise Problems(problems)
         return self
 
-    def _problems(self) -> Iterator[Problem]:
+    def _find_problems(self) -> Iterator[Problem]:
         if self.step_ms not in (None, 2.5, 5.0, 10.0):
             yield Problem.of(("step_ms",), f"step_ms = {self.step_ms:g}", "2.5, 5 or 10")
         if self.device == "cuda" and not self.planar:
@@ -164,7 +164,7 @@ class Study(TomlTable):
             yield Problem.of((), "no controller", "controllers, a [[network]] or a [[program]]")
         if "homing" in self.fitness and self.home is None:
             yield Problem(("fitness",), 'fitness = "homing": there is no [home]')
-        for key, values in self._lists():
+        for key, values in self._value_lists():
             for value in sorted({str(value) for value in values if values.count(value) > 1}):
                 yield Problem.of(key, f"{key[-1]} has {format_value(value)} twice", "once")
         controllers: set[str] = {*self.controllers}
@@ -185,7 +185,7 @@ class Study(TomlTable):
                 problem = f"network {index + 1}: has {count} of genomes and drawn"
                 yield Problem.of(("network", index), problem, "one of them")
 
-    def _lists(self) -> Iterator[tuple[Location, tuple[object, ...]]]:
+    def _value_lists(self) -> Iterator[tuple[Location, tuple[object, ...]]]:
         for key in ("playpens", "controllers", "fitness"):
             yield (key,), getattr(self, key)
         for key in Grid.model_fields:

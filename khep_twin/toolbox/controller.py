@@ -25,8 +25,8 @@ from typing import cast
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import LoopingController
-from khep_twin.toolbox import serial_commands as host
 from khep_twin.toolbox import simulator
+from khep_twin.toolbox.serial_commands import assigned_port
 from khep_twin.toolbox.simulator import OpenPlaypen
 
 ARGUMENTS = ("port_id", "cycles_per_run", "runs", "pause_stat")
@@ -55,23 +55,23 @@ class ToolboxController(LoopingController):
         run = _Run(robot, function.__code__, end_cycle, stop)
         run.listener = robot.listen(run.on_reply)
         try:
-            with simulator.use_twin_of(robot) as btmap1, host.assigned_port(robot, self.port_id) as port_id:
+            with simulator.use_twin_of(robot) as btmap1, assigned_port(robot, self.port_id) as port_id:
                 if self.unpaced and btmap1 is None:
                     raise ControllerError(
                         f"{function.__name__}: drives by sim_ commands, not through {robot.name}; "
                         "expected a twin in this process, or a function without sim_ and kheprom"
                     )
-                with _open_for(function, btmap1):
+                with _bind_open_playpen(function, btmap1):
                     returned = function(port_id, _CycleCount(cycles, run), 1, 0)
         except _StopSeries:
             return None
         finally:
             robot.listen(run.listener)
-        if not run.has_counter and run.cycle_end == robot.time:
+        if not run.has_counter and run.cycle_end_s == robot.time:
             end_cycle()  # reports that no time has passed
-        names = function.__globals__
-        named = {name: names[name] for name in function.__code__.co_names if name in names}
-        self._returned = {**named, **run.variables(), **_name_values(returned)}
+        scope = function.__globals__
+        global_variables = {name: scope[name] for name in function.__code__.co_names if name in scope}
+        self._returned = {**global_variables, **run.variables(), **_name_values(returned)}
         return run.count if run.has_counter else cycles
 
 
@@ -93,9 +93,9 @@ class _Run:
         self.listener: Callable[[str, str], None] | None = None
         self.has_counter = False
         self.count = 0
-        self.cycle_end = robot.time
+        self.cycle_end_s = robot.time
 
-    def compare(self, count: int, cycles: int) -> None:
+    def on_comparison(self, count: int, cycles: int) -> None:
         """Record that the function compares its cycle count with the number of cycles."""
         self._find_frame()
         if self.has_counter and count > self.count:
@@ -105,14 +105,14 @@ class _Run:
         self.has_counter, self.count = True, int(count)
 
     def on_reply(self, request: str, reply: str) -> None:
-        """Pass an exchange to the listener; without `compare`, each speed command ends a cycle."""
+        """Pass an exchange to the listener; without `on_comparison`, each speed command ends a cycle."""
         if self.listener is not None:
             self.listener(request, reply)
         self._find_frame()
         if self._stop():
             raise _StopSeries
-        if not self.has_counter and request.startswith("D,") and self._robot.time != self.cycle_end:
-            self.cycle_end = self._robot.time
+        if not self.has_counter and request.startswith("D,") and self._robot.time != self.cycle_end_s:
+            self.cycle_end_s = self._robot.time
             self._end_cycle()
 
     def variables(self) -> dict[str, object]:
@@ -140,25 +140,25 @@ class _CycleCount(int):
 
     # Python calls the right operand's method first if its type is a subclass.
     def __gt__(self, count: int) -> bool:
-        self._run.compare(count, int(self))
+        self._run.on_comparison(count, int(self))
         return int(self) > count
 
     def __ge__(self, count: int) -> bool:
-        self._run.compare(count - 1, int(self))
+        self._run.on_comparison(count - 1, int(self))
         return int(self) >= count
 
 
 @contextmanager
-def _open_for(function: Callable[..., object], btmap1: OpenPlaypen | None) -> Generator[None]:
+def _bind_open_playpen(function: Callable[..., object], btmap1: OpenPlaypen | None) -> Generator[None]:
     """Open `btmap1`, and other playpens among a function's globals, within the context."""
-    names = function.__globals__
-    saved = {name: value for name, value in names.items() if isinstance(value, OpenPlaypen)}
-    names.update(dict.fromkeys({*saved, "btmap1"}, btmap1))
+    scope = function.__globals__
+    saved = {name: value for name, value in scope.items() if isinstance(value, OpenPlaypen)}
+    scope.update(dict.fromkeys({*saved, "btmap1"}, btmap1))
     try:
         yield
     finally:
-        names.pop("btmap1", None)
-        names.update(saved)
+        scope.pop("btmap1", None)
+        scope.update(saved)
 
 
 def _uses_simulator(function: Callable[..., object], visited: set[CodeType]) -> bool:

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 Matrix = NDArray[np.generic] | Sequence[Sequence[SupportsFloat]]
 """Readings `dv` (n, 10)."""
 
-_graphs: list["Figure"] = []
-"""Latest graph."""
+_latest_graph: list["Figure"] = []
+"""Latest graph, or empty."""
 
 
 @renamed_arguments(what="quantity")
@@ -128,9 +128,9 @@ def dataprnt(file: StrPath = "graph_data.pdf") -> Path:
     """
     from khep_twin.drawing import map as drawing
 
-    if not _graphs:
+    if not _latest_graph:
         raise SensorTestError("there is no graph yet; expected ddl, ddlg, ddr, ddrg or disonel before")
-    drawing.save(_graphs[-1], Path(file), replace=str(file) not in ("graph_data.pdf", "graph_data.svg"))
+    drawing.save(_latest_graph[-1], Path(file), replace=str(file) not in ("graph_data.pdf", "graph_data.svg"))
     return Path(file)
 
 
@@ -150,6 +150,7 @@ def _draw(
     y_min: int = 0,
     grid: bool = False,
 ) -> "Figure":
+    """Draw and show a graph, the latest one from now on; arguments as for `disonel`."""
     from khep_twin.lab.sensor_test import sensor_figure
 
     rows = _matrix(dv)
@@ -157,12 +158,12 @@ def _draw(
     latest_test = find_test(dv)
     quantity = quantity or (latest_test.what if latest_test else "proximity")
     speed = speed if speed is not None or latest_test is None else latest_test.speed
-    linear_cm = _amount(khep_pos, left + right, PULSES_PER_CM) if motion == "linear" else None
-    rotate_deg = _amount(khep_pos, right - left, PULSES_PER_DEGREE) if motion == "rotational" else None
+    linear_cm = _signed_amount(khep_pos, left + right, PULSES_PER_CM) if motion == "linear" else None
+    rotate_deg = _signed_amount(khep_pos, right - left, PULSES_PER_DEGREE) if motion == "rotational" else None
     test = SensorTest(quantity, linear_cm, rotate_deg, speed, None)
     run = SensorRun(test, rows, np.full(len(rows), np.nan))
     figure = sensor_figure.draw([run], sensor=sensor, y_min=y_min, grid=grid)
-    _graphs[:] = [figure]
+    _latest_graph[:] = [figure]
     show(figure, "graph_data")
     return figure
 
@@ -178,10 +179,10 @@ def _matrix(dv: Matrix) -> NDArray[np.int64]:
     return rows.astype(np.int64)
 
 
-def _amount(khep_pos: SupportsFloat, direction: int, scale: float) -> float:
-    """Return the distance or angle of a test [cm or degrees], negative if the counters decreased."""
-    amount = abs(float(khep_pos)) / scale
+def _signed_amount(khep_pos: SupportsFloat, counter_sum: int, pulses_per_unit: float) -> float:
+    """Return the distance or angle of a test [cm or degrees], negative if `counter_sum` [pulses] is."""
+    amount = abs(float(khep_pos)) / pulses_per_unit
     # Pulses are integers: 15 degrees are 85 pulses, which are 14.98 degrees.
-    if amount < 1e6 and abs(amount - round(amount)) * scale <= 0.5:
+    if amount < 1e6 and abs(amount - round(amount)) * pulses_per_unit <= 0.5:
         amount = float(round(amount))
-    return -amount if direction < 0 else amount
+    return -amount if counter_sum < 0 else amount

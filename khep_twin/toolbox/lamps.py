@@ -38,7 +38,7 @@ def place_lamp(
         PlaypenError: It lies outside the arena, or its values are not allowed.
     """
     lamp = Lamp.model_construct(x_mm=float(xabs), y_mm=float(yabs), z_mm=float(z), power_w=float(power_w))
-    playpen = _playpen()
+    playpen = _current_playpen()
     _set_lamps("place_lamp", playpen.model_copy(update={"lamps": (*playpen.lamps, lamp)}))
 
 
@@ -48,7 +48,7 @@ def move_lamp(xabs: SupportsFloat, yabs: SupportsFloat, to_x: SupportsFloat, to_
     Raises:
         PlaypenError: There is no lamp, or its new position lies outside the arena.
     """
-    playpen = _playpen()
+    playpen = _current_playpen()
     nearest = nearest_lamp(playpen, float(xabs), float(yabs))
     moved = nearest.model_copy(update={"x_mm": float(to_x), "y_mm": float(to_y)})
     lamps = tuple(moved if lamp is nearest else lamp for lamp in playpen.lamps)
@@ -61,7 +61,7 @@ def remove_lamp(xabs: SupportsFloat, yabs: SupportsFloat) -> None:
     Raises:
         PlaypenError: There is no lamp.
     """
-    _set_lamps("remove_lamp", without_nearest_lamp(_playpen(), float(xabs), float(yabs)))
+    _set_lamps("remove_lamp", without_nearest_lamp(_current_playpen(), float(xabs), float(yabs)))
 
 
 def lamp_control(mode: str) -> None:
@@ -72,10 +72,10 @@ def lamp_control(mode: str) -> None:
     Raises:
         PlaypenError: The mode is unknown.
     """
-    _set_lamps("lamp_control", with_lighting(_playpen(), mode))
+    _set_lamps("lamp_control", with_lighting(_current_playpen(), mode))
 
 
-def _playpen() -> Playpen:
+def _current_playpen() -> Playpen:
     return get_open_playpen().twin.world.playpen
 
 

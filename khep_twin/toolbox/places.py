@@ -41,16 +41,16 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
     """
     simulator = get_open_playpen(btmap1)
     robot = simulator.twin.robots[simulator.index(port_id)]
-    x, y, reach = (length * 1e3 for length in robot.disc)
+    x, y, radius = (length * 1e3 for length in robot.disc)
     heading_deg = math.degrees(robot.pose[2])
     angles = [*range(-SWEEP_DEG, SWEEP_DEG + 1, SWEEP_STEP_DEG)]
-    distance = reach + CLEARANCE_MM
+    probe_mm = radius + CLEARANCE_MM
     probes: list[PlacedPart] = []
     for number, angle_deg in enumerate([*angles, *(180 + angle for angle in angles)], 1):
         angle = math.radians(heading_deg + angle_deg)
-        point = Circle(x + distance * math.cos(angle), y + distance * math.sin(angle), 1e-3)
+        point = Circle(x + probe_mm * math.cos(angle), y + probe_mm * math.sin(angle), 1e-3)
         probes.append(PlacedPart("probe", number, None, point, 0, BODY_HEIGHT * 1e3, True))
-    neighbours = find_neighbours(current_playpen(simulator.twin.world), robot.index, Circle(x, y, distance))
+    neighbours = find_neighbours(current_playpen(simulator.twin.world), robot.index, Circle(x, y, probe_mm))
     problems = placement_problems([*neighbours, *probes], simulator.twin.world.playpen.arena)
     hits = {problem.location[1] for problem in problems if problem.location[0] == "probe"}
     front = any(number in hits for number in range(len(angles)))

@@ -77,7 +77,7 @@ def roborun2(
     controller = find_controller(ctrl_name, as_toolbox_form) if is_location else as_toolbox_form(ctrl_name)
     functions = [user] if isinstance(user, str) or callable(user) else user
     callbacks = [find_on_run_end(item, controller) if isinstance(item, str) else item for item in functions]
-    robot = _robot(controller, port_id)
+    robot = _find_robot(controller, port_id)
     plan = Plan(runs, cycles_per_run, pause=float(pause))
     folder = None
     if save is not None:
@@ -102,7 +102,7 @@ def getstat(*, runs: Sequence[SeriesRun] | StrPath | None = None) -> dict[str, s
     Raises:
         ControllerError: There are no runs.
     """
-    rows = _rows(runs)
+    rows = _table_rows(runs)
     columns = series_statistics.measured_columns([rows])
     values = {name: series_statistics.finite_values(rows, name) for name in columns}
     return {name: series_statistics.summarize(values[name]) for name in columns}
@@ -125,7 +125,7 @@ def plotrun(
     from khep_twin.drawing import map as drawing
     from khep_twin.lab.experiment.figures import default_columns, draw
 
-    rows = _rows(runs)
+    rows = _table_rows(runs)
     columns = series_statistics.measured_columns([rows], names or None)
     figure = draw(["runs"], [rows], columns if names else default_columns(columns))
     if picture is not None:
@@ -141,7 +141,7 @@ def user1(*, runs: Sequence[SeriesRun] | StrPath | None = None, save: StrPath | 
         ControllerError: There are no runs.
         KhepTwinError: The file cannot be written, or has another suffix.
     """
-    rows = _rows(runs)
+    rows = _table_rows(runs)
     tables = series_files.tables(rows)
     if save is not None and Path(save).suffix.lower() not in tables:
         raise KhepTwinError(f"user1: save = {str(save)!r}: expected a name that ends in {', '.join(tables)}")
@@ -186,7 +186,7 @@ def play_pen(file: StrPath | None = None) -> None:
         raise KhepTwinError(f"play_pen: the page ended with status {status}")
 
 
-def _robot(controller: AnyController, port_id: Port | None) -> Khepera:
+def _find_robot(controller: AnyController, port_id: Port | None) -> Khepera:
     """Return the robot of a series."""
     simulated = isinstance(controller, ToolboxController) and controller.unpaced
     if port_id is None and not simulated:
@@ -202,7 +202,7 @@ def _robot(controller: AnyController, port_id: Port | None) -> Khepera:
     return robot_at(port_id)
 
 
-def _rows(runs: Sequence[SeriesRun] | StrPath | None) -> list[series_files.Row]:
+def _table_rows(runs: Sequence[SeriesRun] | StrPath | None) -> list[series_files.Row]:
     """Return runs as rows of a table."""
     if isinstance(runs, str | PathLike):
         rows = series_files.read_series(Path(runs))[1]

@@ -38,8 +38,8 @@ _BAR_HEIGHT, _BAR_WIDTH = 0.012, 0.0028
 _PROXIMITY, _LIGHT, _SPEED, _EMPTY = "#e4572e", "#f4c846", "#4dabf7", "#f1f1ef"
 _DPI = 90
 
-_views: "list[_View]" = []
-"""View that is open."""
+_open_view: "list[_View]" = []
+"""View that is open, or empty."""
 
 
 def khepbase(
@@ -67,20 +67,20 @@ def khepbase(
     """
     has_values = [value is not None for value in (prox_data, light_data, motor_speed)]
     if not any(has_values):
-        _views[:] = [_View(None if picture is None else Path(picture))]
+        _open_view[:] = [_View(None if picture is None else Path(picture))]
     elif picture is not None:
         raise ValueError("khepbase: picture is for the call that opens it")
     elif not all(has_values):
         raise ValueError("khepbase: expected prox_data, light_data and motor_speed, or nothing to open it")
-    elif not _views:
+    elif not _open_view:
         raise KhepTwinError("khepbase: it is not open; expected khepbase() before")
     else:
-        _views[-1].set(
-            _values("prox_data", prox_data, 8),
-            _values("light_data", light_data, 8),
-            _values("motor_speed", motor_speed, 2),
+        _open_view[-1].set(
+            _to_array("prox_data", prox_data, 8),
+            _to_array("light_data", light_data, 8),
+            _to_array("motor_speed", motor_speed, 2),
         )
-    return _views[-1].show()
+    return _open_view[-1].show()
 
 
 class _View:
@@ -88,12 +88,12 @@ class _View:
 
     def __init__(self, picture: Path | None) -> None:
         self.figure, axes = _draw_robot()
-        feet = np.array([(-left, forward) for forward, left in SENSOR_POSITIONS]) * 1.42
+        bar_feet = np.array([(-left, forward) for forward, left in SENSOR_POSITIONS]) * 1.42
         offset = np.array([_BAR_WIDTH * 0.6, _BAR_HEIGHT / 2])
         wheel_feet = [(side * (WHEEL_BASE / 2 - 0.008), 0.0) for side in (-1, 1)]
         self._bars = {
-            "proximity": [_add_bar(axes, foot - offset, _PROXIMITY) for foot in feet],
-            "light": [_add_bar(axes, foot - offset * (-1, 1), _LIGHT) for foot in feet],
+            "proximity": [_add_bar(axes, foot - offset, _PROXIMITY) for foot in bar_feet],
+            "light": [_add_bar(axes, foot - offset * (-1, 1), _LIGHT) for foot in bar_feet],
             "speed": [_add_bar(axes, np.array(foot), _SPEED, is_signed=True) for foot in wheel_feet],
         }
         self._picture = Path("khepbase.png") if picture is None else picture
@@ -105,7 +105,7 @@ class _View:
         """Set the lengths of the bars."""
         for (name, bars), values in zip(self._bars.items(), (proximity, light, speed), strict=True):
             for bar, value in zip(bars, values.tolist(), strict=True):
-                bar.set_height(BARS[name].filled(value) * _BAR_HEIGHT)
+                bar.set_height(BARS[name].filled_part(value) * _BAR_HEIGHT)
 
     def show(self) -> Path | None:
         """Draw the view on the screen, or write its file."""
@@ -118,7 +118,7 @@ class _View:
         return self._picture
 
 
-def _values(name: str, values: ArrayLike | None, count: int) -> Floats:
+def _to_array(name: str, values: ArrayLike | None, count: int) -> Floats:
     row = np.asarray(values, np.float64).reshape(-1)
     if len(row) != count or not np.isfinite(row).all():
         raise ValueError(f"khepbase: {name} has {len(row)} values; expected {count} numbers")

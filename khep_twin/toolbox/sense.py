@@ -31,10 +31,10 @@ from khep_twin.renamed import renamed_arguments
 from khep_twin.toolbox.serial_commands import Port, robot_at
 from khep_twin.toolbox.simulator import get_open_playpen
 
-EXCHANGE = 0.03
+EXCHANGE_S = 0.03
 """Duration of an exchange in `simsense` [s] (assumed: about the mean of H and N at 9600 baud)."""
 
-_latest: list[SensorRun] = []
+_latest_run: list[SensorRun] = []
 """Readings of the latest test."""
 
 
@@ -103,7 +103,7 @@ def simsense(
     simulator = get_open_playpen()
     robot = Khepera(simulator.robots[simulator.index(port_id)].port)
     # An exchange takes time here; without it, all readings would be at one position.
-    robot.listen(lambda request, reply: robot.sleep(EXCHANGE))
+    robot.listen(lambda request, reply: robot.sleep(EXCHANGE_S))
     return _run_test(robot, test, save, dlgstr)
 
 
@@ -113,14 +113,14 @@ def lasttest() -> tuple[NDArray[np.int64], int]:
     Raises:
         SensorTestError: There was no test.
     """
-    if not _latest:
+    if not _latest_run:
         raise SensorTestError("there was no test yet; expected tstsense or simsense before")
-    return _latest[-1].dv, abs(_latest[-1].test.target[1])
+    return _latest_run[-1].dv, abs(_latest_run[-1].test.target[1])
 
 
 def find_test(dv: object) -> SensorTest | None:
     """Return the latest test if it returned `dv`."""
-    return _latest[-1].test if _latest and _latest[-1].dv is dv else None
+    return _latest_run[-1].test if _latest_run and _latest_run[-1].dv is dv else None
 
 
 def _run_test(
@@ -129,15 +129,15 @@ def _run_test(
     if save is not None:
         sensor_files.check_suffix(Path(save))  # before the robot moves
     try:
-        _store(sense(robot, test, text=dlgstr), save)
+        _store_run(sense(robot, test, text=dlgstr), save)
     except (BrokenOffError, InterruptedTest) as error:
-        _store(error.run, save)
+        _store_run(error.run, save)
         raise
     return lasttest()
 
 
-def _store(run: SensorRun, save: StrPath | None) -> None:
+def _store_run(run: SensorRun, save: StrPath | None) -> None:
     """Store the readings of a test, also in a file if one is given."""
-    _latest[:] = [run]
+    _latest_run[:] = [run]
     if save is not None and len(run.dv):
         sensor_files.save(Path(save), run)

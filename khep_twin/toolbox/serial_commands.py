@@ -53,7 +53,7 @@ Port = int | str | Khepera
 Row = NDArray[np.int64]
 """Integers, one for each column of a row in Matlab."""
 
-_assigned: dict[int, str | Khepera] = {}
+_assigned_ports: dict[int, str | Khepera] = {}
 _open_robots: dict[str, Khepera] = {}
 
 
@@ -71,8 +71,8 @@ def ports(choice: Mapping[int, str | Khepera]) -> None:
     for robot in _open_robots.values():
         robot.close()
     _open_robots.clear()
-    _assigned.clear()
-    _assigned.update(choice)
+    _assigned_ports.clear()
+    _assigned_ports.update(choice)
 
 
 def robot_at(port_id: Port) -> Khepera:
@@ -83,7 +83,7 @@ def robot_at(port_id: Port) -> Khepera:
     """
     if isinstance(port_id, Khepera):
         return port_id
-    port = port_id if isinstance(port_id, str) else _port(port_id)
+    port = port_id if isinstance(port_id, str) else _require_port(port_id)
     if isinstance(port, Khepera):
         return port
     if port not in _open_robots:
@@ -95,17 +95,17 @@ def robot_at(port_id: Port) -> Khepera:
 def assigned_port(robot: Khepera, port_id: int | None = None) -> Generator[int]:
     """Assign `port_id`, and all numbers without a port, to an open robot within the context.
 
-    Yield a number of the robot: `port_id`, or without it the first free one.
+    Yield a number of the robot: `port_id`, or without it the first free_numbers one.
     """
-    saved = dict(_assigned)
-    free = [number for number in PORT_IDS if _find_port(number) is None]
-    number = port_id or (free or PORT_IDS)[0]
-    _assigned.update(dict.fromkeys({*free, number}, robot))
+    saved = dict(_assigned_ports)
+    free_numbers = [number for number in PORT_IDS if _find_port(number) is None]
+    number = port_id or (free_numbers or PORT_IDS)[0]
+    _assigned_ports.update(dict.fromkeys({*free_numbers, number}, robot))
     try:
         yield number
     finally:
-        _assigned.clear()
-        _assigned.update(saved)
+        _assigned_ports.clear()
+        _assigned_ports.update(saved)
 
 
 def con(port_id: Port, Kp: SupportsFloat, Ki: SupportsFloat, Kd: SupportsFloat) -> None:
@@ -125,7 +125,7 @@ def sms(port_id: Port, speed_left: SupportsFloat, speed_right: SupportsFloat) ->
 
 def rms(port_id: Port) -> Row:
     """Return the measured speed of the left and the right wheel (2,) [pulses/10 ms] (command E)."""
-    return _row(robot_at(port_id).speed())
+    return _to_row(robot_at(port_id).speed())
 
 
 def cpid(port_id: Port, Kp: SupportsFloat, Ki: SupportsFloat, Kd: SupportsFloat) -> None:
@@ -140,7 +140,7 @@ def spc(port_id: Port, pos_left: SupportsFloat, pos_right: SupportsFloat) -> Non
 
 def rpc(port_id: Port) -> Row:
     """Return the position counters, left and right (2,) [pulses], 12.5 per millimetre (command H)."""
-    return _row(robot_at(port_id).position())
+    return _to_row(robot_at(port_id).position())
 
 
 def cspc(
@@ -169,13 +169,13 @@ def rmc(port_id: Port) -> Row:
     robot = robot_at(port_id)
     answer = robot.ask("K")
     try:
-        head, *fields = answer.split(",")
+        letter, *fields = answer.split(",")
         values = [int(field) for field in fields]
     except ValueError:
-        head, values = "", []
-    if head != "k" or len(values) != 6:
+        letter, values = "", []
+    if letter != "k" or len(values) != 6:
         raise ProtocolError(f"{robot.name}: 'K' was answered {answer!r}; expected 'k' and 6 integers")
-    return _row(tuple(values))
+    return _to_row(tuple(values))
 
 
 def rad(port_id: Port, channel_number: SupportsFloat) -> int:
@@ -193,12 +193,12 @@ def rps(port_id: Port) -> Row:
 
     Left 90, 45, 10, right 10, 45, 90, back right, back left.
     """
-    return _row(robot_at(port_id).proximity())
+    return _to_row(robot_at(port_id).proximity())
 
 
 def rls(port_id: Port) -> Row:
     """Return ambient light (8,) in the order of `rps`; about 500 in the dark, less in light (command O)."""
-    return _row(robot_at(port_id).ambient())
+    return _to_row(robot_at(port_id).ambient())
 
 
 def kturret(port_id: Port, turret: SupportsFloat, message: str) -> Row:
@@ -219,14 +219,14 @@ def kturret(port_id: Port, turret: SupportsFloat, message: str) -> Row:
         letter, values = "", []
     if letter != message[:1].lower():
         raise ProtocolError(f"{robot.name}: turret {number} answered {message!r} with {answer!r}")
-    return _row(tuple(values))
+    return _to_row(tuple(values))
 
 
 # Stop all robots when the program ends, also by Ctrl-C.
 atexit.register(ports, {})
 
 
-def _port(port_id: int) -> str | Khepera:
+def _require_port(port_id: int) -> str | Khepera:
     """Return the port of a number."""
     if port_id not in PORT_IDS:
         raise PortError(key="port_id", value=port_id, expected="1 to 4, or a port such as '/dev/ttyUSB0'")
@@ -240,7 +240,7 @@ def _port(port_id: int) -> str | Khepera:
 
 
 def _find_port(port_id: int) -> str | Khepera | None:
-    return _assigned.get(port_id) or os.environ.get(f"{VARIABLE}{int(port_id)}")
+    return _assigned_ports.get(port_id) or os.environ.get(f"{VARIABLE}{int(port_id)}")
 
 
 def _to_integers(command: str, **values: SupportsFloat) -> list[int]:
@@ -259,5 +259,5 @@ def _to_integers(command: str, **values: SupportsFloat) -> list[int]:
     return numbers
 
 
-def _row(values: tuple[int, ...]) -> Row:
+def _to_row(values: tuple[int, ...]) -> Row:
     return np.array(values, np.int64)

@@ -38,7 +38,7 @@ from khep_twin.toolbox.serial_commands import Row
 CYCLE = 0.05
 """Default cycle of `kheprom` [s] (assumed: about the time of `rps` and `sms` on a robot)."""
 
-_current: "OpenPlaypen | None" = None
+_open_playpen: "OpenPlaypen | None" = None
 
 
 class OpenPlaypen:
@@ -113,21 +113,21 @@ def open_custom(
         PortError: No robot stands in it.
         LogError: The log cannot be written.
     """
-    global _current
+    global _open_playpen
     options = TwinOptions(seed=seed, robot=None, noise=noise, rom=rom, unpaced=True, log=log and str(log))
-    selected = with_lighting(_load_playpen(playpen), lighting)
-    if not selected.robots:
-        raise PlaypenError(f"{selected.name}: no robot stands in it; expected a [[robot]] in its file")
+    loaded_playpen = with_lighting(_load_playpen(playpen), lighting)
+    if not loaded_playpen.robots:
+        raise PlaypenError(f"{loaded_playpen.name}: no robot stands in it; expected a [[robot]] in its file")
     close_playpen()
-    _current = OpenPlaypen(open_twin(selected, options))
-    return _current
+    _open_playpen = OpenPlaypen(open_twin(loaded_playpen, options))
+    return _open_playpen
 
 
 def close_playpen() -> None:
     """Close the playpen that is open and complete its log, RoboRunner's Close Playpen."""
-    global _current
-    if _current is not None:
-        previous, _current = _current, None
+    global _open_playpen
+    if _open_playpen is not None:
+        previous, _open_playpen = _open_playpen, None
         previous.twin.close()
 
 
@@ -137,11 +137,11 @@ def get_open_playpen(btmap1: object = None) -> OpenPlaypen:
     Raises:
         PlaypenError: None is open, or another one than `btmap1`, unless that is None.
     """
-    if _current is None:
+    if _open_playpen is None:
         raise PlaypenError("no playpen is open; expected btmap1 = open_default(), or open_custom('NAME')")
-    if btmap1 is not None and btmap1 is not _current:
+    if btmap1 is not None and btmap1 is not _open_playpen:
         raise PlaypenError("btmap1 is not the playpen that is open; expected what open_custom has returned")
-    return _current
+    return _open_playpen
 
 
 @contextmanager
@@ -150,14 +150,14 @@ def use_twin_of(robot: Khepera) -> Generator[OpenPlaypen | None]:
 
     Yield None for a robot that is no twin in this process.
     """
-    global _current
-    previous, twin = _current, getattr(robot.port, "twin", None)
+    global _open_playpen
+    previous, twin = _open_playpen, getattr(robot.port, "twin", None)
     if isinstance(twin, Twin) and (previous is None or robot not in previous.robots):
-        _current = OpenPlaypen(twin, (robot,))
+        _open_playpen = OpenPlaypen(twin, (robot,))
     try:
-        yield _current if isinstance(twin, Twin) else None
+        yield _open_playpen if isinstance(twin, Twin) else None
     finally:
-        _current = previous
+        _open_playpen = previous
 
 
 def kheprom(btmap1: OpenPlaypen, cycle: float = CYCLE) -> None:
@@ -177,42 +177,42 @@ def ulsv() -> None:
 
 def sim_skp(port_id: int, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
     """Move the wheels to positions [pulses of 0.08 mm], also unequal ones."""
-    serial_commands.skp(_robot(port_id), pos_left, pos_right)
+    serial_commands.skp(_get_robot(port_id), pos_left, pos_right)
 
 
 def sim_sms(port_id: int, speed_left: SupportsFloat, speed_right: SupportsFloat) -> None:
     """Drive the wheels at separate speeds [pulses/10 ms = 8 mm/s]."""
-    serial_commands.sms(_robot(port_id), speed_left, speed_right)
+    serial_commands.sms(_get_robot(port_id), speed_left, speed_right)
 
 
 def sim_rms(port_id: int) -> Row:
     """Return the measured speed, left and right (2,) [pulses/10 ms], also in position mode."""
-    return serial_commands.rms(_robot(port_id))
+    return serial_commands.rms(_get_robot(port_id))
 
 
 def sim_spc(port_id: int, pos_left: SupportsFloat, pos_right: SupportsFloat) -> None:
     """Set the position counters [pulses]."""
-    serial_commands.spc(_robot(port_id), pos_left, pos_right)
+    serial_commands.spc(_get_robot(port_id), pos_left, pos_right)
 
 
 def sim_rpc(port_id: int) -> Row:
     """Return the position counters of the left and the right wheel (2,) [pulses]."""
-    return serial_commands.rpc(_robot(port_id))
+    return serial_commands.rpc(_get_robot(port_id))
 
 
 def sim_rmc(port_id: int) -> Row:
     """Return motion control, [T, M, E] left and right (6,); M as for `rmc`, E is updated."""
-    return serial_commands.rmc(_robot(port_id))
+    return serial_commands.rmc(_get_robot(port_id))
 
 
 def sim_rps(port_id: int) -> Row:
     """Return proximity (8,), as last converted."""
-    return serial_commands.rps(_robot(port_id))
+    return serial_commands.rps(_get_robot(port_id))
 
 
 def sim_rls(port_id: int) -> Row:
     """Return ambient light (8,), as last converted."""
-    return serial_commands.rls(_robot(port_id))
+    return serial_commands.rls(_get_robot(port_id))
 
 
 def userdata(btmap1: OpenPlaypen, port_id: int = 1) -> NDArray[np.float64]:
@@ -242,7 +242,7 @@ def userdata(btmap1: OpenPlaypen, port_id: int = 1) -> NDArray[np.float64]:
 atexit.register(close_playpen)
 
 
-def _robot(port_id: int) -> Khepera:
+def _get_robot(port_id: int) -> Khepera:
     simulator = get_open_playpen()
     return simulator.robots[simulator.index(port_id)]
 

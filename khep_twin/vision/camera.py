@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.line_faces import (
-    MovingFaces,
     FacePoses,
+    MovingFaces,
     fixed_faces,
     max_faces,
     moving_faces,
@@ -37,8 +37,8 @@ class LineCamera:
     Args:
         fixed: Faces that cannot move (n, N_COLUMNS).
         moving: Movable geoms and stripes.
-        at: Its positions, live.
-        compiled: Compiled code, `see`; by default it is loaded when an image requests it and it is ready.
+        poses: Positions and orientations of the scene, which MuJoCo updates.
+        compiled: Compiled `capture`; by default it is loaded when an image requests it and it is ready.
     """
 
     def __init__(
@@ -64,8 +64,8 @@ class LineCamera:
         lamps: Sequence[Lamp],
         room_lux: float,
         exposure_ms: int,
-        key: tuple[int, int],
-        number: int,
+        noise_key: tuple[int, int],
+        image_number: int,
         *,
         noisy: bool = True,
         compiled: bool = False,
@@ -78,8 +78,8 @@ class LineCamera:
             lamps: Lamps with their current powers.
             room_lux: Illuminance by the room's lighting [lx].
             exposure_ms: Duration of the scan [ms]; 0 to choose it by the current light.
-            key: Words of the key of the random draws.
-            number: Number of the image.
+            noise_key: Words of the key of the random draws.
+            image_number: Number of the image, which selects its draws.
             noisy: Whether the image is noisy.
             compiled: Whether to use compiled code as soon as it is ready.
         """
@@ -87,7 +87,7 @@ class LineCamera:
             self._prepare(len(lamps))
         self._room_lux[0] = room_lux
         self._lamps[:] = np.reshape(lamps, (-1, 4))
-        self._key[:] = key
+        self._key[:] = noise_key
         if compiled and self._compiled is None and self._n_images % _CHECK_INTERVAL == 0:
             self._compiled = when_ready("vision")
         self._n_images += 1
@@ -95,9 +95,9 @@ class LineCamera:
         if compiled and self._compiled is not None:
             arrays = TABLE_ARRAYS[noisy]
             return self._compiled(
-                *self._compiled_args, tuple(eye), exposure_ms, arrays, self._key, number, pixels
+                *self._compiled_args, tuple(eye), exposure_ms, arrays, self._key, image_number, pixels
             )
-        return capture(*self._python_args, eye, exposure_ms, tables, self._key.data, number, pixels.data)
+        return capture(*self._plain_args, eye, exposure_ms, tables, self._key.data, image_number, pixels.data)
 
     def _prepare(self, n_lamps: int) -> None:
         """Make the buffers for a number of lamps."""
@@ -118,7 +118,7 @@ class LineCamera:
             weighted_sums=np.zeros((2, K213_PIXELS)),
         )
         self._compiled_args = tuple(scene), n_fixed, tuple(self._moving), tuple(self._poses)
-        self._python_args = (
+        self._plain_args = (
             LineScene(*_views(scene)),
             n_fixed,
             MovingFaces(*_views(self._moving)),
@@ -135,7 +135,7 @@ def eye_of(data: mujoco.MjData, camera: int) -> Eye:
     return Eye(x, y, height, dx * scale, dy * scale)
 
 
-def take_one() -> int:
+def take_test_image() -> int:
     """Compile the code and take an image of an empty scene; return the reading of the light sensor.
 
     Raises:
@@ -156,13 +156,13 @@ def capture(
     eye: Eye,
     exposure_ms: int,
     tables: Tables,
-    key: Vector[int],
-    number: int,
+    noise_key: Vector[int],
+    image_number: int,
     pixels: Vector[int],
 ) -> int:
     """Take an image by plain code; the arguments are those of `place_faces` and `take_image`."""
     place_faces(scene, n_fixed, moving, poses, eye)
-    return take_image(scene, eye, exposure_ms, tables, key, number, pixels)
+    return take_image(scene, eye, exposure_ms, tables, noise_key, image_number, pixels)
 
 
 def _views(values: Sequence[Any]) -> list[Any]:

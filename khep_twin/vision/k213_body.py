@@ -21,8 +21,8 @@ class K213Body:
         self._context = context
         self._view = context.registers.data
         self._pixels = context.registers[PIXELS]
-        self._eye = model.camera(context.prefix + "eye").id
-        moving = moving_faces(model, int(model.cam_bodyid[self._eye]))
+        self._eye_camera = model.camera(context.prefix + "eye").id
+        moving = moving_faces(model, int(model.cam_bodyid[self._eye_camera]))
         self._camera = LineCamera(fixed_faces(model), moving, read_poses(context.data))
 
     def sense(self) -> None:
@@ -31,7 +31,7 @@ class K213Body:
         if view[K213Register.LEFT] > 1:
             return
         view[K213Register.LIGHT] = self._camera.take(
-            eye_of(context.data, self._eye),
+            eye_of(context.data, self._eye_camera),
             self._pixels,
             context.lamps,
             context.room_lux,

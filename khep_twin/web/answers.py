@@ -37,8 +37,7 @@ class Action(NamedTuple):
     do: Callable[[Any], object]
 
 
-Actions = Mapping[str, Action]
-"""Actions by name."""
+Actions = Mapping[str, Action]  # by name
 
 
 def action(kind: type[RequestType], do: Callable[[RequestType], object]) -> Action:
@@ -85,6 +84,6 @@ def respond(act: Callable[[], object], format_text: FormatText) -> Response:
 
 
 def refusal(text: str, status: int = 400, **fields: bool) -> Response:
-    """Return a response with the problems, a line each."""
+    """Return a response with the problems of `text`, a line each, and further JSON `fields`."""
     lines = (line if line.isprintable() else ascii(line)[1:-1] for line in text.split("\n"))
     return JSONResponse({"error": "\n".join(lines), **fields}, status)

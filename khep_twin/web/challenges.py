@@ -130,7 +130,7 @@ class Challenges:
         return replace(attempt, file=relative(attempt.file), reason=relative(attempt.reason))
 
     def _start(self, message: Scoring, work: Callable[[Callable[[], bool]], None]) -> None:
-        """Start a thread that scores.
+        """Start a thread that calls `work` with a function that returns whether scoring must stop.
 
         Raises:
             ChallengeError: Another scoring is in progress.
@@ -146,6 +146,7 @@ class Challenges:
             self._thread.start()
 
     def _run(self, work: Callable[[Callable[[], bool]], None]) -> None:
+        """Score in this thread, and publish the end."""
         watched_time = time.monotonic()
         text = ""
 

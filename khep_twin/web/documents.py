@@ -32,8 +32,7 @@ _UNNAMED = "unnamed"
 PROGRAM_SUFFIXES = (".py", ".npz")
 """File name extensions of controllers."""
 
-_PAGE = re.compile("[A-Za-z0-9-]{0,40}")
-"""Identifiers of pages."""
+_PAGE = re.compile("[A-Za-z0-9-]{0,40}")  # identifier of a page
 
 _LIST_LIMIT, _SEARCH_LIMIT = 300, 20_000
 """Largest numbers of listed files, and of files searched for them."""

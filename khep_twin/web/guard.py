@@ -79,8 +79,8 @@ class Guard:
             await _refuse(scope, receive, send, status, reason)
             return
         path = scope["path"][len(self._token) + 1 :]
-        inner = {**scope, "path": path, "raw_path": path.encode("ascii")}
-        await _SizeLimit(self._app, _limit(dict(headers)))(inner, receive, send)
+        inner_scope = {**scope, "path": path, "raw_path": path.encode("ascii")}
+        await _SizeLimit(self._app, _limit(dict(headers)))(inner_scope, receive, send)
 
     def _is_first_visit(self, scope: Scope, headers: list[tuple[str, str]]) -> bool:
         """Return whether a request uses the one-time path for the first time; report the second time."""

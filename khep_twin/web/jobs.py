@@ -1,4 +1,4 @@
-"""Jobs of the page's robot, twin or real: controllers in series, and sensor tests."""
+"""Jobs of the page's robot, twin or real: series of runs of a controller, and sensor tests."""
 
 # matplotlib's annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -17,8 +17,7 @@ from khep_twin.lab.experiment.controller_source import forget_modules_beside
 from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController
 from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_files import SeriesFolder
-from khep_twin.lab.experiment.series_run import Plan
-from khep_twin.lab.experiment.series_run import SeriesRun as DoneRun
+from khep_twin.lab.experiment.series_run import Plan, SeriesRun
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
 from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.web.documents import PROGRAM_SUFFIXES, Documents
@@ -60,10 +59,11 @@ class SeriesJob:
         plan = self.plan
         series_folder = None
         if self.folder is not None:
-            length = {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause}
-            series_folder = SeriesFolder(self.folder, {"controller": self.name, "port": robot.name, **length})
+            limits = {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause}
+            settings = {"controller": self.name, "port": robot.name, **limits}
+            series_folder = SeriesFolder(self.folder, settings)
 
-        def publish_run(run: DoneRun, stopped: bool = False) -> None:
+        def publish_run(run: SeriesRun, stopped: bool = False) -> None:
             metrics = {name: value for name, value in run.metrics.items() if math.isfinite(value)}
             publish(
                 {

@@ -83,18 +83,18 @@ class OutsideHost:
             self._notify(notice)
         if received.hosts_left:
             # The host's last bytes still reach the robot; the replies are dropped.
-            if last := bytes(self._partial_line) + received.last_data:
-                self.robot.send(last)
+            if last_data := bytes(self._partial_line) + received.last_data:
+                self.robot.send(last_data)
             self.robot.disconnect()
             self._partial_line.clear()
         self._partial_line += received.data
-        end = next((index for index, byte in enumerate(self._partial_line) if byte in LINE_ENDS), -1)
-        if end < 0:
+        line_end = next((index for index, byte in enumerate(self._partial_line) if byte in LINE_ENDS), -1)
+        if line_end < 0:
             if len(self._partial_line) >= _LINE_LIMIT:
                 self._partial_line.clear()
             return
-        line = bytes(self._partial_line[: end + 1])
-        del self._partial_line[: end + 1]
+        line = bytes(self._partial_line[: line_end + 1])
+        del self._partial_line[: line_end + 1]
         self.commands += 1
         self.robot.send(line)
         while (next_ns := self._connection.next_ns()) != NEVER_NS:
@@ -107,7 +107,7 @@ class SessionEndedError(KhepTwinError):
 
 
 class PacedTwin:
-    """Time source that paces a twin's time, also for programs in lock-step.
+    """Time source that paces a twin's time, also for programs in lock-step, which wait for simulated time.
 
     Args:
         twin: Twin to pace.
@@ -129,7 +129,7 @@ class PacedTwin:
         self.robots = twin.robots
         self.program_twin = Twin(twin.world, twin.robots, twin.options, self)
         # Loading compiled code would stop the picture for a moment.
-        twin.world.code.switch_at = None
+        twin.world.code.switch_step = None
         self.speed = 1.0
         self.paused = False
         self.is_ending = False
@@ -210,7 +210,7 @@ class PacedTwin:
         """Wait until a time is due, and advance the world to it."""
         pacer = self._current_pacer()
         if pacer is not None and not self.paused and not self.is_stopping():
-            while (remaining := pacer.wait(time_ns)) > 0 and not self._requests and not self._wait(remaining):
+            while (wait_s := pacer.wait_s(time_ns)) > 0 and not self._requests and not self._wait(wait_s):
                 pass
             if not self.driven:
                 # A host's bytes that arrived meanwhile must not wait until `time_ns`.

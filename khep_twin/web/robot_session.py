@@ -54,8 +54,8 @@ class RobotActor(SessionActor):
     def _is_stopping(self) -> bool:
         return self._halt.is_set() or self._is_ending()
 
-    def _set_progress(self, part: float, robot: Khepera) -> None:
-        super()._set_progress(part, robot)
+    def _set_progress(self, progress: float, robot: Khepera) -> None:
+        super()._set_progress(progress, robot)
         if robot.time - self._poll_time > 2 * _POLL_INTERVAL:
             self._poll(robot)
 
@@ -74,5 +74,5 @@ class RobotActor(SessionActor):
             readings["vision"] = [*self._vision.image()]
         time, busy = robot.time - self._start_time, bool(self.jobs)
         self.publish(
-            {"kind": "picture", "time": time, "busy": busy, "part": self._part, "robots": [readings]}
+            {"kind": "picture", "time": time, "busy": busy, "part": self._progress, "robots": [readings]}
         )

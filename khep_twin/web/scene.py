@@ -17,7 +17,7 @@ from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import TurretError
 from khep_twin.world import World
 
-_GROUPS = 3
+_N_GROUPS = 3
 """Number of visible groups; those of collision shapes have higher numbers."""
 
 _DIGITS = 5
@@ -49,7 +49,7 @@ class DrawnScene:
     def describe(self) -> dict[str, object]:
         """Return shapes, lights and moving bodies, with their present poses."""
         model = self._model
-        head = model.vis.headlight
+        headlight = model.vis.headlight
         return {
             "bodies": [model.body(body).name for body in self._moving],
             "poses": self.poses(),
@@ -68,7 +68,7 @@ class DrawnScene:
                 for light in range(model.nlight)
                 if model.light_active[light]
             ],
-            "headlight": {"ambient": _round(head.ambient), "diffuse": _round(head.diffuse)},
+            "headlight": {"ambient": _round(headlight.ambient), "diffuse": _round(headlight.diffuse)},
         }
 
     def poses(self) -> list[list[float]]:
@@ -77,7 +77,7 @@ class DrawnScene:
         return poses.round(_DIGITS).tolist()
 
     def _shapes(self, kind: str) -> Iterator[dict[str, object]]:
-        """Yield the visible geoms or sites."""
+        """Yield the visible shapes of a kind, "geom" or "site"."""
         model, data = self._model, self._data
         local = {key: getattr(model, f"{kind}_{key}") for key in ("bodyid", "type", "size", "pos", "quat")}
         world = {key: getattr(data, f"{kind}_{key}") for key in ("xpos", "xmat")}
@@ -109,10 +109,10 @@ def compile_scene(spec: mujoco.MjSpec) -> DrawnScene:
 
 
 def _visible_indices(model: mujoco.MjModel, kind: str) -> list[int]:
-    """Return the geoms or sites of the visible groups that are not transparent."""
+    """Return the indices of the visible geoms or sites, by kind, that are not transparent."""
     groups = getattr(model, f"{kind}_group")
     return [
-        index for index in range(len(groups)) if groups[index] < _GROUPS and _colour(model, kind, index)[3]
+        index for index in range(len(groups)) if groups[index] < _N_GROUPS and _colour(model, kind, index)[3]
     ]
 
 
@@ -129,10 +129,10 @@ def _colour(model: mujoco.MjModel, kind: str, index: int) -> Floats:
 
 def _meshes(model: mujoco.MjModel) -> Iterator[tuple[Floats, NDArray[np.int32]]]:
     for mesh in range(model.nmesh):
-        vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+        first_vertex, first_face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
         yield (
-            model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]],
-            model.mesh_face[face : face + model.mesh_facenum[mesh]],
+            model.mesh_vert[first_vertex : first_vertex + model.mesh_vertnum[mesh]],
+            model.mesh_face[first_face : first_face + model.mesh_facenum[mesh]],
         )
 
 
@@ -192,10 +192,10 @@ def _outlines(
 ) -> list[list[list[float]]]:
     """Return the convex outlines of geoms, projected along z of a frame [mm]."""
     outlines: list[list[list[float]]] = []
-    for geom, local in points.items():
-        points_3d = local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        flat = ((points_3d - position) @ rotation)[:, :2] * 1e3
-        outlines.append(_hull(flat.round(2).tolist()))
+    for geom, local_points in points.items():
+        points_3d = local_points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        projected_mm = ((points_3d - position) @ rotation)[:, :2] * 1e3
+        outlines.append(_hull(projected_mm.round(2).tolist()))
     return outlines
 
 
@@ -206,16 +206,16 @@ def _hull(points: list[list[float]]) -> list[list[float]]:
     """
     points = sorted(points)
     hull: list[list[float]] = []
-    for ordered in (points, points[::-1]):
-        half: list[list[float]] = []
-        for x, y in ordered:
-            while len(half) > 1:
-                (x0, y0), (x1, y1) = half[-2:]
+    for sorted_points in (points, points[::-1]):
+        half_hull: list[list[float]] = []
+        for x, y in sorted_points:
+            while len(half_hull) > 1:
+                (x0, y0), (x1, y1) = half_hull[-2:]
                 if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
                     break
-                half.pop()
-            half.append([x, y])
-        hull += half[:-1]
+                half_hull.pop()
+            half_hull.append([x, y])
+        hull += half_hull[:-1]
     return hull
 
 
@@ -226,6 +226,6 @@ def _points(model: mujoco.MjModel, geom: int) -> Points:
         return np.vstack([_CIRCLE * size[0] + (0, 0, side * size[1]) for side in (-1, 1)])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
         return np.vstack([_BALL * size[0] + (0, 0, side * size[1]) for side in (-1, 1)])
-    centre, half = np.split(model.geom_aabb[geom], 2)
+    centre, half_size = np.split(model.geom_aabb[geom], 2)
     is_ball = kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
-    return centre + (_BALL if is_ball else _CUBE) * half
+    return centre + (_BALL if is_ball else _CUBE) * half_size

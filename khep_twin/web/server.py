@@ -17,7 +17,6 @@ from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
 
 _WILDCARD_HOSTS = ("0.0.0.0", "::")
-"""Wildcard addresses."""
 
 MESSAGE_LIMIT = 64 * 1024
 """Longest message of a page over its websocket [bytes]."""

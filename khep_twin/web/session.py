@@ -2,13 +2,14 @@
 
 The thread alone may touch the twin's world or the robot's port. Other threads only put requests into the
 actor's mailbox: jobs here, moves and switches in `paced_twin`, an event in `robot_session`. The thread
-answers with messages to the page. Two states describe an actor:
+answers with messages to the page. Two states describe an actor, its activity
+(idle: `jobs` is empty; stopping: `_stopping_jobs` is `jobs`) and its phase:
 
-    jobs:   idle --start_jobs--> running --stop_jobs--> stopping
-              ^---------- done ------+------ done ---------+
+    activity:  idle --start_jobs--> running --stop_jobs--> stopping
+                 ^---------- done ------+------ done ---------+
 
-    phase:  open --end--> ending
-              +-------------+----- jobs or thread not over in time --> abandoned
+    phase:     open --end--> ending
+                 +-------------+----- jobs or thread not over in time --> abandoned
 """
 
 import threading
@@ -54,7 +55,7 @@ class SessionActor:
         self._stopping_jobs: tuple[Job | None, ...] = ()
         self._job_threads: set[int] = set()
         # Jobs report their completed part at each cycle; it is sent with the pictures.
-        self._part = 0.0
+        self._progress = 0.0
         self.output = PrintBuffer(self.publish, "printed")
         self._fork_guard = ForkGuard()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
@@ -77,7 +78,7 @@ class SessionActor:
         if self.jobs or not self.is_alive:
             text = "the robot is busy; expected a stopped robot" if self.is_alive else "it has ended"
             raise PortError(text)
-        self._part = 0.0
+        self._progress = 0.0
         self.jobs = jobs
 
     def stop_jobs(self) -> None:
@@ -118,6 +119,7 @@ class SessionActor:
         return self._phase != Phase.OPEN
 
     def _run(self) -> None:
+        """Run the session in its thread; report errors, and the end, to the page."""
         try:
             self._serve()
         except KhepTwinError as error:
@@ -137,9 +139,9 @@ class SessionActor:
         """Run the session until it is ending."""
         raise NotImplementedError
 
-    def _set_progress(self, part: float, robot: Khepera) -> None:
+    def _set_progress(self, progress: float, robot: Khepera) -> None:
         self._fork_guard.exit_if_forked()
-        self._part = round(part, 4)
+        self._progress = round(progress, 4)
 
     def _do_job(self, job: Job, robot: Khepera, stop: Callable[[], bool]) -> None:
         """Do a job; report its errors and continue."""

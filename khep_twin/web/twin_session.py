@@ -120,7 +120,8 @@ class TwinActor(SessionActor):
             ports = [
                 stack.enter_context(closing(open_any_port(robot.firmware.baud))) for robot in twin.robots
             ]
-            hosts = [OutsideHost(twin, *pair, self._note) for pair in zip(twin.robots, ports, strict=True)]
+            pairs = zip(twin.robots, ports, strict=True)
+            hosts = [OutsideHost(twin, robot, port, self._publish_note) for robot, port in pairs]
             if self.log is not None:
                 twin.record(self.log)
             with suppress(PortError):
@@ -210,7 +211,7 @@ class TwinActor(SessionActor):
             "busy": bool(self.jobs),
             "paused": twin.paused,
             "speed": twin.speed if math.isfinite(twin.speed) else 0,
-            "part": self._part,
+            "part": self._progress,
             "robots": robots,
             "lamps": lamps,
             "bodies": [] if self._scene is None else self._scene.poses(),
@@ -222,5 +223,5 @@ class TwinActor(SessionActor):
             },
         }
 
-    def _note(self, text: str) -> None:
+    def _publish_note(self, text: str) -> None:
         self.publish({"kind": "note", "text": text})

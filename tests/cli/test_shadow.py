@@ -196,7 +196,7 @@ def test_a_relay_ends_with_a_shadow_that_has_ended_as_asked_and_goes_on_without_
     relay_end, shadow_end = socket.socketpair()
     with relay_end, shadow_end, subprocess.Popen(["true"]) as program:
         process = ShadowProcess(program, relay_end)
-        line = process.listener(lambda: 0)
+        line = process.make_listener(lambda: 0)
         line.flush()
         assert not process.has_ended_on_event()
         shadow_end.send(bytes([code]))

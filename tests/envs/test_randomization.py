@@ -86,10 +86,10 @@ def test_blocks_stand_elsewhere_in_playpens_that_are_whole_and_prepared_once() -
         observation = episode.begin(seed, ResetOptions(start=(300, 300, 0)))[0]
         ways.setdefault(episode.batch.drawn(0)["playpen"], set()).add(observation.tobytes())
     assert sorted(ways) == [0, 1, 2]
-    assert len(randomized._variants) == 3
-    playpens = [variant.playpen for _, variant in randomized._variants]
+    assert len(randomized._playpen_setups) == 3
+    playpens = [variant.playpen for _, variant in randomized._playpen_setups]
     assert len({dump(playpen) for playpen in playpens}) == 3
-    for (_, variant), playpen in zip(randomized._variants, playpens, strict=True):
+    for (_, variant), playpen in zip(randomized._playpen_setups, playpens, strict=True):
         assert parse(dump(playpen), "a playpen with moved blocks") == playpen
         target = next(item for item in playpen.cylinders if item.name == "target")
         assert variant.goal == (target.x_mm / 1e3, target.y_mm / 1e3)
@@ -104,9 +104,9 @@ def test_blocks_across_the_corners_of_an_arena_stay_there() -> None:
 
 def test_moved_blocks_leave_room_for_a_given_start() -> None:
     usual = setup("ObstacleAvoidance", blocks_mm=30, playpens=20)
-    assert any(find_obstruction(playpen, 0, 400, 300) for playpen in usual._pool)
+    assert any(find_obstruction(playpen, 0, 400, 300) for playpen in usual._randomized_playpens)
     with_start = TaskSetup("ObstacleAvoidance", start=(400, 300, 0), randomize=usual.randomize, **SHORT)
-    assert not any(find_obstruction(playpen, 0, 400, 300) for playpen in with_start._pool)
+    assert not any(find_obstruction(playpen, 0, 400, 300) for playpen in with_start._randomized_playpens)
 
 
 def test_each_kind_draws_from_its_own_stream_and_the_seed_repeats_all() -> None:

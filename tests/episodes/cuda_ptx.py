@@ -16,7 +16,7 @@ from numba.cuda.typing.typeof import typeof
 from khep_twin import Braitenberg, rollout
 from khep_twin.episodes import device
 from khep_twin.episodes.cuda import kernel
-from khep_twin.simulation.compiled import stamp
+from khep_twin.simulation.compiled import digest_of
 
 GPU = SimpleNamespace(compute_capability=(9, 0), MULTIPROCESSOR_COUNT=1)
 
@@ -55,7 +55,7 @@ def type_of(value: Any) -> Any:
     return typeof(value.view(np.ndarray) if isinstance(value, GpuArray) else value)
 
 
-STAMP = f"{kernel.STAMP}-{stamp([Path(__file__)])}"
+STAMP = f"{kernel.STAMP}-{digest_of([Path(__file__)])}"
 
 if __name__ == "__main__":
     if sys.argv[1:] == [STAMP]:

@@ -81,7 +81,7 @@ def test_a_pushed_object_is_seen_at_its_new_position() -> None:
     world.reset(0, noise=False)
     view, images = PlaneView(world.playpen, setup.model, world.forms.plane), np.zeros((2, 64), np.int64)
     view.take(images[0], [], 300.0)
-    world.forms.plane.obstacles[len(world.forms._order), 1] += 0.1  # its centre, to the left
+    world.forms.plane.obstacles[len(world.forms._fixed_by_distance), 1] += 0.1  # its centre, to the left
     view.take(images[1], [], 300.0)
     assert (images[0, 20:44] < 20).all()
     assert not (images[1, 20:44] < 20).all()

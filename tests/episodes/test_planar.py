@@ -18,7 +18,7 @@ from khep_twin.episodes.planar.casting import PlaneScene, surfaces
 from khep_twin.episodes.planar.motion import step
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.episodes.planar.planar_world import PlanarForms, PlanarWorld
-from khep_twin.episodes.planar.plane import TOUCHABLE, distance_to, nearest
+from khep_twin.episodes.planar.plane import TOUCHABLE, distance_to, normal_and_distance
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start
 from khep_twin.sensing.optics import proximity_counts
@@ -188,7 +188,7 @@ def test_the_disc_never_penetrates_an_obstacle() -> None:
         drive(backend, *rng.uniform(-2, 5, 2).tolist(), 8)
         x, y, _ = backend.pose
         gaps = [
-            nearest(backend.plane.obstacles, obstacle, x, y)[2] - units.BODY_RADIUS
+            normal_and_distance(backend.plane.obstacles, obstacle, x, y)[2] - units.BODY_RADIUS
             for obstacle in range(len(backend.plane.obstacles))
             if backend.plane.obstacles[obstacle, TOUCHABLE]
         ]

@@ -12,7 +12,7 @@ from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Network
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.episodes.planar.motion import step
 from khep_twin.episodes.planar.planar_world import PlanarForms
 from khep_twin.errors import PlaypenError
@@ -66,12 +66,12 @@ def plane_of(*objects: str) -> tuple[PlanarForms, np.ndarray]:
 def slide(forms: PlanarForms, bodies: np.ndarray, **speeds: float) -> None:
     """Let the first object slide until it sleeps."""
     for name, speed in speeds.items():
-        bodies[0, getattr(flat, name.upper())] = speed
-    bodies[0, flat.ACTIVE] = 1
-    forms.state["last"][flat.SLIPS] = 1
+        bodies[0, getattr(plane_data, name.upper())] = speed
+    bodies[0, plane_data.ACTIVE] = 1
+    forms.state["last_step"][plane_data.SLIPS] = 1
     for _ in range(50):
         step(forms.plane)
-    assert not bodies[0, [flat.ACTIVE, flat.SPEED_X, flat.SPEED_Y, flat.SPIN]].any()
+    assert not bodies[0, [plane_data.ACTIVE, plane_data.SPEED_X, plane_data.SPEED_Y, plane_data.SPIN]].any()
 
 
 def test_a_sliding_object_is_stopped_by_friction() -> None:
@@ -131,7 +131,9 @@ def test_objects_between_a_robot_and_a_wall_do_not_penetrate() -> None:
         corners = abs(math.cos(box[2])) + abs(math.sin(box[2]))
         assert box[0] + 0.015 * corners < 0.7 + 2e-3
         assert (
-            flat.distance_to(forms.plane.obstacles, int(forms.plane.bodies[0, flat.OBSTACLE]), *can[:2])
+            plane_data.distance_to(
+                forms.plane.obstacles, int(forms.plane.bodies[0, plane_data.OBSTACLE]), *can[:2]
+            )
             > 0.013
         )
         assert math.hypot(can[0] - x, can[1] - y) > 0.015 + units.BODY_RADIUS - 2e-3

@@ -91,10 +91,10 @@ def test_asking_leaves_a_running_session_undisturbed(options: str) -> None:
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 def test_a_speed_that_the_port_refuses_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
     with served("default", "--mode", "3", "--strict-line", "--rfc2217", ":0") as (_, url):
-        monkeypatch.setattr(opening, "SPEEDS", (HIGHEST_BAUD + 1, 38400))
+        monkeypatch.setattr(opening, "BAUD_RATES", (HIGHEST_BAUD + 1, 38400))
         with Khepera(url, baudrate="auto") as robot:
             assert robot.port.baudrate == 38400
-        monkeypatch.setattr(opening, "SPEEDS", (HIGHEST_BAUD + 1,))
+        monkeypatch.setattr(opening, "BAUD_RATES", (HIGHEST_BAUD + 1,))
         with pytest.raises(PortTimeout, match=r"no answer to 'B' at any baud.* refuses 4000001 baud"):
             Khepera(url, baudrate="auto")
 

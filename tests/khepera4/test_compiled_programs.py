@@ -13,7 +13,7 @@ import pytest
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.machine import CHARGER_PIN, Machine
-from khep_twin.khepera4.programs import RobotProgram, bits, run_programs
+from khep_twin.khepera4.programs import RobotProgram, run_programs, word_size
 from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
@@ -251,8 +251,8 @@ def test_the_word_size_of_a_program_is_that_of_its_interpreter(tmp_path: Path) -
     (tmp_path / "script").write_text(f"#!{tmp_path / 'old'} -x\n")
     (tmp_path / "loop").write_text(f"#!{tmp_path / 'loop'}\n")
     names = ("script", "loop", "none")
-    assert [bits(str(tmp_path / name)) for name in names] == [32, 64, 64]
-    assert bits("sh") == 8 * struct.calcsize("P")
+    assert [word_size(str(tmp_path / name)) for name in names] == [32, 64, 64]
+    assert word_size("sh") == 8 * struct.calcsize("P")
 
 
 def test_a_32_bit_program_without_a_compiler_is_a_one_line_error(

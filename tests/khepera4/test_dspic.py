@@ -105,7 +105,7 @@ def test_open_loop_control_clips_the_pwm() -> None:
 
 def test_a_read_continues_through_the_map_and_ends_with_zeros() -> None:
     dspic = Dspic()
-    dspic.sense(DspicRegister.PROXIMITY, range(100, 112))
+    dspic.set_words(DspicRegister.PROXIMITY, range(100, 112))
     content = dspic.read(DspicRegister.AMBIENT, 48)
     assert content[:24] == bytes(24)
     assert [int.from_bytes(content[at : at + 2], "little") for at in range(24, 48, 2)] == list(

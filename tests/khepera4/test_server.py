@@ -9,11 +9,11 @@ from khep_twin.khepera4.server import Kh4Server
 
 def sensing() -> Dspic:
     dspic = Dspic()
-    dspic.sense(DspicRegister.PROXIMITY, range(12))
-    dspic.sense(DspicRegister.AMBIENT, range(900, 912))
-    dspic.sense(DspicRegister.ULTRASONIC, [25, 2000, 1000, 0, 250])
-    dspic.sense(DspicRegister.GYROSCOPE, range(-15, 15))
-    dspic.sense(DspicRegister.ACCELEROMETER, [-16384] * 30)
+    dspic.set_words(DspicRegister.PROXIMITY, range(12))
+    dspic.set_words(DspicRegister.AMBIENT, range(900, 912))
+    dspic.set_words(DspicRegister.ULTRASONIC, [25, 2000, 1000, 0, 250])
+    dspic.set_words(DspicRegister.GYROSCOPE, range(-15, 15))
+    dspic.set_words(DspicRegister.ACCELEROMETER, [-16384] * 30)
     dspic.set_battery(
         bytes([3])
         + (2000).to_bytes(2, "little")
@@ -129,14 +129,14 @@ def test_its_vehicle_drives_avoids_turns_where_it_is_blocked_and_stops() -> None
     server.receive(b"A,0\n")
     server.tick()
     assert orders(dspic) == (200, 200)
-    dspic.sense(DspicRegister.PROXIMITY, [0, 0, 300, 0, 0, 0, 0, 0])  # front left
+    dspic.set_words(DspicRegister.PROXIMITY, [0, 0, 300, 0, 0, 0, 0, 0])  # front left
     server.tick()
     assert orders(dspic) == (200 + 4 * 110 // 3, 200 - 4 * 110 // 3)
-    dspic.sense(DspicRegister.PROXIMITY, [0, 0, 0, 400, 0, 0, 0, 0])
+    dspic.set_words(DspicRegister.PROXIMITY, [0, 0, 0, 400, 0, 0, 0, 0])
     for _ in range(6):
         server.tick()
     assert orders(dspic) == (120, -120)
-    dspic.sense(DspicRegister.PROXIMITY, [0] * 8)
+    dspic.set_words(DspicRegister.PROXIMITY, [0] * 8)
     server.tick()
     assert orders(dspic) == (200, 200)
     assert server.receive(b"E\n") == b"e,0,0\r\n"

@@ -38,7 +38,7 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
         if opcode == Opcode.CHUNK:
             chunks += 1
             chunk = chunk_indexes[place]
-            head, content = records.chunk_head(place), records.chunk(place)
+            head, content = records.read_chunk_head(place), records.read_chunk(place)
             assert head is not None
             assert content is not None
             times = [
@@ -51,7 +51,7 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
             assert (chunk.compression, chunk.uncompressed_size) == ("zstd", len(content))
             assert chunk.compressed_size == head[4] - head[3]
             position, offsets = end + 8, dict[int, int]()
-            while (index := records.head(position))[0] == Opcode.MESSAGE_INDEX and index[1] is not None:
+            while (index := records.read_head(position))[0] == Opcode.MESSAGE_INDEX and index[1] is not None:
                 record = parse_record(Opcode.MESSAGE_INDEX, data[position + HEAD.size : index[1]])
                 assert isinstance(record, MessageIndex)
                 offsets[record.channel_id], position = position, index[1]

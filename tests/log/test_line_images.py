@@ -7,7 +7,7 @@ import pytest
 
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.reader import read_series
-from khep_twin.log.viewer.robot_panel import ROW_INTERVAL_NS, ROWS, Strips, strip
+from khep_twin.log.viewer.robot_panel import ROW_INTERVAL_NS, ROWS, Strips, strip_path
 
 
 def test_a_reply_with_an_image_is_an_image_of_the_log(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_strip_in_pieces_is_the_whole_one(cut: int) -> None:
 def pictures(strips: Strips, times_ns: np.ndarray, images: np.ndarray) -> list[bytes]:
     encoded: list[bytes] = []
     for chunk in strips.chunks("khepera0", times_ns, images):
-        assert chunk.entity_path == strip("khepera0")
+        assert chunk.entity_path == strip_path("khepera0")
         batch = chunk.to_record_batch()
         buffers = batch.column(batch.schema.get_field_index("Image:buffer"))
         encoded += [bytes(row[0]) for row in buffers.to_pylist()]

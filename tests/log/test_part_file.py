@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
-from khep_twin.log.log_file import LogFile, PartFile, set_aside
+from khep_twin.log.log_file import LogFile, PartFile, rename_unfinished
 from khep_twin.log.reader import read_label
 
 
@@ -23,12 +23,12 @@ def test_the_remains_of_a_crash_are_locked_until_they_are_renamed(
     def amid(before: Path, after: Path) -> None:
         monkeypatch.setattr(os, "rename", rename)
         with pytest.raises(LogError) as error:
-            set_aside(part)
+            rename_unfinished(part)
         refused.append(str(error.value))
         rename(before, after)
 
     monkeypatch.setattr(os, "rename", amid)
-    assert set_aside(part) == tmp_path / "run.mcap.part.1"
+    assert rename_unfinished(part) == tmp_path / "run.mcap.part.1"
     assert refused == [f"{part}: another run is writing it; expected another name for the log"]
 
 
@@ -39,7 +39,7 @@ def test_a_file_that_another_run_took_before_it_was_locked_is_given_up(
 
     def late(descriptor: int, operation: int) -> None:
         monkeypatch.setattr(fcntl, "flock", lock)
-        assert set_aside(part) == tmp_path / "run.mcap.part.1"
+        assert rename_unfinished(part) == tmp_path / "run.mcap.part.1"
         lock(descriptor, operation)
 
     monkeypatch.setattr(fcntl, "flock", late)
@@ -60,7 +60,7 @@ def test_a_log_that_was_finished_meanwhile_is_no_remains(
         lock(file, operation)  # type: ignore[arg-type]
 
     monkeypatch.setattr(fcntl, "flock", late)
-    assert set_aside(log.part) is None
+    assert rename_unfinished(log.part) is None
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 
 

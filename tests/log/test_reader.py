@@ -200,12 +200,12 @@ def test_walls_that_are_too_low_now_do_not_matter_in_a_log(log: Path, tmp_path: 
 
 def test_the_first_messages_unpack_each_chunk_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     places: list[int] = []
-    unpack = Content._chunk
+    unpack = Content._read_chunk
 
     def noted(content: Content, place: int, length: int) -> bytes:
         places.append(place)
         return unpack(content, place, length)
 
-    monkeypatch.setattr(Content, "_chunk", noted)
+    monkeypatch.setattr(Content, "_read_chunk", noted)
     assert "/khepera0/proximity" in read_first_messages(log).series
     assert len(places) == len(set(places))

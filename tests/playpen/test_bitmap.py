@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from khep_twin import playpen
 from khep_twin.errors import BitmapError
-from khep_twin.playpen.bitmap import Borders, rectangles, strip, to_playpen
+from khep_twin.playpen.bitmap import Borders, cover_with_rectangles, strip_borders, to_playpen
 from khep_twin.playpen_to_mjcf import to_mjcf
 from khep_twin.units import BODY_RADIUS
 
@@ -26,7 +26,7 @@ def empty_bitmap(rows: int = 200, columns: int = 300) -> NDArray[np.bool_]:
 @given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=24)))
 def test_rectangles_cover_exactly_the_solid_pixels_without_overlap(solid: NDArray[np.bool_]) -> None:
     covered = np.zeros(solid.shape, dtype=np.int64)
-    for row, column, rows, columns in rectangles(solid).tolist():
+    for row, column, rows, columns in cover_with_rectangles(solid).tolist():
         assert rows > 0
         assert columns > 0
         covered[row : row + rows, column : column + columns] += 1
@@ -44,7 +44,7 @@ def test_any_bitmap_becomes_its_playpen_or_is_reported_to_be_solid(
             to_playpen(solid, "x", mm_per_pixel=120.0)
         return
     imported = to_playpen(solid, "x", mm_per_pixel=120.0, place_robot=False)
-    inner, borders = strip(solid)
+    inner, borders = strip_borders(solid)
     assert imported.borders == borders
     middles = [
         (block.x_mm, block.y_mm, block.length_mm * block.width_mm) for block in imported.playpen.blocks
@@ -109,8 +109,8 @@ def test_columns_cost_fewer_blocks_where_they_do() -> None:
     solid = empty_bitmap()
     for column in range(0, 300, 10):
         solid[column % 70 : 150, column] = True
-    assert len(rectangles(solid)) == 30
-    assert len(rectangles(solid.T)) == 30
+    assert len(cover_with_rectangles(solid)) == 30
+    assert len(cover_with_rectangles(solid.T)) == 30
 
 
 def test_the_robot_stands_in_the_middle_where_it_is_free_and_beside_it_elsewhere() -> None:

@@ -12,7 +12,7 @@ from khep_twin.playpen.polygon import (
     corner_before,
     distance,
     find_crossing,
-    pieces,
+    wall_pieces,
     walls_around,
 )
 
@@ -87,10 +87,10 @@ def test_walls_around_a_polygon_are_outside_it_and_leave_no_gap(points: list[tup
 
 def test_a_free_standing_wall_is_rectangles_with_round_corners() -> None:
     line = [(0.0, 0.0), (100.0, 0.0), (100.0, 60.0)]
-    shapes = list(pieces(line, 8, closed=False))
+    shapes = list(wall_pieces(line, 8, closed=False))
     assert [type(shape).__name__ for shape in shapes] == ["Rectangle", "Rectangle", "Circle"]
     assert [shape.length_mm for shape in shapes if isinstance(shape, Rectangle)] == [100, 60]
-    assert len(list(pieces(line, 8, closed=True))) == 6
+    assert len(list(wall_pieces(line, 8, closed=True))) == 6
 
 
 @pytest.mark.parametrize("points", [L_SHAPE, L_SHAPE[::-1]])

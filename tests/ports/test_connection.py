@@ -15,7 +15,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.ports import serve as serving
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.host_port import NOTHING, Received
-from khep_twin.ports.serve import WIRE, serve
+from khep_twin.ports.serve import WIRE_SPEED, serve
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 REPLY = b"b,5.02,5.01\r\n"
@@ -113,7 +113,7 @@ def test_a_host_that_has_not_woken_the_loop_is_looked_after_regularly_alone(
     twin = open_twin(scene, TwinOptions(robot=None))
     reader, writer = os.pipe()
     quiet = Cable(reader, [Received(b"B\n")])
-    serve(twin, [quiet, cable], WIRE, stop=cycles_limit(1), notify=print)
+    serve(twin, [quiet, cable], WIRE_SPEED, stop=cycles_limit(1), notify=print)
     assert cable.written == [REPLY]
     assert quiet.written == answered
     os.close(reader)
@@ -142,7 +142,7 @@ def test_a_cable_is_told_the_speed_of_the_robots_line_whenever_it_changes(
 
 def test_a_reply_comes_in_one_piece_by_the_wire_clock_and_byte_by_byte_at_full_speed(cable: Cable) -> None:
     twin = open_twin("default", TwinOptions())
-    serve(twin, [cable], WIRE, stop=cycles_limit(1), notify=print)
+    serve(twin, [cable], WIRE_SPEED, stop=cycles_limit(1), notify=print)
     assert cable.written == [REPLY]
     assert twin.world.time_ns == line_ns(2) + line_ns(len(REPLY))
     cable.written.clear()
@@ -155,13 +155,13 @@ def test_a_reply_comes_in_one_piece_by_the_wire_clock_and_byte_by_byte_at_full_s
 def test_by_the_wire_clock_a_line_longer_than_the_queue_ends(cable: Cable, unpaced: bool) -> None:
     twin = open_twin("default", TwinOptions(unpaced=unpaced))
     cable.news[:] = [Received(b"x" * QUEUE_LIMIT), Received(b"x" * 10), Received(b"\nB\n")]
-    serve(twin, [cable], WIRE, stop=cycles_limit(3), notify=print)
+    serve(twin, [cable], WIRE_SPEED, stop=cycles_limit(3), notify=print)
     assert cable.written[-1].endswith(REPLY)
     waited_ns = 0 if unpaced else line_ns(QUEUE_LIMIT + 13)
     assert twin.world.time_ns >= waited_ns
 
 
-@pytest.mark.parametrize("speed", [0.001, WIRE, math.inf])
+@pytest.mark.parametrize("speed", [0.001, WIRE_SPEED, math.inf])
 def test_without_time_on_the_line_the_turn_that_reads_a_command_answers_it(
     cable: Cable, speed: float
 ) -> None:

@@ -12,7 +12,7 @@ from checks.fuzz.libfuzzer import run_libfuzzer
 from checks.fuzz.rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
 from khep_twin.board.uart import LineSettings
 from khep_twin.log.reader import read_log
-from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD, SIGNATURE, Negotiator
+from khep_twin.ports.negotiation import HIGHEST_BAUD, LOWEST_BAUD, MAX_CONTENT_BYTES, SIGNATURE, Negotiator
 
 SHARE = 2_000
 
@@ -111,7 +111,7 @@ def test_a_nul_behind_a_carriage_return_is_part_of_the_line_end() -> None:
 
 
 @pytest.mark.parametrize(
-    "harmless", ["05", "05 63", "0c", "0c 09", "63 01", "", "00" + " 41" * (LONGEST - 2)]
+    "harmless", ["05", "05 63", "0c", "0c 09", "63 01", "", "00" + " 41" * (MAX_CONTENT_BYTES - 2)]
 )
 def test_what_has_no_answer_is_passed_over(harmless: str) -> None:
     data, answers, negotiator = negotiate(BEGIN + bytes.fromhex(harmless) + END + b"B\n")

@@ -215,7 +215,7 @@ def test_a_host_that_sets_no_speed_has_that_of_the_robots_line(monkeypatch: pyte
 def test_what_is_no_link_is_left_alone(tmp_path: Path) -> None:
     file = tmp_path / "precious"
     file.write_text("data")
-    with pytest.raises(PortError, match="precious: there is something that is no link"):
+    with pytest.raises(PortError, match="precious: it exists and is not a symbolic link"):
         PtyPort(file)
     assert file.read_text() == "data"
     with pytest.raises(PortError, match="nowhere/link: cannot make this link: No such file or directory"):

@@ -24,7 +24,7 @@ def test_what_is_registered_is_served_until_the_end(folder: Path) -> None:
 
 def test_a_full_disk_is_said_in_one_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The note could be opened but not written, which ended the twin of a page."""
-    monkeypatch.setattr(service_registry, "_is_held", lambda _: True)
+    monkeypatch.setattr(service_registry, "_is_locked", lambda _: True)
     (folder / "1.served").symlink_to("/dev/full")
     with pytest.raises(PortError, match=r"1\.served: cannot be written: No space left on device"):
         with registered_ports(["/dev/pts/1"], "default"):
@@ -43,5 +43,5 @@ def test_a_server_that_ends_while_it_is_listed_is_not_listed(
         note.unlink()
         return True
 
-    monkeypatch.setattr(service_registry, "_is_held", ended_at_once)
+    monkeypatch.setattr(service_registry, "_is_locked", ended_at_once)
     assert served_ports() == []

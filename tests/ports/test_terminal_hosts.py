@@ -224,7 +224,7 @@ def test_a_host_that_is_still_closing_has_left_when_the_next_one_comes(
         port.receive(100)
         with monkeypatch.context() as patch:
             # The kernel reports a closing before the terminal is hung up.
-            patch.setattr(TerminalHosts, "_is_held", is_held)
+            patch.setattr(TerminalHosts, "_has_host", is_held)
             os.close(host)
             assert not port.receive(100).hosts_left
         host = opened(port)

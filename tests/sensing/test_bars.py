@@ -26,7 +26,7 @@ from khep_twin.units import BODIES
     ],
 )
 def test_a_bar_is_filled_by_its_value(name: str, value: float, part: float) -> None:
-    assert BARS[name].filled(value) == pytest.approx(part)
+    assert BARS[name].filled_part(value) == pytest.approx(part)
 
 
 def test_a_recorded_bar_of_light_is_full_in_the_dark_and_short_where_it_is_bright() -> None:

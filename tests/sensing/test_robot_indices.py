@@ -54,8 +54,8 @@ def test_each_index_bears_the_name_of_its_part(world: World, name: str) -> None:
         f"{name}/led_1_light",
     ]
     joints = [f"{name}/pose", f"{name}/left_axle", f"{name}/right_axle"]
-    assert [model.joint(index).qposadr[0] for index in joints] == [indices.pose, *indices.wheel_angles]
-    assert [model.joint(index).dofadr[0] for index in joints] == [indices.velocity, *indices.wheel_speeds]
+    assert [model.joint(index).qposadr[0] for index in joints] == [indices.pose, *indices.wheel_qpos]
+    assert [model.joint(index).dofadr[0] for index in joints] == [indices.velocity, *indices.wheel_dofs]
 
 
 def test_the_pose_is_that_of_the_playpen(world: World) -> None:

@@ -7,7 +7,7 @@ from twins import AT_THE_CRATE, SECOND, particles_at, setup_of
 from khep_twin.shadow.changes import FaultChange, resample_changes
 from khep_twin.shadow.hypotheses import QUOTA
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.thing_faults import Missing, thing_rows
+from khep_twin.shadow.thing_faults import Missing, obstacle_rows
 from khep_twin.shadow.wheel_faults import MAX_STRENGTH, MIN_STRENGTH, StandingWheel, WeakMotor
 
 STANDS, WEAK = FaultChange(StandingWheel(0), True), FaultChange(WeakMotor(1), True)
@@ -28,7 +28,7 @@ def test_some_twins_undergo_each_change_with_the_probability_of_that_time() -> N
     _, stands, weak = shares(mixture, 2)
     assert stands == pytest.approx(STANDS.rate * 0.5)
     assert weak == pytest.approx(WEAK.rate * 0.5)
-    strength = mixture.planes.strength
+    strength = mixture.twins.strength
     assert (strength[mixture.changes == 0] == 1).all()
     assert (strength[mixture.changes == 1, 0] <= 0).all()
     assert (strength[mixture.changes == 2, 1] < 1).all()
@@ -42,7 +42,7 @@ def test_a_change_that_the_weights_favour_gets_the_twins_and_keeps_when_it_began
     later = mix(mixture, STANDS, WEAK)
     assert (later.changes == 1).sum() == 100 + QUOTA
     assert shares(later, 2)[1] > 0.9
-    assert (later.planes.strength[later.changes == 1, 0] <= 0).all()
+    assert (later.twins.strength[later.changes == 1, 0] <= 0).all()
     assert np.median(later.since_ns[later.changes == 1]) == 7
 
 
@@ -52,20 +52,22 @@ def test_twins_without_a_change_any_more_are_sound_again() -> None:
     later = mix(mixture, STANDS)
     sound = later.changes == 0
     assert sound.sum() == QUOTA
-    assert (later.planes.strength[sound] == 1).all()
+    assert (later.twins.strength[sound] == 1).all()
     assert 0 < shares(later, 1)[0] < 0.1
 
 
 def test_an_end_takes_the_fault_from_twins_that_have_it() -> None:
     particles = particles_at(*[AT_THE_CRATE] * 50)
-    particles.planes.strength[:, 0] = 0
+    particles.twins.strength[:, 0] = 0
     mixture = mix(particles, FaultChange(StandingWheel(0), False))
-    assert (mixture.planes.strength[:, 0] == mixture.changes).all()
+    assert (mixture.twins.strength[:, 0] == mixture.changes).all()
     assert mixture.changes.any()
 
 
 def test_what_may_have_happened_unseen_has_the_probability_of_that_time_once() -> None:
-    missing = FaultChange(Missing("block1", thing_rows(setup_of("workshop"))["block1"]), True, unseen_s=60.0)
+    missing = FaultChange(
+        Missing("block1", obstacle_rows(setup_of("workshop"))["block1"]), True, unseen_s=60.0
+    )
     mixture = mix(particles_at(*[AT_THE_CRATE] * 50), missing)
     assert shares(mixture, 1)[1] == pytest.approx(missing.rate * 60.5, rel=0.02)
     later = mix(mixture, missing)
@@ -77,15 +79,15 @@ def test_twins_that_keep_a_fault_differ_a_little_from_those_they_were_drawn_of(b
     weak, particles = WeakMotor(1), particles_at(*[AT_THE_CRATE] * 50)
     weak.begin(particles, np.random.default_rng(0))
     particles.changes[:] = begins
-    before = particles.planes.strength[:, 1].copy()
+    before = particles.twins.strength[:, 1].copy()
     mixture = mix(particles, FaultChange(weak, begins), count=1000)
-    has = mixture.planes.strength[mixture.changes == int(begins), 1]
+    has = mixture.twins.strength[mixture.changes == int(begins), 1]
     assert len(np.unique(has)) > 1000
     assert has.mean() == pytest.approx(before.mean(), abs=0.01)
     assert has.std() == pytest.approx(before.std(), rel=0.1)
     assert MIN_STRENGTH <= has.min() < has.max() <= MAX_STRENGTH
     # Those that have it no more, or are not to have it, are whole.
-    assert (mixture.planes.strength[mixture.changes != int(begins), 1] == 1).all()
+    assert (mixture.twins.strength[mixture.changes != int(begins), 1] == 1).all()
 
 
 def test_without_changes_twins_are_drawn_by_their_weights() -> None:
@@ -93,4 +95,4 @@ def test_without_changes_twins_are_drawn_by_their_weights() -> None:
     particles.log_weights[:] = np.log([0.25, 0.75])
     mixture = mix(particles, count=40)
     assert len(mixture) == 40
-    assert (mixture.planes.poses[:, 0] > 0.09).sum() == 30
+    assert (mixture.twins.poses[:, 0] > 0.09).sum() == 30

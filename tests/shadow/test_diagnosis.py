@@ -7,7 +7,7 @@ import pytest
 from shares import share
 from twins import SECOND, metric, planes_at, readings, setup_of
 
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.log.exchanges import Exchange
 from khep_twin.log.shadow_channels import Alarm, PoseState
 from khep_twin.randomness import stream
@@ -34,7 +34,7 @@ class Driven:
         setup = setup_of("workshop", has_lamps=False)
         self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3), has_lamps=False)
         start = draw_particles(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
-        start.planes.has_other_robots = has_others
+        start.twins.has_other_robots = has_others
         tracker = ParticleFilter(setup, start, stream(seed, "filter"), particles)
         self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
         self._rng, self._counters = stream(seed, "robot"), counters
@@ -54,7 +54,7 @@ class Driven:
             noisy = np.where(light > 0, light + self._rng.normal(0, 20, 8), self._rng.exponential(2, 8))
             diagnosis.follow(ProximityReply(time_ns, noisy.clip(0, 1023).astype(np.int64)))
             if self._counters:
-                angles = robot.robots["joints"][0, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE]]
+                angles = robot.robots["joints"][0, [plane_data.LEFT_ANGLE, plane_data.RIGHT_ANGLE]]
                 counts = np.rint(angles * 600 / math.tau).astype(np.int64)
                 diagnosis.follow(CounterReply(time_ns, counts, time_ns + LATENESS_NS))
             left, right = speeds = self._decide(light)
@@ -136,15 +136,15 @@ def test_a_thing_that_is_not_in_the_playpen_is_no_fault_where_other_robots_drive
     x, y, heading = driven.robot.poses[0].tolist()
     place = x + 0.05 * math.cos(heading), y + 0.05 * math.sin(heading)
     circle = [
-        flat.CENTRE_X,
-        flat.CENTRE_Y,
-        flat.LENGTH,
-        flat.WIDTH,
-        flat.TOP,
-        flat.TOUCHABLE,
-        flat.REFLECTANCE,
+        plane_data.CENTRE_X,
+        plane_data.CENTRE_Y,
+        plane_data.HALF_LENGTH,
+        plane_data.HALF_WIDTH,
+        plane_data.TOP,
+        plane_data.TOUCHABLE,
+        plane_data.REFLECTANCE,
     ]
-    driven.robot.things[:, -1, circle] = *place, 0.02, -1, 0.05, 1, 1
+    driven.robot.obstacles[:, -1, circle] = *place, 0.02, -1, 0.05, 1, 1
     driven.robot.remeasure()
     driven.drive(3)
     assert driven.names == []

@@ -6,26 +6,34 @@ import numpy as np
 import pytest
 from twins import AT_THE_CRATE, OPEN, light_of, particles_at, setup_of
 
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.shadow.hypotheses import JITTER, Hypothesis, shrink_and_jitter
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.thing_faults import MIN_MOVE, Missing, Moved, Unexpected, thing_rows
+from khep_twin.shadow.thing_faults import MIN_MOVE, Missing, Moved, Unexpected, obstacle_rows
 from khep_twin.shadow.wheel_commands import SPEED
 from khep_twin.shadow.wheel_faults import wheel_faults
 
 
 def of_things() -> list[Hypothesis]:
-    crate = thing_rows(setup_of("workshop"))["block1"]
+    crate = obstacle_rows(setup_of("workshop"))["block1"]
     return [Missing("block1", crate), Moved("block1", crate), Unexpected()]
 
 
 def state(particles: Particles) -> list[object]:
     """Return the state that a fault may change."""
-    planes = particles.planes
-    columns = [flat.CENTRE_X, flat.CENTRE_Y, flat.COSINE, flat.SINE, flat.LENGTH, flat.WIDTH, flat.TOUCHABLE]
+    planes = particles.twins
+    columns = [
+        plane_data.CENTRE_X,
+        plane_data.CENTRE_Y,
+        plane_data.COSINE,
+        plane_data.SINE,
+        plane_data.HALF_LENGTH,
+        plane_data.HALF_WIDTH,
+        plane_data.TOUCHABLE,
+    ]
     robots = [planes.robots[name].tolist() for name in ("joints", "left_grip", "right_grip", "left_wheel")]
     light = light_of(planes).tolist()
-    return [planes.things[:, :, columns].tolist(), planes.strength.tolist(), robots, light]
+    return [planes.obstacles[:, :, columns].tolist(), planes.strength.tolist(), robots, light]
 
 
 def faults() -> list[Hypothesis]:
@@ -51,7 +59,7 @@ def test_each_fault_has_a_name_of_its_own() -> None:
 def test_a_fault_begins_in_those_that_are_given_it_and_ends_without_a_trace(index: int) -> None:
     fault = faults()[index]
     particles = particles_at(*[AT_THE_CRATE] * 4)
-    particles.planes.advance(1)
+    particles.twins.advance(1)
     before = state(particles)
     halves = particles.select(slice(0, 2)), particles.select(slice(2, 4))
     untouched = state(halves[0])
@@ -68,10 +76,10 @@ def test_wheels_with_a_fault_drive_less_than_sound_ones(side: int) -> None:
     particles = particles_at(*[OPEN] * 4)
     for row, fault in enumerate((standing, weak, slipping)):
         fault.begin(particles.select(slice(row, row + 1)), np.random.default_rng(0))
-    particles.planes.command(SPEED, 8, 8)
-    particles.planes.advance(100)
-    angles = particles.planes.robots["joints"][:, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE][side]]
-    turned = particles.planes.poses[:, 2] * (-1 if side else 1)
+    particles.twins.command(SPEED, 8, 8)
+    particles.twins.advance(100)
+    angles = particles.twins.robots["joints"][:, [plane_data.LEFT_ANGLE, plane_data.RIGHT_ANGLE][side]]
+    turned = particles.twins.poses[:, 2] * (-1 if side else 1)
     assert angles[0] == pytest.approx(0, abs=1e-3)
     assert angles[1] < 0.97 * angles[3]
     # A tyre that slips lets its wheel turn; the robot turns towards it all the same.
@@ -81,34 +89,34 @@ def test_wheels_with_a_fault_drive_less_than_sound_ones(side: int) -> None:
 
 def test_a_thing_that_is_missing_is_not_seen_and_an_unexpected_one_is() -> None:
     particles = particles_at(*[AT_THE_CRATE] * 8)
-    particles.planes.advance(1)
-    before = light_of(particles.planes)[0]
+    particles.twins.advance(1)
+    before = light_of(particles.twins)[0]
     missing, moved, unexpected = of_things()
     rng = np.random.default_rng(0)
     missing.begin(particles, rng)
-    light_without = light_of(particles.planes)
+    light_without = light_of(particles.twins)
     assert before[3:5].min() > 500 > 10 > light_without[:, 3:5].max()
     missing.end(particles)
     moved.begin(particles, rng)
-    light = light_of(particles.planes)
+    light = light_of(particles.twins)
     assert len(np.unique(light[:, 3])) > 4
     moved.end(particles)
     unexpected.begin(particles, rng)
-    light = light_of(particles.planes)
+    light = light_of(particles.twins)
     assert ((light > before + 30).any(axis=1)).sum() > 4
 
 
 @pytest.mark.parametrize("name", ["workshop", "obstacles"])
 def test_things_have_the_names_of_the_scene_and_rows_of_the_plane(name: str) -> None:
     setup = setup_of(name)
-    thing_table, playpen = thing_rows(setup), setup.playpen
+    thing_table, playpen = obstacle_rows(setup), setup.playpen
     items = {f"{kind}{i}": item for kind, all_ in playpen.objects.items() for i, item in enumerate(all_)}
     assert {thing for thing in thing_table if not thing.startswith("wall")} == set(items)
-    planes = particles_at(setup.start(0), name=name).planes
+    planes = particles_at(setup.start(0), name=name).twins
     for thing, rows in thing_table.items():
         if thing not in items:
             continue
-        centre = planes.things[0, list(rows), flat.CENTRE_X : flat.CENTRE_Y + 1].mean(axis=0)
+        centre = planes.obstacles[0, list(rows), plane_data.CENTRE_X : plane_data.CENTRE_Y + 1].mean(axis=0)
         assert centre * 1e3 == pytest.approx([items[thing].x_mm, items[thing].y_mm], abs=1e-6)
     assert len({row for rows in thing_table.values() for row in rows}) == sum(map(len, thing_table.values()))
 
@@ -116,20 +124,20 @@ def test_things_have_the_names_of_the_scene_and_rows_of_the_plane(name: str) -> 
 def test_a_thing_that_was_moved_stays_moved_as_its_place_is_refined() -> None:
     particles, rng = particles_at(*[AT_THE_CRATE] * 200), np.random.default_rng(0)
     _, moved, _ = of_things()
-    rows = thing_rows(setup_of("workshop"))["block1"]
+    rows = obstacle_rows(setup_of("workshop"))["block1"]
     moved.begin(particles, rng)
-    before = particles.planes.thing_offsets(rows)
+    before = particles.twins.obstacle_offsets(rows)
     away = np.hypot(*before.T)
     assert away.min() >= MIN_MOVE
     assert 0.025 < np.median(away) < 0.035
     for _ in range(20):
         moved.jitter(particles, rng)
-    after = particles.planes.thing_offsets(rows)
+    after = particles.twins.obstacle_offsets(rows)
     assert np.hypot(*after.T).min() >= 0.999 * MIN_MOVE
     assert after.mean(axis=0) == pytest.approx(before.mean(axis=0), abs=0.005)
     assert after.std(axis=0) == pytest.approx(before.std(axis=0), rel=0.4)
     # All its faces have moved together, and what one robot sees is not what another does.
-    faces = particles.planes.things[:, rows, flat.CENTRE_X]
+    faces = particles.twins.obstacles[:, rows, plane_data.CENTRE_X]
     assert np.ptp(faces - faces[:, :1], axis=0) == pytest.approx(np.zeros(len(rows)), abs=1e-12)
 
 

@@ -12,19 +12,19 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.log.shadow_channels import Alarm, Suspicion
 from khep_twin.randomness import stream
 from khep_twin.shadow.lamp_watch import LampWatch
-from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.planes import Twins
 
 SOUND: Mapping[str, float] = {}
 OFF, ELSEWHERE = {"power_w": 0.0}, {"x_mm": 250.0, "y_mm": 60.0}
 
 
 @functools.cache
-def robot_among(*changes: tuple[str, float]) -> Planes:
+def robot_among(*changes: tuple[str, float]) -> Twins:
     """A robot of a playpen whose second lamp, in the open, differs from that of its particles."""
     playpen = setup_of("two-lamps").playpen
     screened, bulb = playpen.lamps
     lamps = screened, bulb.model_copy(update=dict(changes))
-    return Planes(EpisodeSetup(playpen.model_copy(update={"lamps": lamps}), planar=True), 1)
+    return Twins(EpisodeSetup(playpen.model_copy(update={"lamps": lamps}), planar=True), 1)
 
 
 class Watched:
@@ -36,7 +36,7 @@ class Watched:
     def __init__(self, off: float = 0.0, apart: tuple[float, float, float] = (2e-3, 2e-3, 0.02)) -> None:
         self._off, self._apart = np.array([off, 0, 0]), apart
         self._particles = particles_at(*[(200, 200, 0)] * 60, name="two-lamps")
-        self.watch = LampWatch(setup_of("two-lamps").playpen, self._particles.planes)
+        self.watch = LampWatch(setup_of("two-lamps").playpen, self._particles.twins)
         self._rng = stream(0, "lamps")
         self._turn = 0
         self.ended: list[Alarm] = []
@@ -49,7 +49,7 @@ class Watched:
             angle = self._turn / 15
             pose, apart = np.array([metric(self._place(angle))]), self._rng.normal(0, 1, (60, 3))
             twins = pose + self._off + apart * self._apart
-            for planes, poses in ((robot, pose), (self._particles.planes, twins)):
+            for planes, poses in ((robot, pose), (self._particles.twins, twins)):
                 planes.reset_poses(poses)
                 planes.advance(1)
             dark, floor = float(robot.ambient["dark"]), float(robot.ambient["floor"])
@@ -127,8 +127,8 @@ def test_a_fault_is_suspected_before_it_has_an_alarm() -> None:
 
 def test_what_is_expected_is_the_light_at_the_particles() -> None:
     particles = particles_at((110, 130, -135), name="two-lamps")
-    particles.planes.advance(1)
-    watch = LampWatch(setup_of("two-lamps").playpen, particles.planes)
+    particles.twins.advance(1)
+    watch = LampWatch(setup_of("two-lamps").playpen, particles.twins)
     assert np.isnan(watch.expected).all()
     watch.update(0, np.full(8, 480), particles)
     assert watch.expected[2:4].max() < 300 < 400 < watch.expected[6:].min()

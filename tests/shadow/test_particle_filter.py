@@ -17,7 +17,7 @@ from khep_twin.shadow.actions import CounterReply, ProximityReply, Silence, Whee
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import QUOTA
 from khep_twin.shadow.particle_filter import ParticleFilter
-from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.planes import Twins
 from khep_twin.shadow.pose_estimate import MIN_DEVIATIONS, PoseEstimate
 from khep_twin.shadow.start import PUBLISHED, Spread, draw_anywhere, draw_particles
 from khep_twin.shadow.wheel_commands import SPEED
@@ -35,7 +35,7 @@ def filtering(
     return ParticleFilter(setup, particles, stream(0, "filter"), count if pose else 300)
 
 
-def driven(robot: Planes, tracker: ParticleFilter, seconds: float) -> Iterator[PoseEstimate]:
+def driven(robot: Twins, tracker: ParticleFilter, seconds: float) -> Iterator[PoseEstimate]:
     """Let a robot avoid obstacles, and the filter follow; yield its estimates."""
     for _ in range(round(seconds * 100 / TICKS)):
         robot.advance(TICKS)
@@ -48,7 +48,7 @@ def driven(robot: Planes, tracker: ParticleFilter, seconds: float) -> Iterator[P
         yield tracker.estimate(time_ns)
 
 
-def off_mm(estimate: PoseEstimate, robot: Planes) -> float:
+def off_mm(estimate: PoseEstimate, robot: Twins) -> float:
     return 1e3 * math.dist(estimate.pose[:2], robot.poses[0, :2].tolist())
 
 
@@ -76,7 +76,7 @@ def test_particles_that_push_are_turned_by_what_they_push() -> None:
     start = (671.0, 150.0, 70.0)
     robot = planes_at(start)
     tracker = filtering(setup_of("workshop"), metric(start), EXACT)
-    for planes in (robot, tracker.particles.planes):
+    for planes in (robot, tracker.particles.twins):
         planes.command(SPEED, 3, 3)
     nothing = np.zeros(8, np.bool_)
     for _ in range(40):
@@ -94,7 +94,7 @@ def test_particles_that_stand_against_a_wall_stay() -> None:
     robot = planes_at(start)
     tracker = filtering(setup_of("workshop"), metric(start), EXACT)
     for speed in (3, 0):
-        for planes in (robot, tracker.particles.planes):
+        for planes in (robot, tracker.particles.twins):
             planes.command(SPEED, speed, speed)
         before = tracker.estimate(0)
         for _ in range(60):
@@ -107,7 +107,7 @@ def test_particles_that_stand_against_a_wall_stay() -> None:
 
 def test_particles_spread_in_the_open_where_no_reply_tells_them_apart(field: Playpen) -> None:
     setup = EpisodeSetup(field, planar=True)
-    robot = Planes(setup, 1)
+    robot = Twins(setup, 1)
     robot.reset_poses(np.array([[1.5, 2.5, 0.0]]))
     tracker = filtering(setup, (1.5, 2.5, 0.0), EXACT)
     spreads = [math.sqrt(np.trace(estimate.covariance[:2, :2])) for estimate in driven(robot, tracker, 20)]
@@ -156,7 +156,7 @@ def test_counters_move_the_estimate_and_tell_what_commands_do_not() -> None:
 
 def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> None:
     tracker = filtering(setup_of("workshop"), metric(START), EXACT, 2)
-    tracker.particles.planes.reset_poses(np.array([(0.3, 0.2, math.pi - 0.1), (0.4, 0.2, 0.3 - math.pi)]))
+    tracker.particles.twins.reset_poses(np.array([(0.3, 0.2, math.pi - 0.1), (0.4, 0.2, 0.3 - math.pi)]))
     x, y, heading = tracker.estimate(7).pose
     assert (x, y) == pytest.approx((0.35, 0.2))
     assert math.remainder(heading - (math.pi + 0.1), math.tau) == pytest.approx(0)
@@ -208,12 +208,12 @@ def test_particles_that_are_taken_over_become_as_many_as_are_wanted_and_differ()
     assert len(tracker.particles) == 300
     assert tracker.weights.sum() == pytest.approx(1)
     assert math.dist(tracker.estimate(0).pose, metric(AT_THE_CRATE)) < 0.01
-    assert len(np.unique(tracker.particles.planes.poses[:, 0])) == 300
+    assert len(np.unique(tracker.particles.twins.poses[:, 0])) == 300
 
 
 def test_an_unknown_start_is_anywhere_where_there_is_room() -> None:
     setup = setup_of("workshop")
-    planes = Planes(setup, 400)
+    planes = Twins(setup, 400)
     poses = draw_anywhere(setup, planes, stream(0, "anywhere"))
     assert planes.are_clear(poses).all()
     assert np.ptp(poses, axis=0) == pytest.approx([0.6, 0.4, 6.2], abs=0.1)
@@ -226,7 +226,7 @@ def test_a_playpen_with_hardly_any_room_is_an_error_of_one_line() -> None:
     tight = playpens.parse(arena(200, 100, "tight") + outline + robot(27.65, 27.65), "tight")
     setup = EpisodeSetup(tight, planar=True)
     with pytest.raises(PlaypenError, match="tight: no room for the robot was found; expected a start pose"):
-        draw_anywhere(setup, Planes(setup, 50), stream(0, "anywhere"))
+        draw_anywhere(setup, Twins(setup, 50), stream(0, "anywhere"))
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_a_robot_that_pushes_teaches_nothing_of_its_wheels(
 ) -> None:
     tracker = filtering(setup_of("workshop"), metric(start), Spread(1e-4, 1e-3, 0.01, 0.01, 0.01, 0))
     robot = planes_at(start)
-    for planes in (robot, tracker.particles.planes):
+    for planes in (robot, tracker.particles.twins):
         planes.command(SPEED, 6, 6)
         planes.advance(10 * TICKS)
     before = tracker.particles.wheels[:, 1].copy()
@@ -257,7 +257,7 @@ def test_faults_that_are_considered_add_their_quota_once() -> None:
     counts: list[int] = []
     for _ in range(5):
         robot.advance(60)
-        tracker.consider([FaultChange(fault, True) for fault in wheel_faults()])
+        tracker.consider_changes([FaultChange(fault, True) for fault in wheel_faults()])
         tracker.follow(ProximityReply(robot.ticks * SECOND // 100, readings(robot)), ALL)
         counts.append(len(tracker.particles))
     assert max(counts) <= 3000 + QUOTA * 7, counts

@@ -21,7 +21,7 @@ def four() -> Particles:
 
 def places(particles: Particles) -> list[int]:
     """Return the index in `four` of the original of each particle."""
-    return np.rint((particles.planes.poses[:, 0] - 0.35) * 100).astype(int).tolist()
+    return np.rint((particles.twins.poses[:, 0] - 0.35) * 100).astype(int).tolist()
 
 
 @pytest.mark.parametrize("offset", [0.1, 0.5, 0.9])
@@ -58,20 +58,20 @@ def test_copies_leave_the_others_alone() -> None:
     copies.traits += 1
     copies.wheels *= 1.02
     copies.forget(1.0, np.random.default_rng(0))
-    copies.planes.command(SPEED, 9, 9)
-    copies.planes.advance(20)
+    copies.twins.command(SPEED, 9, 9)
+    copies.twins.advance(20)
     copies.follow_counters(np.array([0, 0]))
     before = four()
     assert particles.log_weights.tolist() == before.log_weights.tolist()
     assert particles.traits.tolist() == before.traits.tolist()
-    assert particles.planes.poses.tolist() == before.planes.poses.tolist()
-    assert particles.planes.robots["left_wheel"].tolist() == before.planes.robots["left_wheel"].tolist()
+    assert particles.twins.poses.tolist() == before.twins.poses.tolist()
+    assert particles.twins.robots["left_wheel"].tolist() == before.twins.robots["left_wheel"].tolist()
     assert np.isnan(particles.counter_offsets).all()
 
 
 def test_counters_move_them_by_what_the_commands_do_not_explain() -> None:
     particles = particles_at(OPEN, OPEN)
-    planes = particles.planes
+    planes = particles.twins
     # The first reply tells where the counters stand, and nothing of the motion.
     assert particles.follow_counters(np.array([5000, -300])).tolist() == [[0, 0]] * 2
     assert planes.poses[0, 0] == pytest.approx(0.35)
@@ -111,7 +111,7 @@ def test_what_was_learned_gives_way_to_what_was_known() -> None:
     assert particles.traits[:, 3, 0] - 0.9 * decay == pytest.approx(common)
     assert particles.covariances[0] == pytest.approx((1 - decay * decay) * particles.prior.traits)
     # The twins drive with these wheels.
-    wheels = particles.planes.robots["left_wheel"]
+    wheels = particles.twins.robots["left_wheel"]
     assert np.ptp(wheels / wheels.mean()) > 0.02
     # What passes in no time is nothing.
     before = particles.wheels.copy(), particles.traits.copy()

@@ -12,12 +12,12 @@ from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.errors import MissingNumbaError
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.planar_bodies import AWAY
-from khep_twin.shadow.planes import Planes
-from khep_twin.shadow.thing_faults import thing_rows
+from khep_twin.shadow.planes import Twins
+from khep_twin.shadow.thing_faults import obstacle_rows
 from khep_twin.shadow.wheel_commands import SPEED
 
 STARTS = (360.0, 240.0, -70.0), AT_THE_CRATE, (120.0, 200.0, 90.0)
@@ -99,7 +99,7 @@ def test_taken_twins_are_copies_and_those_of_a_slice_are_the_same() -> None:
     assert copies.poses.tolist() == before[[2, 0, 2]].tolist()
     copies.advance(100)
     copies.command(SPEED, 0, 0)
-    copies.things[:] = AWAY
+    copies.obstacles[:] = AWAY
     assert planes.poses.tolist() == before.tolist()
     assert planes.ticks == 0
     planes.advance(100)
@@ -109,12 +109,12 @@ def test_taken_twins_are_copies_and_those_of_a_slice_are_the_same() -> None:
 
 def test_a_thing_that_is_moved_in_one_twin_is_seen_and_felt_by_that_one_alone() -> None:
     planes = planes_at(AT_THE_CRATE, AT_THE_CRATE)
-    rows = thing_rows(setup_of("workshop"))["block1"]
+    rows = obstacle_rows(setup_of("workshop"))["block1"]
     planes.advance(1)
     before = light_of(planes)
     assert before[0].tolist() == before[1].tolist()
     assert before[0, 3:5].min() > 200
-    planes.things[1, rows, flat.CENTRE_X] += 0.05
+    planes.obstacles[1, rows, plane_data.CENTRE_X] += 0.05
     planes.remeasure()
     moved = light_of(planes)
     assert moved[0].tolist() == before[0].tolist()
@@ -123,9 +123,10 @@ def test_a_thing_that_is_moved_in_one_twin_is_seen_and_felt_by_that_one_alone() 
     planes.advance(200)
     way = np.hypot(*(planes.poses[:, :2] - np.array(AT_THE_CRATE[:2]) / 1e3).T)
     assert way[0] < 0.035 < way[1]
-    planes.restore(rows)
+    planes.restore_obstacles(rows)
     assert (
-        planes.things[0, :, : flat.REFLECTANCE].tolist() == planes.things[1, :, : flat.REFLECTANCE].tolist()
+        planes.obstacles[0, :, : plane_data.REFLECTANCE].tolist()
+        == planes.obstacles[1, :, : plane_data.REFLECTANCE].tolist()
     )
 
 
@@ -134,7 +135,7 @@ def test_a_motor_without_torque_stands_and_one_with_a_part_of_it_is_slow() -> No
     planes.strength[1, 0], planes.strength[2, :] = 0, 0.2
     planes.command(SPEED, 6, 6)
     planes.advance(100)
-    left, right = planes.robots["joints"][:, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE]].T
+    left, right = planes.robots["joints"][:, [plane_data.LEFT_ANGLE, plane_data.RIGHT_ANGLE]].T
     assert left[1] == pytest.approx(0, abs=1e-3)
     assert right[1] > 0.8 * right[0]
     assert 0.05 < left[2] / left[0] < 0.98
@@ -142,7 +143,7 @@ def test_a_motor_without_torque_stands_and_one_with_a_part_of_it_is_slow() -> No
 
 def test_twins_roll_by_pulses_as_wheels_do() -> None:
     planes = planes_at(OPEN, OPEN, OPEN)
-    planes.roll(np.array([[100.0, 100.0], [-100.0, 100.0], [0.0, 0.0]]))
+    planes.roll_wheels(np.array([[100.0, 100.0], [-100.0, 100.0], [0.0, 0.0]]))
     x, y, heading = planes.poses.T
     way = 100 / units.PULSES_PER_TURN * math.tau * float(planes.robots["left_wheel"][0])
     assert x - 0.35 == pytest.approx([way, 0, 0], abs=1e-9)
@@ -183,25 +184,25 @@ def test_put_twins_are_at_rest_and_keep_their_counters() -> None:
     planes = planes_at(OPEN)
     planes.command(SPEED, 8, 8)
     planes.advance(50)
-    counters = planes.robots["joints"][0, flat.LEFT_ANGLE]
+    counters = planes.robots["joints"][0, plane_data.LEFT_ANGLE]
     planes.reset_poses(np.array([[0.3, 0.2, 1.0]]))
     assert not planes.robots["speeds"].any()
-    assert planes.robots["joints"][0, flat.LEFT_ANGLE] == counters > 0
+    assert planes.robots["joints"][0, plane_data.LEFT_ANGLE] == counters > 0
 
 
 def test_what_no_twins_can_be_made_of_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="expected EpisodeSetup"):
-        Planes(EpisodeSetup(Playpen.load("workshop")), 1)
+        Twins(EpisodeSetup(Playpen.load("workshop")), 1)
     monkeypatch.delattr(shadow, "compiled", raising=False)
     monkeypatch.setitem(sys.modules, "khep_twin.shadow.compiled", None)
     with pytest.raises(MissingNumbaError, match="numba is not installed"):
-        Planes(setup_of("workshop"), 1)
+        Twins(setup_of("workshop"), 1)
 
 
 def test_a_wheel_that_is_blocked_stands_however_fast_it_was_turned() -> None:
     planes = planes_at(OPEN)
     planes.strength[:] = -1
-    planes.robots["speeds"][:, flat.LEFT_ANGLE] = 150  # three times what a motor reaches
+    planes.robots["speeds"][:, plane_data.LEFT_ANGLE] = 150  # three times what a motor reaches
     planes.advance(200)
     assert np.abs(planes.robots["speeds"]).max() < 1
     assert np.isfinite(planes.poses).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_of
 
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.randomness import stream
 from khep_twin.shadow import search
 from khep_twin.shadow.actions import ProximityReply, WheelCommand
@@ -74,7 +74,7 @@ def test_a_robot_that_was_put_elsewhere_is_found_there_and_one_that_was_not_is_n
     tracker = turning.run_search(since_ns)
     assert tracker.probabilities[1] > 0.98
     # The places that it may be at are far apart, and it is close to one of them.
-    x, y, _ = (tracker.particles.planes.poses[tracker.particles.changes == 1]).T
+    x, y, _ = (tracker.particles.twins.poses[tracker.particles.changes == 1]).T
     assert x.std() > 0.05
     assert np.hypot(x - 0.56, y - 0.12).min() < 0.03
 
@@ -114,7 +114,7 @@ def test_a_robot_is_found_by_all_that_it_has_seen_where_the_first_sight_fits_man
     tracker = turning.run_search(since_ns)
     assert tracker.probabilities[1] > 0.98
     lifted = tracker.particles.changes == 1
-    off = np.hypot(*(tracker.particles.planes.poses[lifted] - turning.robot.poses[0])[:, :2].T)
+    off = np.hypot(*(tracker.particles.twins.poses[lifted] - turning.robot.poses[0])[:, :2].T)
     assert tracker.weights[lifted][off < 0.03].sum() > 0.5
 
 
@@ -123,22 +123,22 @@ def test_a_thing_that_was_added_is_found_where_it_is() -> None:
     since_ns = turning.turn(2)
     x, y, _ = turning.robot.poses[0].tolist()
     circle = [
-        flat.CENTRE_X,
-        flat.CENTRE_Y,
-        flat.LENGTH,
-        flat.WIDTH,
-        flat.TOP,
-        flat.TOUCHABLE,
-        flat.REFLECTANCE,
+        plane_data.CENTRE_X,
+        plane_data.CENTRE_Y,
+        plane_data.HALF_LENGTH,
+        plane_data.HALF_WIDTH,
+        plane_data.TOP,
+        plane_data.TOUCHABLE,
+        plane_data.REFLECTANCE,
     ]
-    turning.robot.things[:, -1, circle] = x - 0.02, y + 0.05, 0.012, -1, 0.05, 1, 1
+    turning.robot.obstacles[:, -1, circle] = x - 0.02, y + 0.05, 0.012, -1, 0.05, 1, 1
     turning.robot.remeasure()
     turning.turn(2)
     tracker = turning.run_search(since_ns, [*CHANGES, FaultChange(Displaced(), True)])
     assert tracker.probabilities[3] > 0.98
-    places = tracker.particles.planes.things[tracker.particles.changes == 3, -1]
+    places = tracker.particles.twins.obstacles[tracker.particles.changes == 3, -1]
     weights = tracker.weights[tracker.particles.changes == 3]
-    place = np.average(places[:, [flat.CENTRE_X, flat.CENTRE_Y]], axis=0, weights=weights)
+    place = np.average(places[:, [plane_data.CENTRE_X, plane_data.CENTRE_Y]], axis=0, weights=weights)
     # With eight random streams it was 5 to 18 mm off.
     assert place == pytest.approx([x - 0.02, y + 0.05], abs=0.02)
 

@@ -26,8 +26,8 @@ def expected_counts(gain: float = 1.0) -> np.ndarray:
 def standing(*poses: Pose) -> tuple[Particles, SensorModel]:
     """Particles at poses, whose sensors have looked around."""
     particles = particles_at(*poses)
-    particles.planes.advance(1)
-    return particles, SensorModel(particles.planes)
+    particles.twins.advance(1)
+    return particles, SensorModel(particles.twins)
 
 
 @pytest.mark.parametrize("gain", [0.8, 1.0, 1.25])
@@ -59,9 +59,9 @@ def test_what_is_expected_surprises_less_than_what_is_not() -> None:
 
 def test_where_other_robots_drive_only_things_that_are_missing_surprise() -> None:
     particles, reading = particles_at(AT_THE_CRATE), expected_counts()
-    particles.planes.has_other_robots = True
-    particles.planes.advance(1)
-    model = SensorModel(particles.planes)
+    particles.twins.has_other_robots = True
+    particles.twins.advance(1)
+    model = SensorModel(particles.twins)
     model.observe(particles, reading, ALL)
     other = reading.copy()
     other[3], other[7] = 0, 700
@@ -101,7 +101,7 @@ def test_a_sensors_gain_heading_and_threshold_are_told_apart_by_many_views() -> 
     rng = np.random.default_rng(0)
     true_parameters = np.array([0.15, math.radians(-6), 60.0])
     particles = particles_at(AT_THE_CRATE)
-    planes, model = particles.planes, SensorModel(particles.planes)
+    planes, model = particles.twins, SensorModel(particles.twins)
     threshold = planes.proximity["threshold"]
     for _ in range(400):
         dx, dy, turn = rng.uniform(-15, 0), rng.uniform(-5, 15), rng.uniform(-60, 60)
@@ -129,7 +129,7 @@ def test_what_is_beyond_the_range_tells_on_which_side_the_count_is(reading: int,
     assert (sign * particles.traits[0, sees, 0] > 0.02).all()
     far = particles_at(AT_THE_CRATE)
     far.traits[:, :, 0] = 3.0 * sign  # Counts that are beyond anyhow.
-    far.planes.advance(1)
+    far.twins.advance(1)
     model.observe(far, np.full(8, reading), ALL)
     assert far.traits[0, sees, 0] == pytest.approx(np.full(sees.sum(), 3.0 * sign), abs=1e-3)
 
@@ -159,7 +159,7 @@ def test_sums_of_logarithms_do_not_overflow() -> None:
 
 def test_where_one_of_several_lamps_is_on_a_sensor_that_it_may_blind_tells_only_what_it_sees() -> None:
     particles = particles_at((310.0, 180.0, 90.0), name="t-maze")
-    planes, model = particles.planes, SensorModel(particles.planes)
+    planes, model = particles.twins, SensorModel(particles.twins)
     assert planes.lamps_are_unknown
     planes.advance(1)
     blind = np.zeros(8, np.int64)
@@ -178,7 +178,7 @@ def test_a_sensor_in_the_shadow_of_a_thing_may_be_blinded_if_that_is_gone() -> N
     hidden = 0
     for place in places:
         particles = particles_at(place, name="two-lamps")
-        left, open_left = usable_range(particles.planes)[0], min_usable_range(particles)
+        left, open_left = usable_range(particles.twins)[0], min_usable_range(particles)
         assert (open_left <= left + 1e-9).all()
         hidden += int((open_left < left - 0.1).sum())
     assert hidden > 0

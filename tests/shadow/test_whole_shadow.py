@@ -16,7 +16,7 @@ from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
 from khep_twin.shadow.recording import LineChunk, read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.update import Update
-from studies.twin_runs import ShadowRun, Recording, follow, playpen_at_known_start
+from studies.twin_runs import Recording, ShadowRun, follow, playpen_at_known_start
 
 STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 4, 9, 12, 20
 SETTINGS = ShadowSettings(particles=300)
@@ -82,7 +82,9 @@ def make_shadow(**settings: object) -> Shadow:
     return Shadow(Playpen.load("workshop"), ShadowSettings(**{"particles": 50, **settings}))  # type: ignore
 
 
-def test_a_robot_is_followed_within_millimetres_and_better_than_by_dead_reckoning(followed: ShadowRun) -> None:
+def test_a_robot_is_followed_within_millimetres_and_better_than_by_dead_reckoning(
+    followed: ShadowRun,
+) -> None:
     errors, reckoned = followed.errors(followed.poses), followed.errors(followed.reckoned)
     assert np.median(errors[:, 0]) < 8
     assert errors[:, 0].max() < 40
@@ -221,7 +223,7 @@ def test_playpens_that_a_plane_does_not_have_are_refused() -> None:
 
 def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() -> None:
     follower = Follower(make_shadow())
-    assert follower.last is None
+    assert follower.last_update is None
     changes: list[AlarmChange] = []
     banner = b"ROM of minirobot KHEPERA, version 5.02\r\n"
     for chunk in (
@@ -241,7 +243,7 @@ def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() 
     times_ns = [update.time_ns for update in follower.wait(8 * SECOND)]
     assert times_ns == sorted(set(times_ns))
     assert np.diff(times_ns).max() <= SECOND // 2
-    assert follower.last.time_ns == times_ns[-1] > 7 * SECOND
+    assert follower.last_update.time_ns == times_ns[-1] > 7 * SECOND
 
 
 def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: ShadowRun) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.planes import Twins
 from khep_twin.shadow.start import Spread, draw_particles
 
 Integers = NDArray[np.int64]
@@ -44,9 +44,9 @@ def metric(pose: Pose) -> Pose:
     return x_mm / 1e3, y_mm / 1e3, math.radians(heading_deg)
 
 
-def planes_at(*poses: Pose, name: str = "workshop", has_lamps: bool = True) -> Planes:
+def planes_at(*poses: Pose, name: str = "workshop", has_lamps: bool = True) -> Twins:
     """A twin at each pose."""
-    planes = Planes(setup_of(name, has_lamps), len(poses))
+    planes = Twins(setup_of(name, has_lamps), len(poses))
     planes.reset_poses(np.array([metric(pose) for pose in poses]))
     return planes
 
@@ -56,16 +56,16 @@ def particles_at(*poses: Pose, name: str = "workshop") -> Particles:
     particles = draw_particles(
         setup_of(name), [metric(poses[0])], EXACT, len(poses), np.random.default_rng(0)
     )
-    particles.planes.reset_poses(np.array([metric(pose) for pose in poses]))
+    particles.twins.reset_poses(np.array([metric(pose) for pose in poses]))
     return particles
 
 
-def light_of(planes: Planes) -> NDArray[np.float64]:
+def light_of(planes: Twins) -> NDArray[np.float64]:
     """The light at each sensor of each twin, as the calibration has them."""
     return planes.illuminate(np.zeros((len(planes), 8)))[0]
 
 
-def readings(planes: Planes, gain: float = 1.0) -> Integers:
+def readings(planes: Twins, gain: float = 1.0) -> Integers:
     """Return the first twin's reply to N without noise, for sensors with this gain."""
     proximity, ambient = planes.proximity, planes.ambient
     counts = gain * light_of(planes)[0] - proximity["threshold"]

@@ -152,5 +152,5 @@ def test_all_parts_that_are_compiled_know_what_they_call() -> None:
 
     for part in CODE:
         assert function_of(part) in functions_of(part)
-        ANNOUNCER._expect(functions_of(part))
+        ANNOUNCER._set_expected(functions_of(part))
         assert len(ANNOUNCER._expected | ANNOUNCER._compiled) > 20, part

@@ -21,7 +21,7 @@ def driven(
     """Return replies, registers, positions, voltages and events of robots with a command every 130 ms."""
     world = World(scene, seed=3, compiled=compiled, **options)  # type: ignore[arg-type]
     if compiled is None:
-        world.code.switch_at = 300
+        world.code.switch_step = 300
     events = Events()
     if observed:
         world.add_observer(events)

@@ -15,7 +15,7 @@ from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.sensing.calibration import MotorCalibration
-from khep_twin.simulation.faulty_wheels import FIELDS
+from khep_twin.simulation.faulty_wheels import WHEEL_FIELDS
 from khep_twin.units import TYRE_FRICTION
 
 FIELD = playpen.parse(
@@ -45,7 +45,7 @@ def episode(*faults: str, x_mm: float = 500, seconds: float = 0.0, duty: int = 0
 
 
 def angle(twin: Episode, side: int) -> float:
-    return float(twin.data.qpos[SETUP.indices.wheel_angles[side]])
+    return float(twin.data.qpos[SETUP.indices.wheel_qpos[side]])
 
 
 @pytest.mark.parametrize("part", [0.0, 0.25, 1.0])
@@ -111,7 +111,8 @@ def test_wheels_are_sound_to_the_last_bit_when_their_faults_end() -> None:
     for seconds, is_sound in ((0.06, True), (0.08, False), (0.2, True)):
         twin.run(seconds)
         is_same = [
-            np.array_equal(getattr(twin.world.model, field), getattr(SETUP.model, field)) for field in FIELDS
+            np.array_equal(getattr(twin.world.model, field), getattr(SETUP.model, field))
+            for field in WHEEL_FIELDS
         ]
         assert all(is_same) is is_sound
     angles = angle(twin, 0), angle(twin, 1)

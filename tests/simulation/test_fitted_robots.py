@@ -15,7 +15,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.simulation.fitted_robots import FIELDS, FittedRobots
+from khep_twin.simulation.fitted_robots import FIELDS, CalibratedRobots
 from khep_twin.simulation.mujoco_forms import SceneModel
 from khep_twin.world import World
 
@@ -86,14 +86,14 @@ def test_a_fitted_scene_is_the_one_compiled_of_that_calibration_and_can_be_undon
     model = SceneModel.of(scene).model
     before, drawn = copy.copy(model), sample_robot()
     robots = [RobotIndices.of(model, f"khepera{index}") for index in range(len(scene.robots))]
-    fitted, data = FittedRobots(model, robots), mujoco.MjData(model)
-    fitted.fit([sample_robot(1)] * len(robots), data)
-    fitted.fit([drawn] * len(robots), data)
+    fitted, data = CalibratedRobots(model, robots), mujoco.MjData(model)
+    fitted.set_calibrations([sample_robot(1)] * len(robots), data)
+    fitted.set_calibrations([drawn] * len(robots), data)
     assert not same(model, before)
     with monkeypatch.context() as patched:
         replace(patched, "read", (drawn, ""))
         assert same(model, SceneModel.of(scene).model)
-    fitted.fit(None, data)
+    fitted.set_calibrations(None, data)
     assert same(model, before)
 
 

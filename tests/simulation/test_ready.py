@@ -16,7 +16,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError, MissingNumbaError
 from khep_twin.machine import lock
 from khep_twin.playpen import Playpen
-from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.planes import Twins
 from khep_twin.simulation import ready
 from khep_twin.step import Reason
 from khep_twin.world import World
@@ -106,14 +106,14 @@ def test_a_world_looks_for_compiled_code_only_in_a_long_run(monkeypatch: pytest.
     requests: list[str] = []
     monkeypatch.setattr("khep_twin.simulation.stepping_code.when_ready", requests.append)
     world = World(Playpen.load("default"))
-    assert world.code.switch_at == 30_000
-    world.code.switch_at = 100
+    assert world.code.switch_step == 30_000
+    world.code.switch_step = 100
     world.advance_to(99 * world.timing.step_ns)
     assert not requests
     world.advance_to(200 * world.timing.step_ns)
     assert requests == ["world"]
-    assert world.code.switch_at == 3200
-    world.code.switch_at = None
+    assert world.code.switch_step == 3200
+    world.code.switch_step = None
     world.advance_to(300 * world.timing.step_ns)
     assert requests == ["world"]
 
@@ -168,7 +168,7 @@ def test_where_numba_is_switched_off_runs_are_plain_and_what_must_be_compiled_sa
         lambda: compile_all(["shadow"]),
         lambda: World("obstacles", compiled=True),
         lambda: rollout(setup, Function(max), [1], 0.2, compiled=True),
-        lambda: Planes(setup, 1),
+        lambda: Twins(setup, 1),
     ):
         with pytest.raises(MissingNumbaError, match=r"^NUMBA_DISABLE_JIT switches numba off; expected"):
             call()

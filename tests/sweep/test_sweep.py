@@ -360,11 +360,11 @@ def test_ray_here_has_a_token_and_no_dashboard_and_is_refused_where_others_reach
             return SimpleNamespace(address_info={"node_ip_address": self.address})
 
     ray = Ray("127.0.0.1")
-    ray_workers._join(ray, None, 1)
+    ray_workers._connect(ray, None, 1)
     assert ray.arguments["address"] == "local"
     assert ray.arguments["include_dashboard"] is False
     with pytest.raises(KhepTwinError, match=r"listens at 10\.0\.0\.1; expected 127\.0\.0\.1 alone"):
-        ray_workers._join(Ray("10.0.0.1"), None, 1)
+        ray_workers._connect(Ray("10.0.0.1"), None, 1)
 
 
 def test_a_worker_with_other_versions_does_nothing(tmp_path: Path) -> None:

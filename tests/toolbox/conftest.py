@@ -16,7 +16,7 @@ def clean_up() -> Iterator[None]:
     yield
     toolbox.close_playpen()
     serial_commands.ports({})
-    for latest in (figures._graphs, robot_view._views, roborunner._runs):
+    for latest in (figures._latest_graph, robot_view._open_view, roborunner._runs):
         latest.clear()
 
 

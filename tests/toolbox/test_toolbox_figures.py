@@ -130,7 +130,7 @@ def test_khepbase_shows_each_cycle_what_the_robot_senses_and_does() -> None:
 def test_a_bar_of_speed_points_back_when_the_robot_backs() -> None:
     toolbox.khepbase()
     toolbox.khepbase([0] * 8, [0] * 8, [10, -40])
-    left, right = robot_view._views[-1]._bars["speed"]
+    left, right = robot_view._open_view[-1]._bars["speed"]
     assert left.get_height() == pytest.approx(robot_view._BAR_HEIGHT / 2)
     assert right.get_height() == pytest.approx(-robot_view._BAR_HEIGHT)
 

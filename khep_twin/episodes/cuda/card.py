@@ -1,7 +1,4 @@
-"""The NVIDIA GPU of this machine, as numba-cuda finds it.
-
-Imported only where numba-cuda is installed.
-"""
+"""The NVIDIA GPU of this machine, as numba-cuda finds it; imported only where numba-cuda is installed."""
 
 # numba-cuda is not typed.
 # pyright: basic, reportMissingTypeStubs=false

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from khep_twin.episodes.controllers import Driver, Floats, Policy
 from khep_twin.episodes.cuda import card, kernel
-from khep_twin.episodes.cuda.episode_layout import EpisodeLayout, State, constants_of
+from khep_twin.episodes.cuda.episode_layout import EpisodeLayout, State, episode_constants
 from khep_twin.episodes.cuda.slot_constants import SlotConstants
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch, Slots
@@ -55,7 +55,7 @@ class PreparedEpisode(Episode):
         super().__init__(setup, driver, compiled=True)
 
     def _advance(self, *arguments: Any) -> int:
-        if arguments[-2] < 0:
+        if arguments[-2] < 0:  # the end step
             return Reason.DONE  # the GPU switches the robot on
         raise RuntimeError("a GPU runs this episode; expected CardBatch.step")
 
@@ -72,7 +72,7 @@ class CardBatch(EpisodeBatch):
 
     def __init__(self, episodes: Sequence[Episode], driver: Driver) -> None:
         super().__init__(episodes, threads=1)
-        self._is_driven = isinstance(driver, Policy)
+        self._sets_speeds = isinstance(driver, Policy)
         self._start_arguments: list[tuple[int, EpisodeOptions]] = [(0, DEFAULT_OPTIONS)] * len(episodes)
         self._new_states: dict[int, State] = {}
         self._constants = SlotConstants(len(episodes))
@@ -95,7 +95,7 @@ class CardBatch(EpisodeBatch):
         if self._layout is None:
             self._layout = EpisodeLayout(arguments)
             self._shared_arrays = shared
-        if not self._layout.fits(arguments):
+        if not self._layout.matches(arguments):
             raise PlaypenError(
                 f"{episode.playpen.name}: other numbers of obstacles, or another controller, than in the "
                 "first episode; expected the same in all episodes of a batch on a GPU"
@@ -104,7 +104,7 @@ class CardBatch(EpisodeBatch):
         self._new_states[index] = self._layout.pack(arguments)
         controllers = arguments.controllers
         constants = {"genes": controllers.genes, "home": controllers.home, "powers": arguments.powers}
-        self._constants.set_slot(index, constants if is_shared else constants_of(arguments))
+        self._constants.set_slot(index, constants if is_shared else episode_constants(arguments))
         self.steps[index], self._runs_compiled[index] = 0, True
 
     @one_thread
@@ -181,7 +181,7 @@ class CardBatch(EpisodeBatch):
         self, slots: NDArray[np.int64], new_states: State | None, end_steps: NDArray[np.int64]
     ) -> None:
         """Run some slots on the GPU; with `new_states` (n_words, n_slots), switch their robots on."""
-        speeds = self.speeds if self._is_driven and new_states is None else self.speeds[:0]
+        speeds = self.speeds if self._sets_speeds and new_states is None else self.speeds[:0]
         arrays = self._arrays._replace(indices=slots, end_steps=end_steps, speeds=speeds)
         max_blocks = card.n_processors() * max(card.EPISODES_PER_PROCESSOR // BLOCK_SIZE, 1)
         n_blocks = min(-(-len(slots) // BLOCK_SIZE), max_blocks)
@@ -190,7 +190,7 @@ class CardBatch(EpisodeBatch):
                 self._gpu_states = _GpuStates(self._layout, len(self._episodes))
             gpu_arrays = type(arrays)(*map(cuda.to_device, arrays))
             kernel.kernel(self._layout.capacity)[n_blocks, min(BLOCK_SIZE, len(slots))](
-                kernel.Constants(**self._gpu_states.common, **self._constants.on_gpu()),
+                kernel.Constants(**self._gpu_states.common_constants, **self._constants.on_gpu()),
                 self._gpu_states.templates,
                 self._layout.offsets,
                 self._gpu_states.states,
@@ -209,22 +209,22 @@ class _GpuStates:
 
     Args:
         layout: Layout of the states.
-        count: Number of slots.
+        n_slots: Number of slots.
 
     Attributes:
         states: States on the GPU (n_words, n).
         templates: `kernel.LocalMemory` of arrays on the GPU.
-        common: Constants without rows, by name.
+        common_constants: Constants without rows, by name.
         outputs: Results of the last launch by the names of `EpisodeLayout.outputs`, each (n_words, n).
     """
 
-    def __init__(self, layout: EpisodeLayout, count: int) -> None:
+    def __init__(self, layout: EpisodeLayout, n_slots: int) -> None:
         self._layout = layout
-        self.states: Any = cuda.device_array((layout.n_state, count), np.int64)
+        self.states: Any = cuda.device_array((layout.n_state, n_slots), np.int64)
         templates = map(np.ascontiguousarray, layout.templates)
         self.templates = kernel.LocalMemory(*map(cuda.to_device, templates))
         controllers = layout.controllers
-        self.common = {
+        self.common_constants = {
             "kind": controllers.kind,
             "recurrent": controllers.recurrent,
             "top_speed": controllers.top_speed,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.episodes.cuda.kernel import LocalMemory
 from khep_twin.episodes.cuda.views import N_STATE_COLUMNS
 from khep_twin.episodes.planar import planar_world
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.episodes.stepping import EpisodeArguments
 
@@ -57,24 +57,24 @@ class EpisodeLayout:
 
     def __init__(self, arguments: EpisodeArguments) -> None:
         controllers, plane = arguments.controllers, _plane(arguments)
-        state_arrays, fields = list(_state_arrays(arguments)), dict[str, list[Any]]()
+        state_arrays, fields_by_record = list(_state_arrays(arguments)), dict[str, list[Any]]()
         for path, array in state_arrays:
-            fields.setdefault(path[0], []).append((path[-1], array.dtype, array.shape))
-        state = [
+            fields_by_record.setdefault(path[0], []).append((path[-1], array.dtype, array.shape))
+        state_fields = [
             (name, np.dtype(parts, align=True)) if name in STATE_FIELDS else parts[0]
-            for name, parts in fields.items()
+            for name, parts in fields_by_record.items()
         ]
         surfaces = arguments.robots["sensors"]["proximity"]["surfaces"]
         plane_buffers = np.dtype([(name, plane.robot.dtype[name]) for name in BUFFERS], align=True)
         proximity = np.dtype([("surfaces", surfaces.dtype, surfaces.shape[1:])])
-        self._n_fixed, self._n_movable = len(plane.order), len(plane.bodies)
-        self._shape = _shape_of(arguments)
+        self._n_fixed, self._n_movable = len(plane.fixed_by_distance), len(plane.bodies)
+        self._shared_properties = _shared_properties(arguments)
         self.controllers = controllers
         self.templates = LocalMemory(
-            np.zeros(1, np.dtype(state, align=True)),
+            np.zeros(1, np.dtype(state_fields, align=True)),
             controllers.memory,
-            np.zeros(self._n_fixed * N_STATE_COLUMNS + self._n_movable * flat.N_COLUMNS),
-            plane.order,
+            np.zeros(self._n_fixed * N_STATE_COLUMNS + self._n_movable * planar.N_COLUMNS),
+            plane.fixed_by_distance,
             plane.bodies,
             np.zeros(1, np.dtype([("plane", plane_buffers), ("proximity", proximity)], align=True)),
             controllers.neurons,
@@ -91,18 +91,20 @@ class EpisodeLayout:
             "joints": words["plane", "joints"],
             "impulses": words["plane", "impulses"],
             "sums": words[("sums",)],
-            "objects": range(self.offsets.obstacles + self._n_fixed * N_STATE_COLUMNS, self.offsets.order),
+            "objects": range(
+                self.offsets.obstacles + self._n_fixed * N_STATE_COLUMNS, self.offsets.fixed_by_distance
+            ),
         }
 
-    def fits(self, arguments: EpisodeArguments) -> bool:
+    def matches(self, arguments: EpisodeArguments) -> bool:
         """Return whether an episode has as many obstacles, and the same kind of controller and line."""
-        return _shape_of(arguments) == self._shape
+        return _shared_properties(arguments) == self._shared_properties
 
     def pack(self, arguments: EpisodeArguments) -> State:
         """Return the state of an episode from its arrays (n_state,)."""
         obstacles = arguments.scene[0]
         fixed, movable = (
-            obstacles[: self._n_fixed, flat.DISTANCE : flat.ACROSS + 1],
+            obstacles[: self._n_fixed, planar.DISTANCE : planar.TANGENT_IMPULSE + 1],
             obstacles[self._n_fixed :],
         )
         columns = np.concatenate([fixed.ravel(), movable.ravel()])
@@ -117,8 +119,8 @@ class EpisodeLayout:
             part[...] = words.view(part.dtype).reshape(part.shape)
         n_words = self._n_fixed * N_STATE_COLUMNS
         fixed = columns[:n_words].reshape(-1, N_STATE_COLUMNS)
-        obstacles[: self._n_fixed, flat.DISTANCE : flat.ACROSS + 1] = fixed
-        obstacles[self._n_fixed :] = columns[n_words:].reshape(-1, flat.N_COLUMNS)
+        obstacles[: self._n_fixed, planar.DISTANCE : planar.TANGENT_IMPULSE + 1] = fixed
+        obstacles[self._n_fixed :] = columns[n_words:].reshape(-1, planar.N_COLUMNS)
 
     def objects(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return x, y [m] and heading [rad] of the movable objects (n, n_objects, 3).
@@ -126,18 +128,19 @@ class EpisodeLayout:
         Args:
             columns: Columns of the movable objects of n episodes (n_words, n).
         """
-        rows = columns.reshape(self._n_movable, flat.N_COLUMNS, columns.shape[1])
-        headings = np.arctan2(rows[:, flat.SINE], rows[:, flat.COSINE])
-        return np.stack([rows[:, flat.CENTRE_X], rows[:, flat.CENTRE_Y], headings], axis=-1).swapaxes(0, 1)
+        rows = columns.reshape(self._n_movable, planar.N_COLUMNS, columns.shape[1])
+        headings = np.arctan2(rows[:, planar.SINE], rows[:, planar.COSINE])
+        x, y = rows[:, planar.CENTRE_X], rows[:, planar.CENTRE_Y]
+        return np.stack([x, y, headings], axis=-1).swapaxes(0, 1)
 
     def _parts(self, arguments: EpisodeArguments, columns: NDArray[np.float64]) -> Iterator[NDArray[Any]]:
         """Yield the arrays of an episode's state, with the obstacles' changing columns."""
         plane = _plane(arguments)
         yield from (array for _, array in _state_arrays(arguments))
-        yield from (arguments.controllers.memory, columns, plane.order, plane.bodies)
+        yield from (arguments.controllers.memory, columns, plane.fixed_by_distance, plane.bodies)
 
 
-def constants_of(arguments: EpisodeArguments) -> dict[str, NDArray[Any]]:
+def episode_constants(arguments: EpisodeArguments) -> dict[str, NDArray[Any]]:
     """Return an episode's constants by the names of `kernel.Constants`, from `tables` on."""
     controllers, robots, plane = arguments.controllers, arguments.robots, _plane(arguments)
     return {
@@ -151,52 +154,53 @@ def constants_of(arguments: EpisodeArguments) -> dict[str, NDArray[Any]]:
         "bulbs": arguments.bulbs,
         "hidden": arguments.hidden,
         "powers": arguments.powers,
-        "robots": _without(robots[0], _NOT_IN_ROBOTS),
-        "planar_robots": _without(plane.robot[0], _NOT_IN_PLANES),
+        "robots": _remove_fields(robots[0], _NOT_IN_ROBOTS),
+        "planar_robots": _remove_fields(plane.robot[0], _NOT_IN_PLANES),
     }
 
 
 def _plane(arguments: EpisodeArguments) -> Any:
-    """Return the plane of an episode, whose fields are arrays."""
+    """Return the plane of an episode, with arrays as fields."""
     return Plane(*arguments.scene)
 
 
-def _shape_of(arguments: EpisodeArguments) -> tuple[object, ...]:
+def _shared_properties(arguments: EpisodeArguments) -> tuple[object, ...]:
     """Return the properties that all episodes of a batch must share."""
     controllers, plane = arguments.controllers, _plane(arguments)
     network = controllers.sizes.tolist(), controllers.recurrent, controllers.top_speed
-    return len(plane.order), len(plane.bodies), controllers.kind, *network, controllers.line.tolist()
+    counts = len(plane.fixed_by_distance), len(plane.bodies)
+    return *counts, controllers.kind, *network, controllers.line.tolist()
 
 
 def _state_arrays(arguments: EpisodeArguments) -> Iterator[tuple[tuple[str, ...], NDArray[Any]]]:
     """Yield the state's arrays of a fixed size, each after its path in the state's record."""
     planar_robots = _plane(arguments).robot
-    for part, records in (("robot", arguments.robots), ("plane", planar_robots)):
-        for name in STATE_FIELDS[part]:
-            yield (part, name), records[name][0]
+    for record_name, records in (("robot", arguments.robots), ("plane", planar_robots)):
+        for name in STATE_FIELDS[record_name]:
+            yield (record_name, name), records[name][0]
     for name in ("sums", "events", "host_registers"):
         yield (name,), getattr(arguments.controllers, name)
     yield ("counters",), arguments.counters
 
 
-def _without(record: Any, paths: frozenset[str]) -> Any:
-    """Return a record without the fields at some paths, which are names with points between them."""
-    reduced: Any = np.zeros((), _type_without(record.dtype, paths))
+def _remove_fields(record: Any, paths: frozenset[str]) -> Any:
+    """Return a record without the fields at some paths, names joined by points (`sensors.noise`)."""
+    reduced: Any = np.zeros((), _remove_from_type(record.dtype, paths))
     for name in reduced.dtype.names:
         part = record[name]
-        reduced[name] = _without(part, _below(paths, name)) if part.dtype.names else part
+        reduced[name] = _remove_fields(part, _subpaths(paths, name)) if part.dtype.names else part
     return reduced
 
 
 @cache
-def _type_without(kind: Any, paths: frozenset[str]) -> Any:
-    fields = {name: kind[name] for name in kind.names if name not in paths}
+def _remove_from_type(record_type: Any, paths: frozenset[str]) -> Any:
+    fields = {name: record_type[name] for name in record_type.names if name not in paths}
     fields = {
-        name: _type_without(field, _below(paths, name)) if field.names else field
+        name: _remove_from_type(field, _subpaths(paths, name)) if field.names else field
         for name, field in fields.items()
     }
     return np.dtype(list(fields.items()), align=True)
 
 
-def _below(paths: frozenset[str], name: str) -> frozenset[str]:
+def _subpaths(paths: frozenset[str], name: str) -> frozenset[str]:
     return frozenset(path.partition(".")[2] for path in paths if path.startswith(f"{name}."))

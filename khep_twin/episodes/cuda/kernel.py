@@ -27,11 +27,11 @@ from khep_twin.episodes.cuda.views import array_at, constant_of, obstacles_at, o
 from khep_twin.episodes.planar.compiled import PLANE_SOURCES
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing.light import Light
-from khep_twin.simulation.compiled import source_of, stamp
+from khep_twin.simulation.compiled import digest_of, source_of
 from khep_twin.status_line import announced
 from khep_twin.step import Reason, Simulated, StepInputs
 
-STAMP = stamp(
+STAMP = digest_of(
     [*map(source_of, (*PLANE_SOURCES, views)), *map(Path(__file__).with_name, ("lowering.py", "kernel.py"))]
 )
 """Digest of all sources that are compiled."""
@@ -68,7 +68,7 @@ class Constants(NamedTuple):
         hidden: Directions in which the lamps may be hidden.
         powers: Powers of the lamps.
         robots: Robots, as records of `step.RobotState`.
-        planar_robots: The same, as records of `PlanarRobot`.
+        planar_robots: Robots, as records of `PlanarRobot`.
     """
 
     kind: Any
@@ -97,18 +97,18 @@ class LocalMemory(NamedTuple):
         state: State of the robot, a record (1,).
         memory: Memories of the controllers.
         obstacles: Changing columns of the obstacles: `state` of `views.obstacles_at`.
-        order: Order of the fixed obstacles.
+        fixed_by_distance: Indices of the fixed obstacles, nearest first.
         bodies: Movable obstacles.
         buffers: Buffers of the robot, a record (1,); from here on nothing is stored between launches.
         neurons: Buffer for the values of a network's neurons.
-        near: Buffer for the obstacles within sight.
+        near: Buffer for the obstacles in sensor range.
         obstacle_contacts: Buffer for contacts of movable obstacles.
     """
 
     state: Any
     memory: Any
     obstacles: Any
-    order: Any
+    fixed_by_distance: Any
     bodies: Any
     buffers: Any
     neurons: Any
@@ -158,7 +158,7 @@ def make_run(capacity: int) -> Any:
                 local[word] = 0
             state = record_at(local, offsets.state, templates.state)
             buffers = record_at(local, offsets.buffers, templates.buffers)
-            order = array_at(local, offsets.order, templates.order)
+            fixed_by_distance = array_at(local, offsets.fixed_by_distance, templates.fixed_by_distance)
             obstacle_state = array_at(local, offsets.obstacles, templates.obstacles)
             neurons = array_at(local, offsets.neurons, templates.neurons)
             controllers = stepping.Controllers(
@@ -182,8 +182,8 @@ def make_run(capacity: int) -> Any:
             proximity = overlay(overlay(robot.sensors.proximity, table), buffers.proximity)
             sensors = _Sensors(overlay(robot.sensors, _Proximity(proximity)))
             plane = Plane(
-                obstacles_at(constant_of(constants.obstacles, slot), obstacle_state, len(order)),
-                order,
+                obstacles_at(constant_of(constants.obstacles, slot), obstacle_state, len(fixed_by_distance)),
+                fixed_by_distance,
                 array_at(local, offsets.near, templates.near),
                 array_at(local, offsets.bodies, templates.bodies),
                 array_at(local, offsets.obstacle_contacts, templates.obstacle_contacts),
@@ -237,19 +237,19 @@ def compiling() -> Generator[None]:
         return
     from numba.cuda import dispatcher
 
-    original, start_s, compiled = dispatcher.compile_cuda, time.monotonic(), list[Any]()
+    original, start_s, compiled_functions = dispatcher.compile_cuda, time.monotonic(), list[Any]()
 
     def report_progress() -> str:
-        return f"{ANNOUNCEMENT}: {len(compiled)} functions, {time.monotonic() - start_s:.0f} s"
+        return f"{ANNOUNCEMENT}: {len(compiled_functions)} functions, {time.monotonic() - start_s:.0f} s"
 
     def report_end() -> str:
         return f"{ANNOUNCEMENT} took {time.monotonic() - start_s:.0f} s"
 
     def compile_cuda(function: Any, *arguments: Any, nvvm_options: Any = None, **options: Any) -> Any:
-        if not compiled:
+        if not compiled_functions:
             notice = f"{ANNOUNCEMENT}, once per version: half a minute to two minutes"
             stack.enter_context(announced(notice, report_progress, report_end))
-        compiled.append(function)
+        compiled_functions.append(function)
         result = original(function, *arguments, nvvm_options={**(nvvm_options or {}), "fma": 0}, **options)
         if function in ONCE:
             result.library.get_function(result.fndesc.llvm_func_name).attributes.add("noinline")

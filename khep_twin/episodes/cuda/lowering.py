@@ -127,13 +127,13 @@ def _record_at(typing_context, local, offset, template):
     return template.dtype(local, types.intp, template), generate
 
 
-def _pointer_at(context, builder, signature, arguments, kind):
+def _pointer_at(context, builder, signature, arguments, pointer_type):
     """Return the pointer to a word of local memory."""
     words = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-    return builder.bitcast(builder.gep(words, [arguments[1]]), kind)
+    return builder.bitcast(builder.gep(words, [arguments[1]]), pointer_type)
 
 
-def _chooser(function):
+def _fixed_chooser(function):
     """Return a function that selects an implementation for arguments of any kind."""
 
     def choose(*arguments):
@@ -142,7 +142,7 @@ def _chooser(function):
     return choose
 
 
-def _decide_nothing(function, registers, memory, genes, speeds):
+def _keep_speeds(function, registers, memory, genes, speeds):
     """Leave the speeds unchanged: functions are not supported on a GPU."""
 
 
@@ -151,7 +151,7 @@ for _plain in FUNCTIONS:
         register_jitable(_plain)
 register_jitable(views.state_word)
 for _query in casting.QUERIES:
-    overload(getattr(queries, _query.__name__), strict=False)(_chooser(_query))
+    overload(getattr(queries, _query.__name__), strict=False)(_fixed_chooser(_query))
 for _query, _function in (
     (views.overlay, lambda record, override: _overlay(record, override)),
     (views.obstacles_at, lambda fixed, state, n_fixed: _obstacles_at(fixed, state, n_fixed)),
@@ -159,11 +159,11 @@ for _query, _function in (
     (views.record_at, lambda local, offset, template: _record_at(local, offset, template)),
     (views.constant_of, lambda table, slot: table[min(slot, len(table) - 1)]),
     (views.scene_of, lambda plane: plane),
-    (queries.decide, _decide_nothing),
+    (queries.decide, _keep_speeds),
     (fitness.square_root, lambda number: math.sqrt(number)),
     (fitness.clip, lambda number, low, high: min(max(number, low), high)),
 ):
-    overload(_query, strict=False, inline="always")(_chooser(_function))  # an array cannot be returned
+    overload(_query, strict=False, inline="always")(_fixed_chooser(_function))  # an array cannot be returned
 
 
 @overload(len)

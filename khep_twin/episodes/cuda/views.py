@@ -2,25 +2,25 @@
 
 A thread's local memory is an array of 64-bit words. `record_at` and `array_at` return parts of it. `overlay`
 and `obstacles_at` return a record and a table with some numbers in it, and the others in shared constants.
-These versions run in numba's CUDA simulator; `lowering` has those for a GPU.
+The functions of this module run in numba's CUDA simulator; `lowering` replaces them on a GPU.
 """
 
 from typing import Any
 
 import numpy as np
 
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.casting import PlaneScene
-from khep_twin.episodes.planar.plane import ACROSS, DISTANCE, N_COLUMNS, Plane
+from khep_twin.episodes.planar.plane import DISTANCE, N_COLUMNS, TANGENT_IMPULSE, Plane
 
-N_STATE_COLUMNS = ACROSS + 1 - DISTANCE
+N_STATE_COLUMNS = TANGENT_IMPULSE + 1 - DISTANCE
 """Columns of a fixed obstacle that change: its distance, and its impulses on the body."""
 
 
 def record_at(local: Any, offset: int, template: Any) -> Any:
     """Return a record of a template's type, at a word of local memory."""
-    kind = template.dtype
-    return _Record(np.asarray(local)[offset : offset + kind.itemsize // 8].view(kind)[0])
+    record_type = template.dtype
+    return _Record(np.asarray(local)[offset : offset + record_type.itemsize // 8].view(record_type)[0])
 
 
 def array_at(local: Any, offset: int, template: Any) -> Any:
@@ -98,6 +98,6 @@ def state_word(obstacle: int, column: int, n_fixed: int) -> int:
     """Return the index of a number in the state of the obstacles; below 0 for a constant."""
     if obstacle >= n_fixed:
         return n_fixed * N_STATE_COLUMNS + (obstacle - n_fixed) * N_COLUMNS + column
-    if flat.DISTANCE <= column <= flat.ACROSS:
-        return obstacle * N_STATE_COLUMNS + column - flat.DISTANCE
+    if planar.DISTANCE <= column <= planar.TANGENT_IMPULSE:
+        return obstacle * N_STATE_COLUMNS + column - planar.DISTANCE
     return -1

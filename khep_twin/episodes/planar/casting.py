@@ -4,9 +4,8 @@ The robot is a disc on two wheels among upright boxes and cylinders with heights
 computes which lamps its sensors see, as MuJoCo does for upright obstacles and no tilt. This source runs
 interpreted and compiled.
 
-The search for near obstacles is exact. A lower bound of each distance is the last measured one minus the
-distance moved since. Once per step, obstacles in range are found in that order, and put into the robot's
-frame.
+The search for near obstacles is exact: the last measured distance of an obstacle, minus the path since, is
+a lower bound of its distance. Once per step, those in sensor range are transformed to the robot's frame.
 """
 
 import math
@@ -15,12 +14,8 @@ from functools import partial
 
 from khep_twin.compilable import compilable
 from khep_twin.episodes.planar import motion, shadows
-from khep_twin.episodes.planar import plane as flat
-from khep_twin.episodes.planar.plane import (
-    Plane,
-    X,
-    Y,
-)
+from khep_twin.episodes.planar import plane as planar
+from khep_twin.episodes.planar.plane import Plane, X, Y
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import COARSE, MAX_SPEED, Triple
@@ -40,11 +35,11 @@ def in_bounds(scene: Plane, limit: float) -> bool:
     square_distance = joints[X] * joints[X] + joints[Y] * joints[Y]
     if not square_distance <= 2 * limit * limit:
         return False
-    return _square(speeds) <= len(speeds) * MAX_SPEED * MAX_SPEED and _square(joints) < math.inf
+    return _square_sum(speeds) <= len(speeds) * MAX_SPEED * MAX_SPEED and _square_sum(joints) < math.inf
 
 
 @compilable
-def _square(numbers: Vector[float]) -> float:
+def _square_sum(numbers: Vector[float]) -> float:
     total = 0.0
     for i in range(len(numbers)):
         total += numbers[i] * numbers[i]
@@ -61,7 +56,7 @@ def has_warned(scene: Plane) -> bool:
 def pose(scene: Plane, index: int) -> tuple[float, float, float, float]:
     """Return the value of `scene.pose`."""
     joints = scene.robot.joints
-    c, s = flat.direction(scene.robot)
+    c, s = planar.direction(scene.robot)
     return joints[X], joints[Y], c, s
 
 
@@ -92,17 +87,17 @@ def set_motor(scene: Plane, index: int, voltage: float) -> None:
 @compilable
 def body_frame(scene: Plane, sensors: RobotSensors) -> Sequence[float]:
     """Return the value of `scene.body_frame`."""
-    c, s = scene.robot.last[flat.HEADING_COSINE], scene.robot.last[flat.HEADING_SINE]
+    c, s = scene.robot.last_step[planar.HEADING_COSINE], scene.robot.last_step[planar.HEADING_SINE]
     return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
 
 @compilable
 def position(scene: Plane, sensors: RobotSensors, channel: int) -> tuple[float, float, float]:
     """Return the value of `scene.position`."""
-    last, mounts = scene.robot.last, scene.robot.mounts
-    c, s = last[flat.HEADING_COSINE], last[flat.HEADING_SINE]
+    last, mounts = scene.robot.last_step, scene.robot.mounts
+    c, s = last[planar.HEADING_COSINE], last[planar.HEADING_SINE]
     forward, left = mounts[channel, 0], mounts[channel, 1]
-    x, y = last[flat.CENTRE_X] + c * forward - s * left, last[flat.CENTRE_Y] + s * forward + c * left
+    x, y = (last[planar.CENTRE_X] + c * forward - s * left, last[planar.CENTRE_Y] + s * forward + c * left)
     return x, y, scene.robot.sensor_height
 
 
@@ -117,22 +112,22 @@ def chip(scene: Plane, sensors: RobotSensors, channel: int) -> Chip:
 
 @compilable
 def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, min_light: float) -> int:
-    """Fill in the same as `scene.surfaces`."""
-    proximity, near, n_near = sensors.proximity, scene.near, int(scene.robot.last[flat.N_NEAR])
+    """Fill in the surfaces in reach of a sensor as `scene.surfaces` does; return their number."""
+    proximity, near, n_near = sensors.proximity, scene.near, int(scene.robot.last_step[planar.N_NEAR])
     chip_distance = scene.robot.mounts[channel, 4] + proximity.offset[channel]
     if not _is_relevant(scene, chip, proximity.bound[channel], min_light, chip_distance):
         return 0
     count, max_distance = 0, chip.reach + chip_distance
     for index in range(n_near):
-        if near[index, flat.DISTANCE] > max_distance:
+        if near[index, planar.DISTANCE] > max_distance:
             continue
         shape = (
-            (near[index, flat.CENTRE_X], near[index, flat.CENTRE_Y]),
-            (near[index, flat.COSINE], near[index, flat.SINE]),
-            (near[index, flat.LENGTH], near[index, flat.WIDTH]),
-            (near[index, flat.BOTTOM], near[index, flat.TOP]),
+            (near[index, planar.CENTRE_X], near[index, planar.CENTRE_Y]),
+            (near[index, planar.COSINE], near[index, planar.SINE]),
+            (near[index, planar.HALF_LENGTH], near[index, planar.HALF_WIDTH]),
+            (near[index, planar.BOTTOM], near[index, planar.TOP]),
         )
-        count = add_upright(proximity.surfaces, count, chip, shape, near[index, flat.REFLECTANCE])
+        count = add_upright(proximity.surfaces, count, chip, shape, near[index, planar.REFLECTANCE])
     return count
 
 
@@ -147,12 +142,12 @@ def _is_relevant(scene: Plane, chip: Chip, bound: float, min_light: float, chip_
         min_light: Smallest relevant light [counts].
         chip_distance: Upper bound of the chip's distance from the robot's centre [m].
     """
-    near, last = scene.near, scene.robot.last
-    if _is_faint(last[flat.NEAREST] - chip_distance, bound, min_light):
+    near, last = scene.near, scene.robot.last_step
+    if _is_faint(last[planar.NEAREST] - chip_distance, bound, min_light):
         return False
-    for index in range(int(last[flat.N_NEAR])):
-        if not _is_faint(near[index, flat.DISTANCE] - chip_distance, bound, min_light) and not _is_faint(
-            flat.distance_to(near, index, chip.x, chip.y), bound, min_light
+    for index in range(int(last[planar.N_NEAR])):
+        if not _is_faint(near[index, planar.DISTANCE] - chip_distance, bound, min_light) and not _is_faint(
+            planar.distance_to(near, index, chip.x, chip.y), bound, min_light
         ):
             return True
     return False
@@ -165,9 +160,9 @@ def _is_faint(distance: float, bound: float, min_light: float) -> bool:
 
 
 @compilable
-def is_blocked(scene: Plane, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
+def is_blocked(scene: Plane, sensors: RobotSensors, channel: int, ray: Triple, glass: float) -> bool:
     """Return the value of `scene.is_blocked`."""
-    return shadows.stopped(scene, position(scene, sensors, channel), way, glass)
+    return shadows.is_path_blocked(scene, position(scene, sensors, channel), ray, glass)
 
 
 @compilable
@@ -178,13 +173,15 @@ def hidden_part(
     disc: int,
     left: Triple,
     up: Triple,
-    way: Triple,
+    ray: Triple,
     glass: float,
 ) -> float:
     """Return the value of `scene.hidden_part`."""
-    n_few, n_points = scene.robot.n_few, len(scene.robot.points)
-    first, last = (0, n_few) if disc == COARSE else (n_few, n_points)
-    return shadows.blocked(scene, position(scene, sensors, channel), first, last, left, up, way, glass)
+    n_few, n_points = scene.robot.n_coarse_points, len(scene.robot.points)
+    start, stop = (0, n_few) if disc == COARSE else (n_few, n_points)
+    return shadows.hidden_fraction(
+        scene, position(scene, sensors, channel), start, stop, left, up, ray, glass
+    )
 
 
 _BODY_QUERIES = step, in_bounds, has_warned, pose, joint_position, joint_speed, motor_torque, set_motor

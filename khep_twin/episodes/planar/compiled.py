@@ -1,7 +1,4 @@
-"""Episodes in a plane compiled by numba.
-
-Imported only where numba is installed.
-"""
+"""Episodes in a plane compiled by numba; imported only where numba is installed."""
 
 # numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
@@ -13,7 +10,7 @@ from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing import scene
 from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import compiled
-from khep_twin.simulation.foreign import implements, moved
+from khep_twin.simulation.foreign import implements, relocate
 from khep_twin.step import Reason, Simulated, StepInputs
 
 PLANE_SOURCES = (*EPISODE_SOURCES, casting, contact_solver, motion, plane, pushing, shadows)
@@ -25,15 +22,15 @@ for query in casting.QUERIES:
 
 def _run(arguments, end_step, stops, slots):
     reason = Reason.DONE.value  # an integer, which numba returns faster
-    for index in range(max(len(slots.indices), 1)):
-        arrays = moved(arguments, slots.addresses, slots.indices[index]) if len(slots.indices) else arguments
+    for i in range(max(len(slots.indices), 1)):
+        arrays = relocate(arguments, slots.addresses, slots.indices[i]) if len(slots.indices) else arguments
         episode = stepping.EpisodeArguments(*arrays)
         light = Light(episode.law[0], episode.bulbs, episode.hidden)
-        obstacles, order, near, bodies, obstacle_contacts, robots = episode.scene
-        scene = Plane(obstacles, order, near, bodies, obstacle_contacts, robots[0])
+        obstacles, fixed_by_distance, near, bodies, obstacle_contacts, robots = episode.scene
+        scene = Plane(obstacles, fixed_by_distance, near, bodies, obstacle_contacts, robots[0])
         simulated = Simulated(scene, episode.timing[0], light, episode.robots, episode.counters)
         inputs = StepInputs(episode.powers, episode.tables)
-        reason = stepping.run_slot(episode.controllers, simulated, inputs, end_step, stops, slots, index)
+        reason = stepping.run_slot(episode.controllers, simulated, inputs, end_step, stops, slots, i)
     return reason
 
 

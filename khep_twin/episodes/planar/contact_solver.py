@@ -2,7 +2,7 @@
 
 A tyre slips if its force, along and across, exceeds friction times load. A pitching moment shifts load from
 the tyres to a support. A gear's dry friction holds its wheel up to its torque. Obstacles push along the line
-to the disc's centre, with friction across. Each iteration updates all impulses of a substep, including those
+to the robot's centre, with friction across. Each iteration updates all impulses of a substep, including those
 of movable obstacles (`pushing`), starting from those of the previous substep (warm start).
 
 Not modelled: tilt, hopping tyres, soft contacts.
@@ -11,15 +11,17 @@ Not modelled: tilt, hopping tyres, soft contacts.
 import math
 
 from khep_twin.compilable import compilable
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar import pushing
 from khep_twin.episodes.planar.plane import (
-    ACROSS,
-    ALONG,
     ASIDE,
     GEARS,
+    LEFT_ANGLE,
+    NORMAL_IMPULSE,
     PUSHED,
     PUSHED_ASIDE,
+    RIGHT_ANGLE,
+    TANGENT_IMPULSE,
     PlanarRobot,
     Plane,
     X,
@@ -41,7 +43,7 @@ STOP_SPEED = 1e-5
 _CONTACT_MARGIN = 1e-4
 """Distance below which the robot is in contact with an obstacle [m]."""
 
-_PASSES = 4
+_MAX_PASSES = 4
 """Passes that push the disc out of obstacles one by one; a disc between two obstacles needs several."""
 
 _Motion = tuple[float, float, float, float, float]
@@ -50,9 +52,9 @@ _Motion = tuple[float, float, float, float, float]
 _Update = tuple[_Motion, float]
 """Motion after an iteration, and the change of the impulses in it [N s]."""
 
-_Rates = tuple[float, float, float, float, float, float, float]
-"""Half of the track [m], inverse mass and inertia, effective masses of a tyre and of a contact's friction,
-a tyre's speed per impulse, and the factor by which a substep reduces the lag behind the free speed."""
+_Constants = tuple[float, float, float, float, float, float, float]
+"""Half of the track [m]; inverse mass and inertia; effective masses of a tyre and of a contact's friction;
+inverse mass of a wheel at its rim; factor by which a substep reduces the lag behind the free speed."""
 
 
 @compilable
@@ -60,69 +62,72 @@ def step_with_slip(plane: Plane) -> None:
     """Advance by one step in which tyres may slip and obstacles may push."""
     robot = plane.robot
     joints, speeds, impulses, h = robot.joints, robot.speeds, robot.impulses, robot.substep
-    x, y, heading = joints[X], joints[Y], joints[flat.HEADING]
+    x, y, heading = joints[X], joints[Y], joints[planar.HEADING]
     forward, lateral, spin = speeds[0], speeds[1], speeds[2]
-    left, right = robot.left_wheel * speeds[flat.LEFT_ANGLE], robot.right_wheel * speeds[flat.RIGHT_ANGLE]
-    rates = _rates(robot)
-    half = rates[0]
+    left, right = (robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE])
+    constants = _substep_constants(robot)
+    half = constants[0]
     slips = is_pushed = False
-    c, s = robot.last[flat.HEADING_COSINE], robot.last[flat.HEADING_SINE]
+    c, s = robot.last_step[planar.HEADING_COSINE], robot.last_step[planar.HEADING_SINE]
     for _ in range(robot.n_substeps):
         reach = robot.radius + h * (abs(forward) + abs(lateral)) + _CONTACT_MARGIN
-        count = _find_contacts(plane, x, y, c, s, reach)
+        n_contacts = _find_contacts(plane, x, y, c, s, reach)
         n_obstacle_contacts = pushing.start_substep(plane, c, s)
-        forward, lateral, spin, left, right = _solve(
-            plane, count, n_obstacle_contacts, rates, (forward, lateral, spin, left, right)
+        forward, lateral, spin, left, right = _solve_substep(
+            plane, n_contacts, n_obstacle_contacts, constants, (forward, lateral, spin, left, right)
         )
-        moves = pushing.end_substep(plane, c, s)
+        obstacles_move = pushing.end_substep(plane, c, s)
         x += h * (forward * c - lateral * s)
         y += h * (forward * s + lateral * c)
-        joints[flat.LEFT_ANGLE] += h * left / robot.left_wheel
-        joints[flat.RIGHT_ANGLE] += h * right / robot.right_wheel
+        joints[LEFT_ANGLE] += h * left / robot.left_wheel
+        joints[RIGHT_ANGLE] += h * right / robot.right_wheel
         turn = h * spin
         heading += turn
         slip = abs(forward - half * spin - left) + abs(forward + half * spin - right) + abs(lateral)
-        slips = count > 0 or slip > _GRIP_SLIP or moves
+        slips = n_contacts > 0 or slip > _GRIP_SLIP or obstacles_move
         # The body's velocity is constant in space while the body turns.
-        turn_c, turn_s = flat.turn_vector(turn)
+        turn_c, turn_s = planar.turn_vector(turn)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
         forward, lateral = forward * turn_c + lateral * turn_s, lateral * turn_c - forward * turn_s
-        is_pushed = is_pushed or count > 0
+        is_pushed = is_pushed or n_contacts > 0
     if is_pushed:
         x, y = _push_out(plane, x, y)
     joints[X], joints[Y] = x, y
-    flat.set_heading(robot, heading, c, s)
+    planar.set_heading(robot, heading, c, s)
     speeds[0], speeds[1], speeds[2] = forward, lateral, spin
-    speeds[flat.LEFT_ANGLE], speeds[flat.RIGHT_ANGLE] = left / robot.left_wheel, right / robot.right_wheel
-    robot.last[flat.SLIPS] = 1.0 if slips else 0.0
+    speeds[LEFT_ANGLE], speeds[RIGHT_ANGLE] = (left / robot.left_wheel, right / robot.right_wheel)
+    robot.last_step[planar.SLIPS] = 1.0 if slips else 0.0
     if not slips:
         for i in range(len(impulses)):
             impulses[i] = 0.0
 
 
 @compilable
-def _rates(robot: PlanarRobot) -> _Rates:
-    half, inv_mass, inv_inertia = robot.track / 2, 1 / robot.mass, 1 / robot.inertia
+def _substep_constants(robot: PlanarRobot) -> _Constants:
+    half_track, inv_mass, inv_inertia = robot.track / 2, 1 / robot.mass, 1 / robot.inertia
     effective_mass = robot.wheel_inertia + robot.substep * robot.damping
-    rim = robot.wheel_radius * robot.wheel_radius / effective_mass
-    tyre = 1 / (inv_mass + half * half * inv_inertia + rim)
-    friction_impulse = 1 / (inv_mass + robot.radius * robot.radius * inv_inertia)
-    return half, inv_mass, inv_inertia, tyre, friction_impulse, rim, robot.wheel_inertia / effective_mass
+    inv_rim_mass = robot.wheel_radius * robot.wheel_radius / effective_mass
+    tyre_mass = 1 / (inv_mass + half_track * half_track * inv_inertia + inv_rim_mass)
+    friction_mass = 1 / (inv_mass + robot.radius * robot.radius * inv_inertia)
+    decay = robot.wheel_inertia / effective_mass
+    return half_track, inv_mass, inv_inertia, tyre_mass, friction_mass, inv_rim_mass, decay
 
 
 @compilable
-def _solve(plane: Plane, count: int, n_obstacle_contacts: int, rates: _Rates, motion: _Motion) -> _Motion:
+def _solve_substep(
+    plane: Plane, n_contacts: int, n_obstacle_contacts: int, constants: _Constants, motion: _Motion
+) -> _Motion:
     """Return the motion after the impulses of a substep, those of the tyres and of all contacts.
 
     Args:
         plane: Plane.
-        count: Number of contacts of the robot.
+        n_contacts: Number of contacts of the robot.
         n_obstacle_contacts: Number of contacts of movable obstacles with others.
-        rates: Constants of a substep.
+        constants: Constants of a substep.
         motion: Motion so far.
     """
     robot, obstacles, impulses = plane.robot, plane.obstacles, plane.robot.impulses
-    half, inv_mass, inv_inertia, _, _, rim, decay = rates
+    half_track, inv_mass, inv_inertia, _, _, inv_rim_mass, decay = constants
     forward, lateral, spin, left, right = motion
     for side in range(2):
         speed = motion[3 + side]
@@ -131,21 +136,21 @@ def _solve(plane: Plane, count: int, n_obstacle_contacts: int, rates: _Rates, mo
     left += (robot.left_free_speed * robot.ctrl[0] - left) * (1 - decay)
     right += (robot.right_free_speed * robot.ctrl[1] - right) * (1 - decay)
     impulses[PUSHED] = impulses[PUSHED_ASIDE] = 0.0
-    for i in range(count):
+    for i in range(n_contacts):
         obstacle = int(robot.contacts[i, 3])
-        along, across = obstacles[obstacle, ALONG], obstacles[obstacle, ACROSS]
+        along, across = obstacles[obstacle, NORMAL_IMPULSE], obstacles[obstacle, TANGENT_IMPULSE]
         nx, ny = robot.contacts[i, 0], robot.contacts[i, 1]
         impulses[PUSHED] += along * nx - across * ny
         impulses[PUSHED_ASIDE] += along * ny + across * nx
         spin -= across * robot.radius * inv_inertia
         contact_x, contact_y = robot.contacts[i, 4], robot.contacts[i, 5]
         x, y = across * ny - along * nx, -across * nx - along * ny
-        pushing.apply_impulse(plane, int(obstacles[obstacle, flat.BODY]), contact_x, contact_y, x, y)
+        pushing.apply_impulse(plane, int(obstacles[obstacle, planar.BODY]), contact_x, contact_y, x, y)
     forward += (impulses[0] + impulses[1] + impulses[PUSHED]) * inv_mass
     lateral += (impulses[ASIDE] + impulses[ASIDE + 1] + impulses[PUSHED_ASIDE]) * inv_mass
-    spin += (impulses[1] - impulses[0]) * half * inv_inertia
-    left -= (impulses[0] + impulses[GEARS]) * rim
-    right -= (impulses[1] + impulses[GEARS + 1]) * rim
+    spin += (impulses[1] - impulses[0]) * half_track * inv_inertia
+    left -= (impulses[0] + impulses[GEARS]) * inv_rim_mass
+    right -= (impulses[1] + impulses[GEARS + 1]) * inv_rim_mass
     motion = forward, lateral, spin, left, right
     for _ in range(_MAX_ITERATIONS):
         # Pitching shifts load from the tyres to a support, rolling from one tyre to the other.
@@ -156,39 +161,41 @@ def _solve(plane: Plane, count: int, n_obstacle_contacts: int, rates: _Rates, mo
         max_impulse = robot.tyre_force * robot.substep - robot.pitch_relief * abs(pitch_moment)
         left_limit = max(max_impulse - roll_shift, 0.0) * robot.left_grip
         right_limit = max(max_impulse + roll_shift, 0.0) * robot.right_grip
-        motion, left_change = _solve_tyre(robot, rates, motion, 0, left_limit)
-        motion, right_change = _solve_tyre(robot, rates, motion, 1, right_limit)
-        motion, changed = _solve_contacts(plane, count, rates, motion, left_change + right_change)
-        changed += pushing.solve_round(plane, n_obstacle_contacts)
-        if changed * inv_mass < _TOLERANCE:
+        motion, left_change = _solve_tyre(robot, constants, motion, 0, left_limit)
+        motion, right_change = _solve_tyre(robot, constants, motion, 1, right_limit)
+        motion, change = _solve_contacts(plane, n_contacts, constants, motion, left_change + right_change)
+        change += pushing.solve_iteration(plane, n_obstacle_contacts)
+        if change * inv_mass < _TOLERANCE:
             break
     return motion
 
 
 @compilable
-def _solve_tyre(robot: PlanarRobot, rates: _Rates, motion: _Motion, side: int, max_impulse: float) -> _Update:
+def _solve_tyre(
+    robot: PlanarRobot, constants: _Constants, motion: _Motion, side: int, max_impulse: float
+) -> _Update:
     """Return the motion after one iteration of a tyre and its gear, and the change of their impulses [N s].
 
     Args:
         robot: Robot.
-        rates: Constants of a substep.
+        constants: Constants of a substep.
         motion: Motion so far.
         side: 0 for the left tyre, 1 for the right one.
         max_impulse: Largest magnitude of the tyre's impulse [N s].
     """
-    half, inv_mass, inv_inertia, tyre, _, rim, _ = rates
+    half_track, inv_mass, inv_inertia, tyre_mass, _, inv_rim_mass, _ = constants
     forward, lateral, spin, left, right = motion
     impulses, max_gear = robot.impulses, robot.gear_friction * robot.substep
-    arm, speed = (-half, left) if side == 0 else (half, right)
-    gear = min(max(impulses[GEARS + side] + speed / rim, -max_gear), max_gear)
+    arm, speed = (-half_track, left) if side == 0 else (half_track, right)
+    gear = min(max(impulses[GEARS + side] + speed / inv_rim_mass, -max_gear), max_gear)
     change = gear - impulses[GEARS + side]
-    speed -= change * rim
-    changed = abs(change)
+    speed -= change * inv_rim_mass
+    gear_change = abs(change)
     slip = forward + arm * spin - speed
-    along, aside = impulses[side] - slip * tyre, impulses[ASIDE + side] - lateral * robot.mass
+    along, aside = impulses[side] - slip * tyre_mass, impulses[ASIDE + side] - lateral * robot.mass
     if along * along + aside * aside > max_impulse * max_impulse:
         # One scale for both: the force of a slipping tyre opposes the slip.
-        aside = impulses[ASIDE + side] - lateral * tyre
+        aside = impulses[ASIDE + side] - lateral * tyre_mass
         scale = max_impulse / max(math.sqrt(along * along + aside * aside), max_impulse)
         along, aside = along * scale, aside * scale
     change, change_aside = along - impulses[side], aside - impulses[ASIDE + side]
@@ -196,36 +203,38 @@ def _solve_tyre(robot: PlanarRobot, rates: _Rates, motion: _Motion, side: int, m
     forward += change * inv_mass
     lateral += change_aside * inv_mass
     spin += change * arm * inv_inertia
-    speed -= change * rim
+    speed -= change * inv_rim_mass
     if side == 0:
         left = speed
     else:
         right = speed
-    return (forward, lateral, spin, left, right), changed + abs(change) + abs(change_aside)
+    return (forward, lateral, spin, left, right), gear_change + abs(change) + abs(change_aside)
 
 
 @compilable
-def _solve_contacts(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: float) -> _Update:
-    """Return the motion after one iteration of the contacts, and `changed` plus their change [N s]."""
+def _solve_contacts(
+    plane: Plane, n_contacts: int, constants: _Constants, motion: _Motion, impulse_change: float
+) -> _Update:
+    """Return the motion after one iteration of the contacts, and `impulse_change` plus their change [N s]."""
     robot, obstacles, h = plane.robot, plane.obstacles, plane.robot.substep
-    _, inv_mass, inv_inertia, _, friction_impulse, _, _ = rates
+    _, inv_mass, inv_inertia, _, friction_mass, _, _ = constants
     forward, lateral, spin, left, right = motion
-    for i in range(count):
+    for i in range(n_contacts):
         obstacle = int(robot.contacts[i, 3])
         nx, ny, gap = robot.contacts[i, 0], robot.contacts[i, 1], robot.contacts[i, 2]
-        across, along = obstacles[obstacle, ACROSS], obstacles[obstacle, ALONG]
-        body = int(obstacles[obstacle, flat.BODY])
+        across, along = obstacles[obstacle, TANGENT_IMPULSE], obstacles[obstacle, NORMAL_IMPULSE]
+        body = int(obstacles[obstacle, planar.BODY])
         contact_x, contact_y = robot.contacts[i, 4], robot.contacts[i, 5]
-        normal_mass, tangent_mass = robot.mass, friction_impulse
+        normal_mass, tangent_mass = robot.mass, friction_mass
         if body >= 0:
-            inv_body, inv_turn = pushing.masses(plane, body)
+            inv_body, inv_turn = pushing.inverse_masses(plane, body)
             arm, arm_across = contact_x * ny - contact_y * nx, contact_x * nx + contact_y * ny
             normal_mass = 1 / (inv_mass + inv_body + arm * arm * inv_turn)
-            tangent_mass = 1 / (1 / friction_impulse + inv_body + arm_across * arm_across * inv_turn)
+            tangent_mass = 1 / (1 / friction_mass + inv_body + arm_across * arm_across * inv_turn)
         speed_x, speed_y = pushing.speed_at(plane, body, contact_x, contact_y)
         limit, slip = robot.friction * along, (lateral - speed_y) * nx - (forward - speed_x) * ny
         impulse = min(max(across - (slip - robot.radius * spin) * tangent_mass, -limit), limit)
-        obstacles[obstacle, ACROSS] = impulse
+        obstacles[obstacle, TANGENT_IMPULSE] = impulse
         change = impulse - across
         forward -= change * ny * inv_mass
         lateral += change * nx * inv_mass
@@ -234,72 +243,72 @@ def _solve_contacts(plane: Plane, count: int, rates: _Rates, motion: _Motion, ch
         speed_x, speed_y = pushing.speed_at(plane, body, contact_x, contact_y)
         closing = (forward - speed_x) * nx + (lateral - speed_y) * ny
         impulse = max(along - (closing + gap / h) * normal_mass, 0.0)
-        obstacles[obstacle, ALONG] = impulse
-        changed += abs(change) + abs(impulse - along)
+        obstacles[obstacle, NORMAL_IMPULSE] = impulse
+        impulse_change += abs(change) + abs(impulse - along)
         forward += (impulse - along) * nx * inv_mass
         lateral += (impulse - along) * ny * inv_mass
         x, y = (along - impulse) * nx, (along - impulse) * ny
         pushing.apply_impulse(plane, body, contact_x, contact_y, x, y)
         robot.impulses[PUSHED] += (impulse - along) * nx - change * ny
         robot.impulses[PUSHED_ASIDE] += (impulse - along) * ny + change * nx
-    return (forward, lateral, spin, left, right), changed
+    return (forward, lateral, spin, left, right), impulse_change
 
 
 @compilable
 def _find_contacts(plane: Plane, x: float, y: float, c: float, s: float, reach: float) -> int:
-    """Fill in the contacts within reach of a point [m], normals in the robot's frame; return their number."""
-    robot, obstacles, order, count = plane.robot, plane.obstacles, plane.order, 0
-    dx, dy = x - robot.last[flat.ANCHOR_X], y - robot.last[flat.ANCHOR_Y]
+    """Fill in contacts within `reach` of the robot's centre x, y [m], heading c, s; return their number."""
+    robot, obstacles, order, n_contacts = plane.robot, plane.obstacles, plane.fixed_by_distance, 0
+    dx, dy = x - robot.last_step[planar.ANCHOR_X], y - robot.last_step[planar.ANCHOR_Y]
     moved = math.sqrt(dx * dx + dy * dy)
     for i in range(len(order)):
-        if obstacles[order[i], flat.DISTANCE] - moved > reach:
+        if obstacles[order[i], planar.DISTANCE] - moved > reach:
             break
-        count = _add_contact(plane, order[i], (x, y), (c, s), reach, count)
+        n_contacts = _add_contact(plane, order[i], (x, y), (c, s), reach, n_contacts)
     for obstacle in range(len(order), len(obstacles)):
-        count = _add_contact(plane, obstacle, (x, y), (c, s), reach, count)
-    return count
+        n_contacts = _add_contact(plane, obstacle, (x, y), (c, s), reach, n_contacts)
+    return n_contacts
 
 
 @compilable
 def _add_contact(
-    plane: Plane, obstacle: int, centre: flat.Pair, axes: flat.Pair, reach: float, count: int
+    plane: Plane, obstacle: int, centre: planar.Pair, axes: planar.Pair, reach: float, n_contacts: int
 ) -> int:
     """Add the contact with an obstacle within reach; return the number of contacts."""
     contacts, obstacles = plane.robot.contacts, plane.obstacles
-    if not obstacles[obstacle, flat.TOUCHABLE] or count == len(contacts):
-        return count
+    if not obstacles[obstacle, planar.TOUCHABLE] or n_contacts == len(contacts):
+        return n_contacts
     (x, y), (c, s) = centre, axes
-    nx, ny, distance = flat.nearest(obstacles, obstacle, x, y)
+    nx, ny, distance = planar.normal_and_distance(obstacles, obstacle, x, y)
     if distance > reach:
-        obstacles[obstacle, ALONG] = obstacles[obstacle, ACROSS] = 0.0
-        return count
+        obstacles[obstacle, NORMAL_IMPULSE] = obstacles[obstacle, TANGENT_IMPULSE] = 0.0
+        return n_contacts
     gap = distance - plane.robot.radius
-    contacts[count, 0], contacts[count, 1] = c * nx + s * ny, c * ny - s * nx
-    contacts[count, 2], contacts[count, 3] = max(gap, 0.0), obstacle
-    body = int(obstacles[obstacle, flat.BODY])
+    contacts[n_contacts, 0], contacts[n_contacts, 1] = c * nx + s * ny, c * ny - s * nx
+    contacts[n_contacts, 2], contacts[n_contacts, 3] = max(gap, 0.0), obstacle
+    body = int(obstacles[obstacle, planar.BODY])
     if body >= 0:
-        plane.bodies[body, flat.ACTIVE] = 1.0
-        dx = x - distance * nx - obstacles[obstacle, flat.CENTRE_X]
-        dy = y - distance * ny - obstacles[obstacle, flat.CENTRE_Y]
-        contacts[count, 2] = pushing.substep_gap(gap)
-        contacts[count, 4], contacts[count, 5] = c * dx + s * dy, c * dy - s * dx
-    return count + 1
+        plane.bodies[body, planar.ACTIVE] = 1.0
+        dx = x - distance * nx - obstacles[obstacle, planar.CENTRE_X]
+        dy = y - distance * ny - obstacles[obstacle, planar.CENTRE_Y]
+        contacts[n_contacts, 2] = pushing.substep_gap(gap)
+        contacts[n_contacts, 4], contacts[n_contacts, 5] = c * dx + s * dy, c * dy - s * dx
+    return n_contacts + 1
 
 
 @compilable
 def _push_out(plane: Plane, x: float, y: float) -> tuple[float, float]:
     """Return a position pushed out of all obstacles that the disc overlaps."""
     robot, obstacles = plane.robot, plane.obstacles
-    for _ in range(_PASSES):
-        dx, dy = x - robot.last[flat.ANCHOR_X], y - robot.last[flat.ANCHOR_Y]
+    for _ in range(_MAX_PASSES):
+        dx, dy = x - robot.last_step[planar.ANCHOR_X], y - robot.last_step[planar.ANCHOR_Y]
         moved, is_free = math.sqrt(dx * dx + dy * dy), True
-        for i in range(len(plane.order)):
-            if obstacles[plane.order[i], flat.DISTANCE] - moved > robot.radius:
+        for i in range(len(plane.fixed_by_distance)):
+            if obstacles[plane.fixed_by_distance[i], planar.DISTANCE] - moved > robot.radius:
                 break
-            obstacle = plane.order[i]
-            if not obstacles[obstacle, flat.TOUCHABLE]:
+            obstacle = plane.fixed_by_distance[i]
+            if not obstacles[obstacle, planar.TOUCHABLE]:
                 continue
-            nx, ny, distance = flat.nearest(obstacles, obstacle, x, y)
+            nx, ny, distance = planar.normal_and_distance(obstacles, obstacle, x, y)
             if distance < robot.radius:
                 x += (robot.radius - distance) * nx
                 y += (robot.radius - distance) * ny

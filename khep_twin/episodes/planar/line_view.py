@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.playpen import Playpen
 from khep_twin.sensing.line_faces import FacePoses, fixed_faces, moving_faces
@@ -38,7 +38,7 @@ class PlaneView:
         mujoco.mj_kinematics(model, data)
         self._geoms, self._geom_turns = data.geom_xpos.copy(), data.geom_xmat.copy()
         self._sites, self._site_turns = data.site_xpos.copy(), data.site_xmat.copy()
-        self._start_places = self._geoms.copy(), self._geom_turns.copy()
+        self._start_poses = self._geoms.copy(), self._geom_turns.copy()
         base = model.body("khepera0/base").id
         is_robot = model.body_rootid[model.geom_bodyid] == base
         self._robot_geoms: list[int] = np.flatnonzero(is_robot).tolist()
@@ -47,8 +47,8 @@ class PlaneView:
             (model.geom(name).id, np.flatnonzero(model.site_bodyid == model.body(name).id).tolist())
             for name in movable_names(playpen)
         ]
-        places = FacePoses(self._geoms, self._geom_turns, self._sites, self._site_turns)
-        self._camera = LineCamera(fixed_faces(model), moving_faces(model, base), places)
+        face_poses = FacePoses(self._geoms, self._geom_turns, self._sites, self._site_turns)
+        self._camera = LineCamera(fixed_faces(model), moving_faces(model, base), face_poses)
 
     def take(
         self,
@@ -56,43 +56,43 @@ class PlaneView:
         lamps: Sequence[Lamp],
         room_lux: float,
         exposure_ms: int = 0,
-        key: tuple[int, int] = (0, 0),
-        number: int = 0,
+        noise_key: tuple[int, int] = (0, 0),
+        image_number: int = 0,
         *,
         noisy: bool = False,
         compiled: bool = False,
     ) -> int:
-        """Take an image; arguments and result are those of `LineCamera.take`."""
+        """Fill in `pixels` with an image of the present plane; arguments are as of `LineCamera.take`."""
         joints = self._plane.robot.joints
-        x, y = joints[flat.X], joints[flat.Y]
-        c, s = flat.direction(self._plane.robot)
+        x, y = joints[planar.X], joints[planar.Y]
+        c, s = planar.direction(self._plane.robot)
         self._place_geoms(x, y, c, s)
         eye = Eye(x + K213_EYE_AHEAD * c, y + K213_EYE_AHEAD * s, K213_EYE_HEIGHT, c, s)
         return self._camera.take(
-            eye, pixels, lamps, room_lux, exposure_ms, key, number, noisy=noisy, compiled=compiled
+            eye, pixels, lamps, room_lux, exposure_ms, noise_key, image_number, noisy=noisy, compiled=compiled
         )
 
     def _place_geoms(self, x: float, y: float, c: float, s: float) -> None:
         """Set the poses of the robot's geoms and of the movable objects to those in the plane."""
         start, start_turn = self._robot_start
         turn = _upright(c, s) @ start_turn.T
-        places, turns = self._start_places
+        start_positions, start_turns = self._start_poses
         for geom in self._robot_geoms:
-            self._geoms[geom] = turn @ (places[geom] - start) + (x, y, start[2])
-            self._geom_turns[geom] = (turn @ turns[geom].reshape(3, 3)).ravel()
+            self._geoms[geom] = turn @ (start_positions[geom] - start) + (x, y, start[2])
+            self._geom_turns[geom] = (turn @ start_turns[geom].reshape(3, 3)).ravel()
         obstacles, bodies = self._plane.obstacles, self._plane.bodies
         for body, (geom, sites) in enumerate(self._movable):
-            row = int(bodies[body, flat.OBSTACLE])
-            c, s = obstacles[row, flat.COSINE], obstacles[row, flat.SINE]
+            row = int(bodies[body, planar.OBSTACLE])
+            c, s = obstacles[row, planar.COSINE], obstacles[row, planar.SINE]
             frame = _upright(c, s)
-            middle = (obstacles[row, flat.BOTTOM] + obstacles[row, flat.TOP]) / 2
-            place = np.array([obstacles[row, flat.CENTRE_X], obstacles[row, flat.CENTRE_Y], middle])
-            self._geoms[geom] = place
+            height = (obstacles[row, planar.BOTTOM] + obstacles[row, planar.TOP]) / 2
+            centre = np.array([obstacles[row, planar.CENTRE_X], obstacles[row, planar.CENTRE_Y], height])
+            self._geoms[geom] = centre
             self._geom_turns[geom] = frame.ravel()
             for site in sites:
                 site_turn = np.zeros(9)
                 mujoco.mju_quat2Mat(site_turn, self._model.site_quat[site])
-                self._sites[site] = place + frame @ self._model.site_pos[site]
+                self._sites[site] = centre + frame @ self._model.site_pos[site]
                 self._site_turns[site] = (frame @ site_turn.reshape(3, 3)).ravel()
 
 

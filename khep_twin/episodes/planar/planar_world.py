@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.board.rom import DEMO, ROMS
-from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.episodes.planar.plane import PlanarRobot, Plane
@@ -29,18 +29,18 @@ from khep_twin.sensing.light import Light
 from khep_twin.sensing.mujoco_scene import bulb_points
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.scene import COARSE, FINE
-from khep_twin.simulation.fitted_robots import FittedRobots
+from khep_twin.simulation.fitted_robots import CalibratedRobots
 from khep_twin.simulation.mujoco_forms import SceneModel, robot_state
 from khep_twin.simulation.simulation import Simulation
 from khep_twin.step import Reason, RobotState
 
 N_ROBOT_CONTACTS = 8
-"""Largest number of contacts of the robot: more obstacles than fit around it."""
+"""Largest number of contacts of the robot; fewer obstacles fit around it."""
 
 N_OBSTACLE_CONTACTS = 64
 """Largest number of simultaneous contacts between movable obstacles and others."""
 
-STATE_FIELDS = ("joints", "speeds", "ctrl", "force", "impulses", "last", "contacts")
+STATE_FIELDS = ("joints", "speeds", "ctrl", "force", "impulses", "last_step", "contacts")
 """Fields of `PlanarRobot` that are reset at the start of each episode."""
 
 Floats = NDArray[np.float64]
@@ -59,30 +59,30 @@ class PlanarForms:
         self._entry = scene_model.playpen.robots[0]
         self._model = scene_model.model
         self._calibration = self._drawn_calibration = calibration.read(self._entry.calibration)[0]
-        self._fitted: tuple[PlanarScene, FittedRobots, mujoco.MjModel, mujoco.MjData] | None = None
+        self._varied: tuple[PlanarScene, CalibratedRobots, mujoco.MjModel, mujoco.MjData] | None = None
         self._indices = RobotIndices.of(self._model, "khepera0")
-        self._lights = LightSource(self._model, self._indices)
+        self._light_source = LightSource(self._model, self._indices)
         points = [bulb_points(disc) for disc in (COARSE, FINE)]
         fields: dict[str, Any] = {
-            **planar_scene.chassis,
+            **planar_scene.robot_constants,
             "mounts": planar_scene.mounts,
             "sensor_height": planar_scene.sensor_height,
             "sensor_range": 0.0,
-            "n_few": len(points[0]),
+            "n_coarse_points": len(points[0]),
             "points": np.concatenate(points),
             "hidden": np.zeros(sum(map(len, points)), np.int64),
             "contacts": np.zeros((N_ROBOT_CONTACTS, 6)),
-            "joints": np.zeros(flat.N_JOINTS),
-            "speeds": np.zeros(flat.N_JOINTS),
+            "joints": np.zeros(planar.N_JOINTS),
+            "speeds": np.zeros(planar.N_JOINTS),
             "ctrl": np.zeros(2),
             "force": np.zeros(2),
-            "impulses": np.zeros(flat.N_IMPULSES),
-            "last": np.zeros(flat.N_LAST),
+            "impulses": np.zeros(planar.N_IMPULSES),
+            "last_step": np.zeros(planar.N_LAST),
         }
         self._obstacles, self._near = planar_scene.obstacles.copy(), np.zeros_like(planar_scene.obstacles)
         self._bodies = planar_scene.bodies.copy()
-        self._obstacle_contacts = np.zeros((N_OBSTACLE_CONTACTS, flat.N_CONTACT_COLUMNS))
-        self._order = np.zeros(len(self._obstacles) - len(self._bodies), np.int64)
+        self._obstacle_contacts = np.zeros((N_OBSTACLE_CONTACTS, planar.N_CONTACT_COLUMNS))
+        self._fixed_by_distance = np.zeros(len(self._obstacles) - len(self._bodies), np.int64)
         robot = PlanarRobot(**fields)
         self._records = as_records([robot], robot)
         record: Any = self._records[0]
@@ -93,9 +93,9 @@ class PlanarForms:
             for name, value in fields.items()
         }
         near, bodies, obstacle_contacts = view(self._near), view(self._bodies), view(self._obstacle_contacts)
-        obstacles, order = view(self._obstacles), self._order.data
+        obstacles, order = view(self._obstacles), self._fixed_by_distance.data
         self.plane = Plane(obstacles, order, near, bodies, obstacle_contacts, PlanarRobot(**views))
-        self._set_sensors(planar_scene)
+        self._set_constants(planar_scene)
 
     def plain(self) -> PlaneScene:
         """Return the scene for plain code."""
@@ -104,42 +104,42 @@ class PlanarForms:
     def compiled(self) -> tuple[Any, ...]:
         """Return the scene for compiled code: the fields of `Plane`."""
         contacts, robots = self._obstacle_contacts, self._records
-        return self._obstacles, self._order, self._near, self._bodies, contacts, robots
+        return self._obstacles, self._fixed_by_distance, self._near, self._bodies, contacts, robots
 
     def place_robot(self, start: Start | None) -> None:
         """Reset the state, with the robot at rest at `start` [mm, deg], or at its pose in the playpen."""
-        x_mm, y_mm, heading_deg = start or self._planar_scene.position
+        x_mm, y_mm, heading_deg = start or self._planar_scene.start
         x, y, heading = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
         for array in self.state.values():
             array[:] = 0
         self.state["joints"][:3] = x, y, heading
         # Infinity makes the first step measure all distances and compute the cosine of the heading.
-        self.state["last"][[flat.ANCHOR_X, flat.END_HEADING]] = np.inf
+        self.state["last_step"][[planar.ANCHOR_X, planar.END_HEADING]] = np.inf
         self._obstacles[:], self._bodies[:] = self._planar_scene.obstacles, self._planar_scene.bodies
         # An approximate order, which speeds up the first measurement.
-        fixed = self._obstacles[: len(self._order)]
-        distances = np.hypot(fixed[:, flat.CENTRE_X] - x, fixed[:, flat.CENTRE_Y] - y)
-        self._order[:] = np.argsort(distances - fixed[:, flat.LENGTH], kind="stable")
+        fixed = self._obstacles[: len(self._fixed_by_distance)]
+        distances = np.hypot(fixed[:, planar.CENTRE_X] - x, fixed[:, planar.CENTRE_Y] - y)
+        self._fixed_by_distance[:] = np.argsort(distances - fixed[:, planar.HALF_LENGTH], kind="stable")
 
-    def vary(self, make_rng: Callable[[int], np.random.Generator] | None) -> None:
-        """Draw the robot's parameters from its stream; None for those of the playpen."""
-        if self._fitted is None:
+    def vary_robots(self, make_rng: Callable[[int], np.random.Generator] | None) -> None:
+        """Draw the robot's calibration around the playpen's, by `make_rng(0)`; None for the playpen's."""
+        if self._varied is None:
             model = copy.copy(self._model)
-            self._fitted = (
+            self._varied = (
                 copy.copy(self._planar_scene),
-                FittedRobots(model, [self._indices]),
+                CalibratedRobots(model, [self._indices]),
                 model,
                 mujoco.MjData(model),
             )
-        scene, fitted, model, data = self._fitted
+        scene, calibrated_robots, model, data = self._varied
         self._drawn_calibration = self._calibration
         if make_rng is None:
             scene = self._planar_scene
         else:
             self._drawn_calibration = calibration.vary(self._calibration, make_rng(0))
-            fitted.fit([self._drawn_calibration], data)
-            scene.fit(model, self._indices, data)
-        self._set_sensors(scene)
+            calibrated_robots.set_calibrations([self._drawn_calibration], data)
+            scene.set_robot(model, self._indices, data)
+        self._set_constants(scene)
 
     @property
     def n_robots(self) -> int:
@@ -157,7 +157,7 @@ class PlanarForms:
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
         """Return the lamps with their precomputed lines of sight."""
-        return self._lights.light(lamps.positions, lighting)
+        return self._light_source.light(lamps.positions, lighting)
 
     def describe_error(self, reason: int) -> str:
         """Return why the motion cannot continue."""
@@ -166,7 +166,7 @@ class PlanarForms:
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad]."""
-        return flat.true_pose(self.state["joints"].tolist())
+        return planar.true_pose(self.state["joints"].tolist())
 
     @property
     def joints(self) -> Floats:
@@ -176,11 +176,11 @@ class PlanarForms:
     @property
     def objects(self) -> Floats:
         """Positions x, y [m] and headings [rad] of the movable obstacles (n, 3)."""
-        rows = self._obstacles[len(self._order) :]
-        headings = np.arctan2(rows[:, flat.SINE], rows[:, flat.COSINE])
-        return np.column_stack([rows[:, flat.CENTRE_X], rows[:, flat.CENTRE_Y], headings])
+        rows = self._obstacles[len(self._fixed_by_distance) :]
+        headings = np.arctan2(rows[:, planar.SINE], rows[:, planar.COSINE])
+        return np.column_stack([rows[:, planar.CENTRE_X], rows[:, planar.CENTRE_Y], headings])
 
-    def _set_sensors(self, scene: PlanarScene) -> None:
+    def _set_constants(self, scene: PlanarScene) -> None:
         """Set the constants of a plane, and the robot's sensors from the last drawn calibration."""
         joints, drawn = PlanarScene.JOINTS, self._drawn_calibration
         self._robot_state = robot_state(self._model, self._indices, joints, drawn, self._entry)
@@ -188,11 +188,11 @@ class PlanarForms:
         ranges = np.array(proximity.offset) + proximity.reach + scene.mounts[:, 4]
         record: Any = self._records[0]
         reach = max(float(ranges.max()), 2 * record["radius"])
-        fields = {**scene.chassis, "mounts": scene.mounts, "sensor_range": reach}
+        fields = {**scene.robot_constants, "mounts": scene.mounts, "sensor_range": reach}
         for name, value in fields.items():
             record[name] = value
-        single = {name: value for name, value in fields.items() if not isinstance(value, np.ndarray)}
-        self.plane = self.plane._replace(robot=self.plane.robot._replace(**single))
+        scalars = {name: value for name, value in fields.items() if not isinstance(value, np.ndarray)}
+        self.plane = self.plane._replace(robot=self.plane.robot._replace(**scalars))
 
 
 class PlanarWorld:
@@ -276,11 +276,11 @@ class PlanarWorld:
     def is_pushed(self) -> bool:
         """True if an obstacle pushed the robot in the last substep."""
         impulses = self.forms.state["impulses"]
-        return bool(impulses[flat.PUSHED] or impulses[flat.PUSHED_ASIDE])
+        return bool(impulses[planar.PUSHED] or impulses[planar.PUSHED_ASIDE])
 
     @property
     def joints(self) -> Floats:
-        """Copy of the joint positions (flat.N_JOINTS,)."""
+        """Copy of the joint positions (planar.N_JOINTS,)."""
         return self.forms.joints
 
     def _switch_on_board(self) -> None:

@@ -7,13 +7,13 @@ from typing import NamedTuple
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Matrix, Vector
 
-CENTRE_X, CENTRE_Y, COSINE, SINE, LENGTH, WIDTH, BOTTOM, TOP = 0, 1, 2, 3, 4, 5, 6, 7
+CENTRE_X, CENTRE_Y, COSINE, SINE, HALF_LENGTH, HALF_WIDTH, BOTTOM, TOP = 0, 1, 2, 3, 4, 5, 6, 7
 """Columns of `Plane.obstacles`: centre [m], direction of the length, half of length and width [m], heights
-[m]. A cylinder has its radius as length, and a width below 0."""
+[m]. A half width below 0 marks a cylinder, whose half length is its radius."""
 
-TOUCHABLE, REFLECTANCE, DISTANCE, ALONG, ACROSS = 8, 9, 10, 11, 12
+TOUCHABLE, REFLECTANCE, DISTANCE, NORMAL_IMPULSE, TANGENT_IMPULSE = 8, 9, 10, 11, 12
 """More columns: 1 if the robot's body can touch it, infrared reflectance, distance from the anchor [m] (the
-position of the last measurement), and impulse on the body in the last substep, along and across [N s]."""
+position of the last measurement), and impulse on the robot in the last substep: normal, tangential [N s]."""
 BODY = 13
 """Another column: index of a movable obstacle in `Plane.bodies`; below 0 for fixed ones."""
 N_COLUMNS = 14
@@ -37,7 +37,7 @@ N_CONTACT_COLUMNS = 11
 
 HEADING_COSINE, HEADING_SINE, ANCHOR_DISTANCE, ANCHOR_X, ANCHOR_Y, SLIPS = range(2, 8)
 END_HEADING, END_COSINE, END_SINE, N_NEAR, NEAREST = range(8, 13)
-"""Indices in `PlanarRobot.last`, behind CENTRE_X and CENTRE_Y: the heading at the start of the last step, the
+"""Indices in `PlanarRobot.last_step`, behind CENTRE_X and CENTRE_Y: the heading at the start of the step, the
 distance from the anchor and the anchor [m], whether a tyre slips or an obstacle is touched, the heading at
 the end of the step with its cosine and sine, and the number of near obstacles at its start, with the distance
 of the nearest [m]."""
@@ -80,14 +80,14 @@ class PlanarRobot(NamedTuple):
         left_free_speed: Speed of the left tyre per voltage, without load [m/s/V].
         right_free_speed: Speed of the right tyre per voltage, without load [m/s/V].
         linear_decay: Factor by which a substep reduces the lag behind the free speed, driving straight.
-        angular_decay: The same factor, turning in place.
+        angular_decay: Factor as `linear_decay`, turning in place.
         gear_friction: Dry friction of a gear, as a force at the tyre [N].
-        dead_voltage: Voltage at which a motor overcomes that friction [V].
+        dead_voltage: Voltage at which a motor overcomes the gear's friction [V].
         tyre_force: Largest force of a tyre that carries half of the robot [N].
-        left_grip: Factor of that force for the left tyre; 1 for a sound one.
-        right_grip: The same factor for the right tyre.
-        pitch_relief: Loss of that force per pitching moment, which loads a support [1/m].
-        roll_shift: Shift of that force to the other tyre per rolling moment [1/m].
+        left_grip: Factor of `tyre_force` for the left tyre; 1 without a fault.
+        right_grip: Factor of `tyre_force` for the right tyre.
+        pitch_relief: Loss of `tyre_force` per pitching moment, which loads a support [1/m].
+        roll_shift: Shift of `tyre_force` to the other tyre per rolling moment [1/m].
         weight_moment: Pitching moment of the weight [N m].
         pitch_arm: Pitching moment per accelerating force: height of the mass, and inertia of the wheels [m].
         push_height: Height at which obstacles push [m].
@@ -96,7 +96,7 @@ class PlanarRobot(NamedTuple):
         sensor_range: Largest distance from the robot's centre at which a sensor detects an obstacle [m].
         mounts: Mount of each sensor: x forward, y left, cosine and sine of its direction, distance from the
             robot's centre (8, 5) [m].
-        n_few: Number of points in the coarse sampling of a bulb.
+        n_coarse_points: Number of points in the coarse sampling of a bulb.
         points: Points of a bulb, those of the coarse and then of the fine sampling (n_points, 2).
         hidden: Buffer: 1 for points that are hidden (n_points,).
         contacts: Buffer for contacts: normal, gap, index of the obstacle, and position from its centre
@@ -106,7 +106,7 @@ class PlanarRobot(NamedTuple):
         ctrl: Motor voltages (2,) [V].
         force: Motor torques at the start of the step (2,) [N m].
         impulses: Impulses in the last substep (N_IMPULSES,) [N s].
-        last: State of the last step (N_LAST,).
+        last_step: State of the last step (N_LAST,).
     """
 
     substep: float
@@ -139,7 +139,7 @@ class PlanarRobot(NamedTuple):
     sensor_height: float
     sensor_range: float
     mounts: Matrix
-    n_few: int
+    n_coarse_points: int
     points: Matrix
     hidden: Vector[int]
     contacts: Matrix
@@ -148,7 +148,7 @@ class PlanarRobot(NamedTuple):
     ctrl: Vector[float]
     force: Vector[float]
     impulses: Vector[float]
-    last: Vector[float]
+    last_step: Vector[float]
 
 
 class Plane(NamedTuple):
@@ -156,7 +156,7 @@ class Plane(NamedTuple):
 
     Attributes:
         obstacles: Obstacles around the robot, fixed ones first (n, N_COLUMNS).
-        order: Indices of the fixed obstacles, nearest to the anchor first (n_fixed,).
+        fixed_by_distance: Indices of the fixed obstacles, nearest to the anchor first (n_fixed,).
         near: Buffer for the obstacles in sensor range at the start of the last step, in the robot's frame
             (n, N_COLUMNS).
         bodies: Movable obstacles (n_movable, N_BODY).
@@ -165,7 +165,7 @@ class Plane(NamedTuple):
     """
 
     obstacles: Matrix
-    order: Vector[int]
+    fixed_by_distance: Vector[int]
     near: Matrix
     bodies: Matrix
     obstacle_contacts: Matrix
@@ -176,22 +176,22 @@ class Plane(NamedTuple):
 def distance_to(obstacles: Matrix, obstacle: int, x: float, y: float) -> float:
     """Return the distance of an obstacle from a point [m], 0 within."""
     dx, dy = x - obstacles[obstacle, CENTRE_X], y - obstacles[obstacle, CENTRE_Y]
-    length, width = obstacles[obstacle, LENGTH], obstacles[obstacle, WIDTH]
-    if width < 0:
-        return max(math.sqrt(dx * dx + dy * dy) - length, 0.0)
+    half_length, half_width = obstacles[obstacle, HALF_LENGTH], obstacles[obstacle, HALF_WIDTH]
+    if half_width < 0:
+        return max(math.sqrt(dx * dx + dy * dy) - half_length, 0.0)
     c, s = obstacles[obstacle, COSINE], obstacles[obstacle, SINE]
-    along = max(abs(dx * c + dy * s) - length, 0.0)
-    across = max(abs(dy * c - dx * s) - width, 0.0)
+    along = max(abs(dx * c + dy * s) - half_length, 0.0)
+    across = max(abs(dy * c - dx * s) - half_width, 0.0)
     if along == 0.0:
         return across
     return math.sqrt(along * along + across * across)
 
 
 @compilable
-def nearest(obstacles: Matrix, obstacle: int, x: float, y: float) -> tuple[float, float, float]:
-    """Return the unit vector from an obstacle to a point, and the distance [m], negative within."""
+def normal_and_distance(obstacles: Matrix, obstacle: int, x: float, y: float) -> tuple[float, float, float]:
+    """Return the unit normal x, y of an obstacle towards a point, and the distance [m], negative within."""
     dx, dy = x - obstacles[obstacle, CENTRE_X], y - obstacles[obstacle, CENTRE_Y]
-    length, width = obstacles[obstacle, LENGTH], obstacles[obstacle, WIDTH]
+    length, width = obstacles[obstacle, HALF_LENGTH], obstacles[obstacle, HALF_WIDTH]
     if width < 0:
         distance = math.sqrt(dx * dx + dy * dy)
         if distance == 0:
@@ -214,7 +214,7 @@ def nearest(obstacles: Matrix, obstacle: int, x: float, y: float) -> tuple[float
 @compilable
 def direction(robot: PlanarRobot) -> tuple[float, float]:
     """Return cosine and sine of the heading."""
-    last, heading = robot.last, robot.joints[HEADING]
+    last, heading = robot.last_step, robot.joints[HEADING]
     if heading == last[END_HEADING]:
         return last[END_COSINE], last[END_SINE]
     return math.cos(heading), math.sin(heading)
@@ -223,7 +223,7 @@ def direction(robot: PlanarRobot) -> tuple[float, float]:
 @compilable
 def set_heading(robot: PlanarRobot, heading: float, cosine: float, sine: float) -> None:
     """Set the heading at the end of a step [rad], and its cosine and sine, which are normalised."""
-    last, scale = robot.last, 1.5 - 0.5 * (cosine * cosine + sine * sine)
+    last, scale = robot.last_step, 1.5 - 0.5 * (cosine * cosine + sine * sine)
     robot.joints[HEADING] = last[END_HEADING] = heading
     last[END_COSINE], last[END_SINE] = cosine * scale, sine * scale
 

@@ -8,10 +8,10 @@ from khep_twin.episodes.planar.plane import (
     CENTRE_X,
     CENTRE_Y,
     COSINE,
-    LENGTH,
+    HALF_LENGTH,
+    HALF_WIDTH,
     SINE,
     TOP,
-    WIDTH,
     Plane,
 )
 from khep_twin.sensing.buffers import Matrix
@@ -20,31 +20,31 @@ Vector = tuple[float, float, float]
 
 
 @compilable
-def stopped(plane: Plane, position: Vector, ray: Vector, glass: float) -> bool:
-    """Return whether light on a path from a point [m] is blocked before the fraction `glass` of it."""
+def is_path_blocked(plane: Plane, position: Vector, ray: Vector, glass: float) -> bool:
+    """Return whether a ray from a position [m] is blocked before the fraction `glass` of its length."""
     (start_x, start_y, start_z), (x, y, z) = position, ray
     if z < 0 and -start_z / z < glass:
         return True
     length = math.sqrt(x * x + y * y)
     for obstacle in range(len(plane.obstacles)):
-        if _is_clear(plane, obstacle, start_x, start_y, x, y, length, 0.0):
+        if _is_outside_path(plane, obstacle, start_x, start_y, x, y, length, 0.0):
             continue
-        if _stops(plane.obstacles, obstacle, start_x, start_y, start_z, x, y, z, glass):
+        if _blocks_path(plane.obstacles, obstacle, start_x, start_y, start_z, x, y, z, glass):
             return True
     return False
 
 
 @compilable
-def blocked(
-    plane: Plane, position: Vector, first: int, last: int, left: Vector, up: Vector, ray: Vector, glass: float
+def hidden_fraction(
+    plane: Plane, position: Vector, start: int, stop: int, left: Vector, up: Vector, ray: Vector, glass: float
 ) -> float:
-    """Return the fraction of a range of a bulb's points that is hidden from a position.
+    """Return the fraction of a bulb's points `start` to `stop` that is hidden from a position.
 
     Args:
-        plane: Plane with these points.
+        plane: Plane, whose robot has the points.
         position: Position of the sensor [m].
-        first: Index of the first point.
-        last: Index behind the last point.
+        start: Index of the first point.
+        stop: Index behind the last point.
         left: Vector from the bulb's centre to its left edge, as seen from the sensor [m].
         up: Vector from the bulb's centre to its upper edge, as seen from the sensor [m].
         ray: Vector to the bulb's centre [m].
@@ -53,7 +53,7 @@ def blocked(
     points, hidden, obstacles = plane.robot.points, plane.robot.hidden, plane.obstacles
     start_x, start_y, start_z = position
     hits = 0
-    for point in range(first, last):
+    for point in range(start, stop):
         z = points[point, 0] * left[2] + points[point, 1] * up[2] + ray[2]
         hidden[point] = z < 0 and -start_z / z < glass  # by the floor
         hits += hidden[point]
@@ -61,45 +61,45 @@ def blocked(
     half_width = math.sqrt(left[0] * left[0] + left[1] * left[1]) + math.sqrt(up[0] * up[0] + up[1] * up[1])
     length = math.sqrt(ray[0] * ray[0] + ray[1] * ray[1])
     for obstacle in range(len(obstacles)):
-        if _is_clear(plane, obstacle, start_x, start_y, ray[0], ray[1], length, half_width):
+        if _is_outside_path(plane, obstacle, start_x, start_y, ray[0], ray[1], length, half_width):
             continue
-        for point in range(first, last):
+        for point in range(start, stop):
             if hidden[point]:
                 continue
             across, upward = points[point, 0], points[point, 1]
             x = across * left[0] + upward * up[0] + ray[0]
             y = across * left[1] + upward * up[1] + ray[1]
             z = across * left[2] + upward * up[2] + ray[2]
-            if _stops(obstacles, obstacle, start_x, start_y, start_z, x, y, z, glass):
+            if _blocks_path(obstacles, obstacle, start_x, start_y, start_z, x, y, z, glass):
                 hidden[point] = 1
                 hits += 1
-        if hits == last - first:
+        if hits == stop - start:
             break
-    return hits / (last - first)
+    return hits / (stop - start)
 
 
 @compilable
-def _is_clear(
+def _is_outside_path(
     plane: Plane, obstacle: int, x: float, y: float, ray_x: float, ray_y: float, length: float, radius: float
 ) -> bool:
-    """Return True if an obstacle is certainly outside a path of a length and radius [m]."""
-    obstacles = plane.obstacles
+    """Return True if an obstacle is certainly outside a ray from (x, y) with a length and a radius [m]."""
+    obstacles = plane.obstacles  # side, reach and dot are distances times the length of the ray [m^2]
     dx, dy = obstacles[obstacle, CENTRE_X] - x, obstacles[obstacle, CENTRE_Y] - y
-    half_length, width = obstacles[obstacle, LENGTH], obstacles[obstacle, WIDTH]
-    if width < 0:
-        size = (half_length + radius) * length
-        side = size
+    half_length, half_width = obstacles[obstacle, HALF_LENGTH], obstacles[obstacle, HALF_WIDTH]
+    if half_width < 0:
+        reach = (half_length + radius) * length
+        side = reach
     else:
         c, s = obstacles[obstacle, COSINE], obstacles[obstacle, SINE]
         along, across = abs(ray_x * c + ray_y * s), abs(ray_y * c - ray_x * s)
-        side = half_length * across + width * along + radius * length
-        size = half_length * along + width * across + radius * length
-    path = dx * ray_x + dy * ray_y
-    return abs(dx * ray_y - dy * ray_x) > side or path < -size or path - size > length * (length + radius)
+        side = half_length * across + half_width * along + radius * length
+        reach = half_length * along + half_width * across + radius * length
+    dot = dx * ray_x + dy * ray_y
+    return abs(dx * ray_y - dy * ray_x) > side or dot < -reach or dot - reach > length * (length + radius)
 
 
 @compilable
-def _stops(
+def _blocks_path(
     obstacles: Matrix,
     obstacle: int,
     x: float,
@@ -110,34 +110,34 @@ def _stops(
     ray_z: float,
     glass: float,
 ) -> bool:
-    """Return whether an obstacle blocks light on a path [m] before the fraction `glass` of it."""
+    """Return whether an obstacle blocks a ray from (x, y, z) [m] before the fraction `glass` of the ray."""
     ray_square = ray_x * ray_x + ray_y * ray_y
-    length, width = obstacles[obstacle, LENGTH], obstacles[obstacle, WIDTH]
+    half_length, half_width = obstacles[obstacle, HALF_LENGTH], obstacles[obstacle, HALF_WIDTH]
     dx, dy = x - obstacles[obstacle, CENTRE_X], y - obstacles[obstacle, CENTRE_Y]
-    if width < 0:
-        towards, excess = dx * ray_x + dy * ray_y, dx * dx + dy * dy - length * length
-        square = towards * towards - ray_square * excess
-        if square < 0 or ray_square == 0:
+    if half_width < 0:
+        towards, square_gap = dx * ray_x + dy * ray_y, dx * dx + dy * dy - half_length * half_length
+        discriminant = towards * towards - ray_square * square_gap
+        if discriminant < 0 or ray_square == 0:
             return False
-        half_chord = math.sqrt(square)
-        first, last = (-towards - half_chord) / ray_square, (-towards + half_chord) / ray_square
+        half_chord = math.sqrt(discriminant)
+        entry, leave = (-towards - half_chord) / ray_square, (-towards + half_chord) / ray_square
     else:
         c, s = obstacles[obstacle, COSINE], obstacles[obstacle, SINE]
         along, across = dx * c + dy * s, dy * c - dx * s
         ray_along, ray_across = ray_x * c + ray_y * s, ray_y * c - ray_x * s
-        first, last = _crossing(along, ray_along, -length, length)
-        one, other = _crossing(across, ray_across, -width, width)
-        first, last = max(first, one), min(last, other)
-    if first > last or last < 0 or first >= glass:
+        entry, leave = _slab_fractions(along, ray_along, -half_length, half_length)
+        slab_entry, slab_leave = _slab_fractions(across, ray_across, -half_width, half_width)
+        entry, leave = max(entry, slab_entry), min(leave, slab_leave)
+    if entry > leave or leave < 0 or entry >= glass:
         return False
-    one, other = _crossing(z, ray_z, obstacles[obstacle, BOTTOM], obstacles[obstacle, TOP])
-    first, last = max(first, one), min(last, other)
-    return first <= last and last >= 0 and (first if first >= 0 else last) < glass
+    slab_entry, slab_leave = _slab_fractions(z, ray_z, obstacles[obstacle, BOTTOM], obstacles[obstacle, TOP])
+    entry, leave = max(entry, slab_entry), min(leave, slab_leave)
+    return entry <= leave and leave >= 0 and (entry if entry >= 0 else leave) < glass
 
 
 @compilable
-def _crossing(start: float, direction: float, low: float, high: float) -> tuple[float, float]:
-    """Return the fractions of a path at entry and exit between two planes; exit < entry if it misses."""
+def _slab_fractions(start: float, direction: float, low: float, high: float) -> tuple[float, float]:
+    """Return the fractions of a ray where it enters and leaves a slab; the second is smaller if it misses."""
     if direction == 0:
         return (-math.inf, math.inf) if low <= start <= high else (math.inf, -math.inf)
     low_fraction, high_fraction = (low - start) / direction, (high - start) / direction

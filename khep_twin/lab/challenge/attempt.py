@@ -108,7 +108,7 @@ def score_file(
     }
     if sys.platform == "win32":
         raise KhepTwinError("challenges need a system of Unix, which ends a process with all that it started")
-    output = _Output(show)
+    output = _PrintedText(show)
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         result_path = Path(folder) / "result.json"
         arguments = [sys.executable, "-P", str(Path(__file__).with_name("keeper.py")), str(MEMORY_GIB << 30)]
@@ -145,7 +145,7 @@ def score_file(
     return Attempt(controller, result_score, reason, output.lines, output.last_line)
 
 
-class _Output:
+class _PrintedText:
     """Text printed by a process; only its end is stored.
 
     Attributes:
@@ -175,7 +175,7 @@ class _Output:
 
 
 def _read_output(
-    process: "subprocess.Popen[bytes]", output: _Output, deadline: float, stop: Callable[[], bool]
+    process: "subprocess.Popen[bytes]", output: _PrintedText, deadline: float, stop: Callable[[], bool]
 ) -> bool:
     """Read a process's output to its end; return False for a time-out, or for too much output.
 
@@ -228,10 +228,10 @@ def _terminate(process: "subprocess.Popen[bytes]") -> None:
         process.stdout.close()
 
 
-def _read_result(result: Path) -> dict[str, Any]:
+def _read_result(result_path: Path) -> dict[str, Any]:
     """Return the result that the process wrote; empty if it is missing or damaged."""
     try:
-        content = json.loads(result.read_bytes())
+        content = json.loads(result_path.read_bytes())
     except (OSError, ValueError):
         content = None
     return content if isinstance(content, dict) else {}  # pyright: ignore[reportUnknownVariableType]
@@ -240,8 +240,8 @@ def _read_result(result: Path) -> dict[str, Any]:
 def _parse_score(content: dict[str, Any]) -> Score | None:
     """Return the score in a result; None without."""
     try:
-        table = content["score"]
-        return Score(float(table["value"]), tuple(map(float, table["runs"])), dict(table["metrics"]))
+        fields = content["score"]
+        return Score(float(fields["value"]), tuple(map(float, fields["runs"])), dict(fields["metrics"]))
     except (LookupError, TypeError, ValueError):
         return None
 
@@ -257,7 +257,7 @@ def _describe_exit(code: int) -> str:
 def _main(settings: dict[str, Any]) -> None:
     """Write the score of a file, or the reason why there is none, to the file `result`."""
     log = None if settings["log"] is None else Path(settings["log"])
-    result = Path(settings["result"])
+    result_path = Path(settings["result"])
     # The alarm ends an orphaned process.
     if sys.platform != "win32":
         signal.alarm(math.ceil(settings["real_seconds"] + INTERRUPTION_S + 2 * EXIT_S))
@@ -272,7 +272,7 @@ def _main(settings: dict[str, Any]) -> None:
             content: dict[str, Any] = {"score": asdict(file_score)}
     except KhepTwinError as error:
         content = {"reason": "; ".join(str(error).splitlines())}
-    write_atomic(result, json.dumps(content).encode("utf-8"))
+    write_atomic(result_path, json.dumps(content).encode("utf-8"))
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ from khep_twin.lab.experiment.start_poses import StartPose, starts
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import extent
 from khep_twin.randomness import SEED_LIMIT
+from khep_twin.renamed import renamed_attribute
 
 KIND = "challenges"
 """Folder of the shipped challenges in the assets."""
@@ -56,7 +57,7 @@ class Goal(TomlTable):
 
 
 class Penalty(TomlTable):
-    """A `[[penalty]]`: the cost of each unit of another metric, in units of the score."""
+    """A `[[penalty]]`: another metric, and the cost of each unit of it (`each`) in units of the score."""
 
     metric: Metric
     each: Annotated[float, Field(gt=0)]
@@ -83,12 +84,12 @@ class Challenge(TomlTable):
     penalties: Annotated[tuple[Penalty, ...], Field(alias="penalty")] = ()
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        if problems := list(self._problems()):
+    def _check_consistency(self) -> Self:
+        if problems := list(self._find_problems()):
             raise Problems(problems)
         return self
 
-    def _problems(self) -> Iterator[Problem]:
+    def _find_problems(self) -> Iterator[Problem]:
         metrics = [(("metric",), self.metric)]
         metrics += [(("penalty", i, "metric"), penalty.metric) for i, penalty in enumerate(self.penalties)]
         for location, metric in metrics:
@@ -116,6 +117,8 @@ class Challenge(TomlTable):
     def length(self) -> str:
         """Number of runs and their simulated time."""
         return f"{self.runs} run{'s' if self.runs > 1 else ''} of {self.seconds:g} s"
+
+    wanted = renamed_attribute("wanted", "passing_scores")
 
     @property
     def passing_scores(self) -> str:
@@ -183,7 +186,7 @@ def load(name: str) -> ChallengeFile:
     path = toml_files.folder(KIND) / f"{name}.toml" if name in names() else Path(name)
     is_shipped = challenge.playpen in playpens.names()
 
-    def problem(
+    def make_error(
         location: tuple[str | int, ...], message: str, expected: str | tuple[object, ...], value: object
     ) -> ChallengeError:
         line = LineNumbers(text).find(location)
@@ -194,21 +197,21 @@ def load(name: str) -> ChallengeFile:
     if not is_shipped and not Path(playpen_path).exists():
         message = f'playpen = "{challenge.playpen}": no such file'
         expected = f"the path of a file or a shipped name; {choices(challenge.playpen, playpens.names())}"
-        raise problem(("playpen",), message, expected, challenge.playpen)
+        raise make_error(("playpen",), message, expected, challenge.playpen)
     playpen = Playpen.load(playpen_path)
     if not playpen.robots:
-        raise problem(("playpen",), f"{challenge.playpen} has no robot", "one", challenge.playpen)
+        raise make_error(("playpen",), f"{challenge.playpen} has no robot", "one", challenge.playpen)
     movable = tuple(item.name for item in movable_objects(playpen) if item.name)
     if challenge.object is not None and challenge.object not in movable:
-        raise problem(("object",), f'object = "{challenge.object}": unknown', movable, challenge.object)
+        raise make_error(("object",), f'object = "{challenge.object}": unknown', movable, challenge.object)
     for index, goal in enumerate(challenge.goals):
         for key, message, expected, value in _goal_problems(goal, playpen):
-            raise problem(("goal", index, key), f"goal {index + 1}: {message}", expected, value)
+            raise make_error(("goal", index, key), f"goal {index + 1}: {message}", expected, value)
     file = ChallengeFile(challenge, playpen, name, path)
     try:
         file.start_poses(1, challenge.seed)
     except PlaypenError as error:
-        raise problem(("starts",), error.plain, "", challenge.starts) from error
+        raise make_error(("starts",), error.plain, "", challenge.starts) from error
     return file
 
 

@@ -19,13 +19,13 @@ _MAX_PROCESSES = 1000
 """Limit of processes and threads in addition to those of the machine; root's are not limited."""
 
 
-def main(memory: int, arguments: list[str]) -> None:
+def main(memory_bytes: int, arguments: list[str]) -> None:
     """Run a program, and exit with its exit code or signal."""
-    _limit(memory)
+    _limit_resources(memory_bytes)
     program = subprocess.Popen(arguments)
     kill_signal = signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL
-    signals = chain([signal.SIGTERM], repeat(kill_signal))
-    signal.signal(signal.SIGTERM, lambda number, frame: program.send_signal(next(signals)))
+    kill_signals = chain([signal.SIGTERM], repeat(kill_signal))
+    signal.signal(signal.SIGTERM, lambda number, frame: program.send_signal(next(kill_signals)))
     code = program.wait()
     if code < 0:
         with suppress(OSError):  # SIGKILL has no handler
@@ -34,16 +34,16 @@ def main(memory: int, arguments: list[str]) -> None:
     os._exit(code)
 
 
-def _limit(memory: int) -> None:
+def _limit_resources(memory_bytes: int) -> None:
     """Limit memory [bytes], core dumps and processes; lower limits stay."""
     if sys.platform == "win32":
         return  # Windows has no such limits
     import resource
 
-    limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CORE: 0}
+    limits = {resource.RLIMIT_DATA: memory_bytes, resource.RLIMIT_CORE: 0}
     with suppress(OSError):  # only Linux reports the number of all processes and threads
-        n_now = int(Path("/proc/loadavg").read_text().split()[3].split("/")[1])
-        limits[resource.RLIMIT_NPROC] = n_now + _MAX_PROCESSES
+        n_running = int(Path("/proc/loadavg").read_text().split()[3].split("/")[1])
+        limits[resource.RLIMIT_NPROC] = n_running + _MAX_PROCESSES
     for resource_id, limit in limits.items():
         current = resource.getrlimit(resource_id)
         soft, hard = (limit if value == resource.RLIM_INFINITY else min(value, limit) for value in current)

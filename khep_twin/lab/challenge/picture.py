@@ -40,7 +40,7 @@ def save(file: ChallengeFile, path: Path, replace: bool = True) -> None:
         if len(goals) > 1:
             corner = goal.x_mm + goal.radius_mm, goal.y_mm + goal.radius_mm
             axes.text(*corner, str(number), color=_GOAL_COLOUR, fontsize=8, zorder=9)
-    full = Image.open(BytesIO(drawing.picture(figure, "png", _DPI))).convert("RGB")
-    small = BytesIO()
-    full.quantize(_COLOURS).save(small, "PNG", optimize=True)
-    write_drawing(path, small.getvalue(), replace)
+    image = Image.open(BytesIO(drawing.picture(figure, "png", _DPI))).convert("RGB")
+    png = BytesIO()
+    image.quantize(_COLOURS).save(png, "PNG", optimize=True)
+    write_drawing(path, png.getvalue(), replace)

@@ -80,38 +80,38 @@ def rank_attempts(challenge: Challenge, attempts: Iterable[Attempt]) -> list[tup
     """Return attempts with their ranks, the best first; equal scores share a rank."""
     sign = -1 if challenge.better == "higher" else 1
     scored = [(sign * entry.score.value, entry.file, entry) for entry in attempts if entry.score is not None]
-    rest = sorted((entry for entry in attempts if entry.score is None), key=lambda attempt: attempt.file)
+    unscored = sorted((entry for entry in attempts if entry.score is None), key=lambda attempt: attempt.file)
     rows = [
-        (1 + sum(other < value for other, _, _ in scored), attempt)
+        (1 + sum(other_value < value for other_value, _, _ in scored), attempt)
         for value, _, attempt in sorted(scored, key=lambda row: row[:2])
     ]
-    return [*rows, *((None, attempt) for attempt in rest)]
+    return [*rows, *((None, attempt) for attempt in unscored)]
 
 
 def table(challenge: Challenge, attempts: Sequence[Attempt]) -> str:
     """Return attempts as lines of text."""
-    width = max(11, *(len(_name(attempt)) for attempt in attempts))
-    head = f"{'rank':>4}  {'participant':{width}}  {'score':>8}  {'passed':6}  note".rstrip()
-    lines = [head]
+    name_width = max(11, *(len(_name(attempt)) for attempt in attempts))
+    header = f"{'rank':>4}  {'participant':{name_width}}  {'score':>8}  {'passed':6}  note".rstrip()
+    lines = [header]
     for rank, entry in rank_attempts(challenge, attempts):
         value = "" if entry.score is None else f"{entry.score.value:.4g}"
         verdict, note = _passed_text(challenge, entry), escape_surrogates(entry.note)
-        row = f"{rank or '-':>4}  {_name(entry):{width}}  {value:>8}  {verdict:6}  {note}"
+        row = f"{rank or '-':>4}  {_name(entry):{name_width}}  {value:>8}  {verdict:6}  {note}"
         lines.append(row.rstrip())
     return "\n".join(lines)
 
 
 def to_csv(challenge: Challenge, attempts: Sequence[Attempt]) -> bytes:
     """Return attempts as a CSV file, with all digits of the scores and of each run's score."""
-    runs = max((len(attempt.score.runs) for attempt in attempts if attempt.score is not None), default=0)
+    n_runs = max((len(attempt.score.runs) for attempt in attempts if attempt.score is not None), default=0)
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
-        ["rank", "participant", "score", "passed", "note", *(f"run_{n + 1}" for n in range(runs))]
+        ["rank", "participant", "score", "passed", "note", *(f"run_{n + 1}" for n in range(n_runs))]
     )
     for rank, attempt in rank_attempts(challenge, attempts):
         score = attempt.score
-        value, *of_runs = [""] * (1 + runs) if score is None else [score.value, *score.runs]
+        value, *of_runs = [""] * (1 + n_runs) if score is None else [score.value, *score.runs]
         note = _plain_note(escape_surrogates(attempt.note))
         writer.writerow([rank or "", _name(attempt), value, _passed_text(challenge, attempt), note, *of_runs])
     return text.getvalue().encode("utf-8")

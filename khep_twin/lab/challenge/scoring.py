@@ -1,8 +1,9 @@
 """Scores of a controller file, run in this process: a new twin and a new controller for each run.
 
 A run lasts exactly the challenge's simulated time. Later commands of the controller are refused, so that a
-program that never returns also has a score. The score is the mean over the runs, less the penalties. The
-global random number generators of Python and numpy are seeded with the run's seed.
+program that never returns also has a score. A run's score is its metric less the penalties if higher is
+better, plus them if lower is better. The score is the mean over the runs. The global random number generators
+of Python and numpy are seeded with the run's seed.
 """
 
 import math
@@ -66,7 +67,7 @@ def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path 
     """
     logs = [None] * runs if log is None else run_files(log, runs)
     measurements = [
-        _run(file, controller, runs, start, seed + index, run_log)
+        _measure_run(file, controller, runs, start, seed + index, run_log)
         for index, (start, run_log) in enumerate(zip(cycle(file.start_poses(runs, seed)), logs, strict=False))
     ]
     values = tuple(_run_score(file, controller, run, metrics) for run, metrics in enumerate(measurements, 1))
@@ -117,7 +118,7 @@ class LimitedTime:
             raise StoppedError("the time of the challenge is over")
 
 
-def _run(
+def _measure_run(
     file: ChallengeFile, controller: str, runs: int, start: StartPose, seed: int, log: Path | None
 ) -> dict[str, float]:
     """Return the metrics of one run."""
@@ -128,10 +129,10 @@ def _run(
     np.random.seed(seed % 2**32)  # noqa: NPY002 (what a learner's program may use)
     program = find_controller(controller)
     twin = open_twin(at_start(file.playpen, 0, start), TwinOptions(seed))
-    time = LimitedTime(twin.world, to_ns(challenge.seconds))
-    twin.time_source = time
-    if twin.world.code.switch_at is not None and is_worth_compiling(challenge, runs):
-        twin.world.code.switch_at = 0
+    limited_time = LimitedTime(twin.world, to_ns(challenge.seconds))
+    twin.time_source = limited_time
+    if twin.world.code.switch_step is not None and is_worth_compiling(challenge, runs):
+        twin.world.code.switch_step = 0
     names = [item.name for item in movable_objects(file.playpen)]
     goals = _goals(challenge, twin.world.lamps)
     movable = None if challenge.object is None else names.index(challenge.object)
@@ -148,13 +149,13 @@ def _run(
         plan = Plan(seconds=challenge.seconds)
         source = OneRobot(robot, record)
         try:
-            results += run_series(program, source, plan, stop=time.is_over, on_abort=results.append)
+            results += run_series(program, source, plan, stop=limited_time.is_over, on_abort=results.append)
         except KhepTwinError:
             # After the limit, the error is the refusal, or the controller's reaction to it.
-            if not results or not time.is_over():
+            if not results or not limited_time.is_over():
                 raise
         finally:
-            time.limit_ns = None
+            limited_time.limit_ns = None
     return {**results[0].metrics, **task.metrics(challenge.seconds)}
 
 

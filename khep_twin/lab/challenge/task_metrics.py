@@ -24,7 +24,7 @@ UNITS = {
 }
 """Unit of each metric by its name: those of a series of runs, and those of `TaskMetrics`."""
 
-_SIDES = [PROXIMITY[Sensor.LEFT_90], PROXIMITY[Sensor.RIGHT_90]]
+_SIDE_SENSORS = [PROXIMITY[Sensor.LEFT_90], PROXIMITY[Sensor.RIGHT_90]]
 
 
 class TaskMetrics(Observer):
@@ -42,12 +42,12 @@ class TaskMetrics(Observer):
     ) -> None:
         self._index = index
         self._goals = goals
-        self._movable = movable
+        self._movable_index = movable
         ambient = calibration.read(world.playpen.robots[index].calibration)[0].ambient
         self._dark, self._bright = ambient.dark_counts, ambient.floor_counts
         self._n_samples = self._n_reached = self._n_at_last_goal = 0
         self._wall_following_sum = self._brightness_sum = 0.0
-        self._reached_ns = self._time_ns = self._begin_ns = world.time_ns
+        self._reached_ns = self._time_ns = self._start_ns = world.time_ns
         self._object_distance = math.inf
         world.add_observer(self)
 
@@ -58,31 +58,31 @@ class TaskMetrics(Observer):
         self._n_samples += 1
         self._time_ns = world.time_ns
         left, right = (float(speed) for speed in registers[SPEEDS])
-        side = float(registers[_SIDES].max()) / COUNTS_LIMIT
-        self._wall_following_sum += float(fitness.wall_following(left, right, side))
-        darkest = float(registers[AMBIENT].min())
-        self._brightness_sum += float(fitness.light_seeking(darkest, self._dark, self._bright))
+        side_proximity = float(registers[_SIDE_SENSORS].max()) / COUNTS_LIMIT
+        self._wall_following_sum += float(fitness.wall_following(left, right, side_proximity))
+        brightest_counts = float(registers[AMBIENT].min())
+        self._brightness_sum += float(fitness.light_seeking(brightest_counts, self._dark, self._bright))
         is_inside = [math.hypot(x - goal_x, y - goal_y) <= radius for goal_x, goal_y, radius in self._goals]
         if self._n_reached < len(is_inside) and is_inside[self._n_reached]:
             self._n_reached += 1
             self._reached_ns = self._time_ns
         if is_inside:
             self._n_at_last_goal += is_inside[-1]
-        if self._movable is not None:
-            object_x, object_y, _ = np.asarray(world.objects)[self._movable].tolist()
+        if self._movable_index is not None:
+            object_x, object_y, _ = np.asarray(world.objects)[self._movable_index].tolist()
             self._object_distance = math.hypot(object_x - self._goals[-1][0], object_y - self._goals[-1][1])
 
     def metrics(self, limit_s: float) -> dict[str, float]:
         """Return the metrics by name; without all goals reached, `goal_s` is the time limit [s]."""
-        all_reached = bool(self._goals) and self._n_reached == len(self._goals)
+        are_all_reached = bool(self._goals) and self._n_reached == len(self._goals)
         metrics = {
             "wall_following": self._wall_following_sum / self._n_samples,
             "brightness": self._brightness_sum / self._n_samples,
         }
         if self._goals:
             metrics["goals"] = float(self._n_reached)
-            metrics["goal_s"] = (self._reached_ns - self._begin_ns) / NS_PER_S if all_reached else limit_s
+            metrics["goal_s"] = (self._reached_ns - self._start_ns) / NS_PER_S if are_all_reached else limit_s
             metrics["goal_share"] = self._n_at_last_goal / self._n_samples
-        if self._movable is not None:
+        if self._movable_index is not None:
             metrics["object_mm"] = self._object_distance * 1e3
         return metrics

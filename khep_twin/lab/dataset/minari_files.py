@@ -29,7 +29,7 @@ from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.files.atomic import free_name, name_taken_message, resolve
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset.episodes import OfflineEpisode
-from khep_twin.signals import clear_at_end
+from khep_twin.signals import register_cleanup
 
 try:
     import gymnasium
@@ -142,7 +142,7 @@ def _temporary_folder(target: Path, force: bool) -> Generator[Path]:
     # Minari joins relative paths twice.
     part = Path(mkdtemp(prefix=f".{target.name}.part-", dir=resolve(target.parent)))
     clear = partial(shutil.rmtree, part, ignore_errors=True)
-    unregister = clear_at_end(clear)
+    unregister = register_cleanup(clear)
     try:
         (part / "new" / "data").mkdir(parents=True)
         yield part / "new" / "data"

@@ -39,21 +39,21 @@ def periods_of(path: Path, robot: str, task: Task, period_ns: int) -> Periods:
     """
     recording = read_series(path)
     lines = recording.lines.get(f"/{robot}/serial", [])
-    times_ns, speeds, is_other = _commands(lines)
+    times_ns, speeds, is_other_mode = _commands(lines)
     channels = {
         term: recording.series.get(f"/{robot}/{_CHANNELS[term][0]}")
         for term in task.observation_terms
         if term in _CHANNELS
     }
-    _check(path, task, len(times_ns) > 0, channels)
+    _check_data(path, task, len(times_ns) > 0, channels)
     series = {term: channel for term, channel in channels.items() if channel is not None}
     first_ns = max(int(times_ns[0]), *(int(channel.times_ns[0]) for channel in series.values()))
     last_ns = max(int(channel.times_ns[-1]) for channel in series.values())
     # A border is known if the period before it has replies. Only these are kept: a pause may last years.
     borders = [np.unique(-((first_ns - channel.times_ns) // period_ns)) for channel in series.values()]
-    numbers = reduce(partial(np.intersect1d, assume_unique=True), borders)
-    numbers = numbers[(numbers >= 0) & (numbers <= (last_ns - first_ns) // period_ns)]
-    borders_ns = first_ns + numbers * period_ns
+    indices = reduce(partial(np.intersect1d, assume_unique=True), borders)
+    indices = indices[(indices >= 0) & (indices <= (last_ns - first_ns) // period_ns)]
+    borders_ns = first_ns + indices * period_ns
     registers = np.zeros((len(borders_ns), N_REGISTERS), np.int64)
     measured = np.zeros((len(borders_ns), 2))
     for term, channel in series.items():
@@ -65,8 +65,10 @@ def periods_of(path: Path, robot: str, task: Task, period_ns: int) -> Periods:
             measured = channel.values[rows, :2].astype(np.float64)
     commanded = speeds[np.searchsorted(times_ns, borders_ns[:-1] + period_ns // 2, "right") - 1]
     n_commands = np.searchsorted(times_ns, borders_ns, "right")
-    n_others = np.concatenate([[0], np.cumsum(is_other)])
-    is_complete = (np.diff(numbers) == 1) & (n_others[n_commands[1:]] == n_others[n_commands[:-1] - 1])
+    n_other_modes = np.concatenate([[0], np.cumsum(is_other_mode)])
+    is_complete = (np.diff(indices) == 1) & (
+        n_other_modes[n_commands[1:]] == n_other_modes[n_commands[:-1] - 1]
+    )
     return Periods(
         period_ns, borders_ns, registers, measured, commanded.astype(np.float64), None, is_complete, 1.0, 0.0
     )
@@ -80,25 +82,25 @@ def _commands(lines: Sequence[TextLine]) -> tuple[NDArray[np.int64], NDArray[np.
     """
     times_ns: list[int] = []
     speeds: list[tuple[int, int]] = []
-    is_other: list[int] = []
+    is_other_mode: list[int] = []
     for line in lines:
         match parse(line.text.encode()) if line.name == "host" else None:
             case Command("D", (int(left), int(right))):
                 speeds.append((left, right))
-                is_other.append(0)
+                is_other_mode.append(0)
             case Command("C" | "P", _) if speeds:
                 speeds.append(speeds[-1])
-                is_other.append(1)
+                is_other_mode.append(1)
             case _:
                 continue
         times_ns.append(line.time_ns)
-    return np.array(times_ns, np.int64), np.array(speeds, np.int64), np.array(is_other, np.int64)
+    return np.array(times_ns, np.int64), np.array(speeds, np.int64), np.array(is_other_mode, np.int64)
 
 
-def _check(path: Path, task: Task, has_speeds: bool, channels: Mapping[str, TimeSeries | None]) -> None:
+def _check_data(path: Path, task: Task, has_speeds: bool, channels: Mapping[str, TimeSeries | None]) -> None:
     """Raise a `LogError` with the data that the log lacks for the task."""
-    absent = [term for term, channel in channels.items() if channel is None]
-    missing = [f"replies to {_CHANNELS[term][1]} ({term})" for term in absent]
+    missing_terms = [term for term, channel in channels.items() if channel is None]
+    missing = [f"replies to {_CHANNELS[term][1]} ({term})" for term in missing_terms]
     missing += [] if has_speeds else ["commands D (speeds)"]
     missing += ["a calibration (light)"] if "light" in channels else []
     missing += [f"the true pose (goal {task.goal!r})"] if task.goal else []

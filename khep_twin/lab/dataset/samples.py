@@ -84,7 +84,7 @@ def _make_periods(
     poses: NDArray[np.float64],
     moves_ns: Sequence[int],
     period_ns: int,
-    light: tuple[float, float],
+    light_limits: tuple[float, float],
     goal: tuple[float, float],
 ) -> Periods:
     """Return the control periods of one robot.
@@ -94,51 +94,51 @@ def _make_periods(
         poses: True x, y [m] and heading [rad] at the same times (m, 3).
         moves_ns: Times at which the robot was moved by hand [ns].
         period_ns: Control period [ns].
-        light: Ambient readings in the dark and in the brightest light [counts].
+        light_limits: Ambient readings in the dark and in the brightest light [counts].
         goal: Position x, y of the goal [m].
     """
     times_ns = np.arange(0, (len(samples) - 1) * SAMPLE_NS + 1, period_ns)
-    rows, rest_ns = np.divmod(times_ns, SAMPLE_NS)
-    is_between = rest_ns > 0
+    rows, remainder_ns = np.divmod(times_ns, SAMPLE_NS)
+    is_between = remainder_ns > 0
     registers, pose = samples[rows].astype(np.int64), poses[rows]
     if is_between.any():
         registers[is_between] = _interpolate(samples[rows[is_between]], samples[rows[is_between] + 1])
-        step = poses[rows[is_between] + 1] - pose[is_between]
-        step[:, 2] = np.remainder(step[:, 2] + math.pi, 2 * math.pi) - math.pi
-        pose[is_between] += step / 2
+        pose_changes = poses[rows[is_between] + 1] - pose[is_between]
+        pose_changes[:, 2] = np.remainder(pose_changes[:, 2] + math.pi, 2 * math.pi) - math.pi
+        pose[is_between] += pose_changes / 2
         pose[:, 2] = np.remainder(pose[:, 2] + math.pi, 2 * math.pi) - math.pi
     speeds = np.zeros((len(times_ns), 2))
     speeds[1:] = np.diff(registers[:, _ENCODERS], axis=0) / (period_ns // units.TICK_NS)
-    middles = -(-(times_ns[:-1] + period_ns // 2) // SAMPLE_NS)
-    commanded = samples[middles][:, SETPOINTS].astype(np.float64)
+    middle_rows = -(-(times_ns[:-1] + period_ns // 2) // SAMPLE_NS)
+    commanded = samples[middle_rows][:, SETPOINTS].astype(np.float64)
     # A sample at the end of a period belongs to it, as it has the setpoints of the time before.
     n_other_modes = np.cumsum((samples[:, _MODES] != Mode.SPEED).any(axis=1))
     is_complete = np.diff(n_other_modes[rows]) == 0
     for move_ns in moves_ns:
         # A move at a border may affect both periods.
-        first, last = max(-(-move_ns // period_ns) - 1, 0), move_ns // period_ns
-        is_complete[first : last + 1] = False
-    return Periods(period_ns, times_ns, registers, speeds, commanded, pose, is_complete, *light, goal)
+        first_period, last_period = max(-(-move_ns // period_ns) - 1, 0), move_ns // period_ns
+        is_complete[first_period : last_period + 1] = False
+    return Periods(period_ns, times_ns, registers, speeds, commanded, pose, is_complete, *light_limits, goal)
 
 
 def _interpolate(start: NDArray[np.int32], end: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return the registers a tick after one sample and a tick before the next (n, N_REGISTERS)."""
     registers = start.astype(np.int64)
     registers[:, _ENCODERS] = end[:, _ENCODERS] - end[:, _SPEEDS]
-    half = units.N_SENSORS // 2
-    sensors = (start[:, [Board.SCAN]] + np.arange(half)) % units.N_SENSORS
+    n_converted = units.N_SENSORS // 2
+    converted_sensors = (start[:, [Board.SCAN]] + np.arange(n_converted)) % units.N_SENSORS
     for first in (PROXIMITY[0], AMBIENT[0]):
-        columns = first + sensors
+        columns = first + converted_sensors
         np.put_along_axis(registers, columns, np.take_along_axis(end, columns, 1).astype(np.int64), 1)
     return registers
 
 
 def _count_samples(path: Path, times_ns: NDArray[np.int64]) -> int:
     """Return the number of samples; raise a `LogError` unless there is one every 20 ms from the start."""
-    due_ns = np.arange(len(times_ns)) * SAMPLE_NS
-    if (missing := np.flatnonzero(times_ns != due_ns)).size:
-        at_s = due_ns[missing[0]] / 1e9
-        raise LogError(f"{path}: no sample at {at_s:.2f} s; expected one every {SAMPLE_NS // 10**6} ms")
+    expected_ns = np.arange(len(times_ns)) * SAMPLE_NS
+    if (missing := np.flatnonzero(times_ns != expected_ns)).size:
+        missing_s = expected_ns[missing[0]] / 1e9
+        raise LogError(f"{path}: no sample at {missing_s:.2f} s; expected one every {SAMPLE_NS // 10**6} ms")
     return len(times_ns)
 
 

@@ -102,7 +102,7 @@ def branch(
     return recorder.trajectory()
 
 
-def calibrations(log: Path, name: str, robot: int | None) -> dict[str, str]:
+def calibration_texts(log: Path, name: str, robot: int | None) -> dict[str, str]:
     """Return a calibration's text by robot name, for one robot or those on the log's serial lines."""
     setup = Setup.of(log)
     robot_index = setup.options.robot if robot is None else robot
@@ -120,11 +120,11 @@ def _run_controller(
 ) -> None:
     """Run a controller on its robot; the recorded hosts of the other robots continue."""
     twin = resumed.twin
-    index = twin.robot.index if plan.robot is None else plan.robot
-    if not 0 <= index < len(twin.world.robots):
-        raise LogError(f"{plan.log}: robot = {index}; expected 0 to {len(twin.world.robots) - 1}")
-    resumed.hosts.drop_host(index)
-    single_robot_twin = Twin(twin.world, (twin.world.robots[index],), twin.options, resumed.hosts)
+    robot_index = twin.robot.index if plan.robot is None else plan.robot
+    if not 0 <= robot_index < len(twin.world.robots):
+        raise LogError(f"{plan.log}: robot = {robot_index}; expected 0 to {len(twin.world.robots) - 1}")
+    resumed.hosts.drop_host(robot_index)
+    single_robot_twin = Twin(twin.world, (twin.world.robots[robot_index],), twin.options, resumed.hosts)
     seconds = (
         None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0) or DEFAULT_DURATION_S
     )

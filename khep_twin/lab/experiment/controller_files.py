@@ -164,9 +164,7 @@ _CONTROLLER = _Kind(
     "def controller(robot):\n    robot.set_speed(5, 5)",
 )
 _DRIVER = _Kind(
-    "controller",
-    "proximity and ambient light",
-    "def controller(proximity, ambient):\n    return 5, 5",
+    "controller", "proximity and ambient light", "def controller(proximity, ambient):\n    return 5, 5"
 )
 _RUN_END = _Kind("after", "a run", "def after(run):\n    print(run.metrics)")
 

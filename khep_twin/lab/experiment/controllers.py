@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
-from khep_twin.errors import ControllerError, KhepTwinError, in_a_line
+from khep_twin.errors import ControllerError, KhepTwinError, exception_text
 from khep_twin.files.atomic import resolve, write_atomic
 from khep_twin.files.text import escape_surrogates
 from khep_twin.host import Khepera
@@ -193,7 +193,7 @@ def error_in_file(file: str | Path, error: BaseException, prefix: str = "") -> C
     # Python's text of a syntax error names its file.
     is_inner = bool(neighbours) and not is_invalid and neighbours[-1][0] != file_path
     inner = f" ({neighbours[-1][0].name}, line {neighbours[-1][1]})" if is_inner else ""
-    return ControllerError(f"{file}{line}: {prefix}{in_a_line(error)}{inner}")
+    return ControllerError(f"{file}{line}: {prefix}{exception_text(error)}{inner}")
 
 
 def copy_variables(controller: Controller) -> dict[str, object]:

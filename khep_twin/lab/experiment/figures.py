@@ -33,7 +33,7 @@ _DEFAULT_COLUMNS = ("fitness", "distance_m", "collisions", "near_share", "light_
 """Columns drawn by default."""
 
 _COLOURS = ("#2f6fb0", "#c2452d", "#3f8f4f", "#8a5fa8", "#b8862b", "#4a4a4a")
-_WIDTH, _HEIGHT = 3.9, 2.5
+_COLUMN_WIDTH, _COLUMN_HEIGHT = 3.9, 2.5  # of a panel [inch]
 
 
 def default_columns(names: Sequence[str]) -> list[str]:
@@ -46,7 +46,7 @@ def draw(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence
     n_columns = min(len(names), 2 if len(names) < 5 else 3)
     n_rows = math.ceil(len(names) / n_columns)
     with matplotlib.style.context(STYLE):
-        figure = blank_figure(_WIDTH * n_columns, _HEIGHT * n_rows + 0.4, "constrained")
+        figure = blank_figure(_COLUMN_WIDTH * n_columns, _COLUMN_HEIGHT * n_rows + 0.4, "constrained")
         panels: list[Axes] = [figure.add_subplot(n_rows, n_columns, n + 1) for n in range(len(names))]
         for axes, name in zip(panels, names, strict=True):
             _draw_column(axes, labels, series, name)
@@ -59,7 +59,7 @@ def draw(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence
 
 
 def _draw_column(axes: Axes, labels: Sequence[str], series: Sequence[Sequence[Row]], name: str) -> None:
-    last = max(int(row["run"]) for rows in series for row in rows)
+    last_run = max(int(row["run"]) for rows in series for row in rows)
     for index, (label, rows) in enumerate(zip(labels, series, strict=True)):
         colour = _COLOURS[index % len(_COLOURS)]
         points = [(int(row["run"]), float(row[name])) for row in rows if finite_values([row], name)]
@@ -68,20 +68,19 @@ def _draw_column(axes: Axes, labels: Sequence[str], series: Sequence[Sequence[Ro
         runs, numbers = zip(*points, strict=True)
         axes.plot(runs, numbers, "o-", ms=3, lw=0.7, color=colour, label=label)
         statistics = summarize(numbers)
-        x = last + max(1.0, last * 0.06) * (1 + 0.5 * index)
+        x = last_run + max(1.0, last_run * 0.06) * (1 + 0.5 * index)
         ci95 = 0.0 if math.isnan(statistics.ci95) else statistics.ci95
         axes.errorbar([x], [statistics.mean], [ci95], fmt="D", ms=4, capsize=3, color=colour)
     axes.set_ylabel(f"{name} [{UNITS[name]}]" if UNITS.get(name) else name)
-    ticks = MaxNLocator(integer=True).tick_values(1, max(last, 2))
-    axes.set_xticks([tick for tick in ticks if 1 <= tick <= last])
+    ticks = MaxNLocator(integer=True).tick_values(1, max(last_run, 2))
+    axes.set_xticks([tick for tick in ticks if 1 <= tick <= last_run])
     # The axis starts at 0 unless values are negative.
     low, high = (0.0 if axes.dataLim.y0 >= 0 else axes.get_ylim()[0]), axes.get_ylim()[1]
     axes.set_ylim(low, high + 0.05 * (high - low))
 
 
-_PANEL_WIDTH = 3.6
+_SPREAD_WIDTH = 3.6
 """Width of the panel of the spread [inch]."""
-
 _N_MARKS = 4
 """Number of times at which the positions of all runs are marked."""
 
@@ -95,19 +94,19 @@ def draw_fan(plan: BranchPlan, trajectories: Sequence[Trajectory]) -> Figure:
     with matplotlib.style.context(STYLE):
         figure = draw_map(playpen, title=f"{plan.log.name}, {len(trajectories)} branches at {branch_s:g} s")
         axes = figure.axes[0]
-        for index, track in enumerate(run.robots.values()):
-            past = track.pose[track.times_ns <= plan.change.at_ns]
-            axes.plot(1e3 * past[:, 0], 1e3 * past[:, 1], color=INK, lw=1.2, zorder=4)
-            colour = _COLOURS[index % len(_COLOURS)]
+        for robot_index, track in enumerate(run.robots.values()):
+            past_poses = track.pose[track.times_ns <= plan.change.at_ns]
+            axes.plot(1e3 * past_poses[:, 0], 1e3 * past_poses[:, 1], color=INK, lw=1.2, zorder=4)
+            colour = _COLOURS[robot_index % len(_COLOURS)]
             opacity = max(min(8 / len(trajectories), 0.9), 0.12)
             for trajectory in trajectories:
-                x, y = 1e3 * trajectory.poses[:, index, :2].T
+                x, y = 1e3 * trajectory.poses[:, robot_index, :2].T
                 axes.plot(x, y, color=colour, lw=0.8, alpha=opacity, zorder=4)
-            axes.plot(*(1e3 * past[-1, :2]), "o", ms=4.5, mfc="white", mec=INK, zorder=7)
+            axes.plot(*(1e3 * past_poses[-1, :2]), "o", ms=4.5, mfc="white", mec=INK, zorder=7)
         panel = _add_panel(figure)
-        for index, name in enumerate(run.robots):
-            colour = _COLOURS[index % len(_COLOURS)]
-            times_s, rms, p95 = spread(trajectories, index)
+        for robot_index, name in enumerate(run.robots):
+            colour = _COLOURS[robot_index % len(_COLOURS)]
+            times_s, rms, p95 = spread(trajectories, robot_index)
             panel.plot(times_s, 1e3 * rms, color=colour, lw=1.4, label=f"{name}, root mean square")
             panel.plot(times_s, 1e3 * p95, color=colour, lw=0.9, ls="--", label="95 % of the runs")
         _mark_times(axes, panel, trajectories)
@@ -136,14 +135,14 @@ def spread(trajectories: Sequence[Trajectory], robot: int) -> tuple[Floats, Floa
 def _add_panel(figure: Figure) -> Axes:
     """Widen a figure and add a panel at its right."""
     width, height = figure.get_size_inches()
-    share = width / (width + _PANEL_WIDTH)
+    width_share = width / (width + _SPREAD_WIDTH)
     boxes = [axes.get_position() for axes in figure.axes]
-    figure.set_size_inches(width + _PANEL_WIDTH, height)
+    figure.set_size_inches(width + _SPREAD_WIDTH, height)
     for axes, box in zip(figure.axes, boxes, strict=True):
-        axes.set_position((box.x0 * share, box.y0, box.width * share, box.height))
+        axes.set_position((box.x0 * width_share, box.y0, box.width * width_share, box.height))
     map_box = boxes[0]
-    left = share + 0.55 / (width + _PANEL_WIDTH)
-    return figure.add_axes((left, map_box.y0, 1 - left - 0.15 / (width + _PANEL_WIDTH), map_box.height))
+    left = width_share + 0.55 / (width + _SPREAD_WIDTH)
+    return figure.add_axes((left, map_box.y0, 1 - left - 0.15 / (width + _SPREAD_WIDTH), map_box.height))
 
 
 def _mark_times(axes: Axes, panel: Axes, trajectories: Sequence[Trajectory]) -> None:

@@ -1,8 +1,8 @@
 """Metrics of a run.
 
-Metrics of the host's exchanges are available on every port, robot or twin. Metrics of the ground truth need a
-twin in this process. Metrics relative to the number of readings, for example a share of them, are equal on
-all ports that return the same replies. Times are in the port's time.
+Metrics of the host's exchanges, each a command and its reply, are available on every port, robot or twin.
+Metrics of the ground truth, the simulated state, need a twin in this process. Shares of the readings are
+equal on all ports that return the same replies. Times are in the port's time.
 """
 
 import math
@@ -19,7 +19,7 @@ from khep_twin.playpen.polygon import contains
 from khep_twin.sensing import calibration
 from khep_twin.world import Observer, World
 
-CELL = 0.05
+CELL_SIZE = 0.05
 """Side of a coverage cell [m]: about the robot's diameter."""
 
 UNITS = {
@@ -50,15 +50,15 @@ class HostMetrics:
         self._proximity: tuple[int, ...] | None = None
         self._proximity_readings: list[tuple[int, ...]] = []
         self._ambient_readings: list[tuple[int, ...]] = []
-        self._cycles: list[tuple[float, float]] = []
-        self._commands: list[tuple[float, float]] = []
+        self._cycle_values: list[tuple[float, float]] = []
+        self._command_values: list[tuple[float, float]] = []
 
     def __call__(self, request: str, reply: str) -> None:
         """Add one request and its reply."""
         if (speed := _parse_numbers(request, "D", 2)) and reply == "d":
             self._speed = speed[0], speed[1]
-            if not self._cycles:
-                self._commands.append(self._fitness_and_speed())
+            if not self._cycle_values:
+                self._command_values.append(self._fitness_and_speed())
         elif request == "N" and (counts := _parse_numbers(reply, "n", 8)):
             self._proximity = counts
             self._proximity_readings.append(counts)
@@ -67,7 +67,7 @@ class HostMetrics:
 
     def end_cycle(self) -> None:
         """End a cycle of the controller, at which its fitness is computed."""
-        self._cycles.append(self._fitness_and_speed())
+        self._cycle_values.append(self._fitness_and_speed())
 
     def _fitness_and_speed(self) -> tuple[float, float]:
         """Return the current fitness and mean speed [pulses/10 ms]."""
@@ -81,7 +81,7 @@ class HostMetrics:
         A `LoopingController` has no cycle callback, so each of its speed commands counts as a cycle.
         """
         metrics: dict[str, float] = {}
-        if cycles := self._cycles or self._commands:
+        if cycles := self._cycle_values or self._command_values:
             fitnesses, speeds = zip(*cycles, strict=True)
             metrics["fitness"] = math.fsum(fitnesses) / len(fitnesses)
             metrics["speed_mean"] = math.fsum(speeds) / len(speeds)
@@ -98,16 +98,16 @@ class HostMetrics:
 class GroundTruthMetrics(Observer):
     """Observer that records the ground truth of one robot from its creation to `end`."""
 
-    def __init__(self, world: World, index: int) -> None:
+    def __init__(self, world: World, robot_index: int) -> None:
         self._world = world
-        self._index = index
+        self._robot_index = robot_index
         self._times_ns: list[int] = []
         self._poses: list[tuple[float, float, float]] = []
         self._counts: list[NDArray[np.int64]] = []
-        self._columns = [*PROXIMITY, *AMBIENT]
+        self._sensor_registers = [*PROXIMITY, *AMBIENT]
         # Read the calibration before a controller may change the working directory.
-        entry = world.playpen.robots[index]
-        self._dark = np.array(calibration.read(entry.calibration)[0].ambient.dark_counts)
+        robot_entry = world.playpen.robots[robot_index]
+        self._dark = np.array(calibration.read(robot_entry.calibration)[0].ambient.dark_counts)
         world.add_observer(self)
         self.sample(world)
 
@@ -115,10 +115,10 @@ class GroundTruthMetrics(Observer):
         """Record the robot's pose and sensor values."""
         if self._times_ns and self._times_ns[-1] == world.time_ns:
             return
-        robot = world.robots[self._index]
+        robot = world.robots[self._robot_index]
         self._times_ns.append(world.time_ns)
         self._poses.append(robot.pose)
-        self._counts.append(robot.registers[self._columns])  # a copy
+        self._counts.append(robot.registers[self._sensor_registers])  # a copy
 
     def end(self) -> None:
         """Record the last sample and remove the observer."""
@@ -130,8 +130,8 @@ class GroundTruthMetrics(Observer):
         times_s, pose = np.array(self._times_ns) / 1e9, np.array(self._poses)
         proximity, ambient = np.hsplit(np.array(self._counts), 2)
         playpen = self._world.playpen
-        entry = playpen.robots[self._index]
-        radius = units.BODIES[entry.model].radius
+        robot_entry = playpen.robots[self._robot_index]
+        radius = units.BODIES[robot_entry.model].radius
         motion = statistics.motion(times_s, pose)
         collisions = statistics.collisions(times_s, pose, playpen, radius)
         return {
@@ -149,22 +149,22 @@ class GroundTruthMetrics(Observer):
 def coverage(positions: statistics.Floats, playpen: Playpen, radius: float) -> float:
     """Return the visited share of the cells whose centre has room for the robot; positions (n, 2) [m]."""
     xs, ys = (np.array(coordinates) / 1e3 for coordinates in zip(*playpen.arena.corners, strict=True))
-    n_cells = [max(1, math.ceil(float(np.ptp(coordinates)) / CELL - 1e-9)) for coordinates in (xs, ys)]
+    n_cells = [max(1, math.ceil(float(np.ptp(coordinates)) / CELL_SIZE - 1e-9)) for coordinates in (xs, ys)]
     corner = np.array([xs.min(), ys.min()])
     columns, rows = np.meshgrid(np.arange(n_cells[0]), np.arange(n_cells[1]), indexing="ij")
     cells = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
-    centres = corner + (cells + 0.5) * CELL
+    centres = corner + (cells + 0.5) * CELL_SIZE
     inside = np.array([contains(playpen.arena.corners, x * 1e3, y * 1e3) for x, y in centres.tolist()])
     free = inside & (statistics.clearance(centres, playpen) >= radius)
-    cell_indices = np.clip(((positions - corner) // CELL).astype(np.int64), 0, np.array(n_cells) - 1)
+    cell_indices = np.clip(((positions - corner) // CELL_SIZE).astype(np.int64), 0, np.array(n_cells) - 1)
     visited = np.unique(cell_indices[:, 0] * n_cells[1] + cell_indices[:, 1])
     return float(free[visited].sum() / free.sum()) if free.any() else 0.0
 
 
 def _parse_numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
     """Return the numbers of a line; None for a line with another letter, or a garbled one."""
-    head, *fields = line.split(",")
-    if head != letter or len(fields) != count:
+    first_field, *fields = line.split(",")
+    if first_field != letter or len(fields) != count:
         return None
     try:
         return tuple(int(field) for field in fields)

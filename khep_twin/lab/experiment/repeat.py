@@ -1,8 +1,8 @@
 """Repetition of a run from its log alone: the same world, the same host events at the same times.
 
-The world is rebuilt from the log's attachments, including calibrations. Its host events are repeated, and so
-are the changes of a run that was branched off another one. The state at every sample and every line of the
-transcript must equal the recorded ones.
+The world is rebuilt from the log's attachments, including calibrations. Host events are bytes, baud rate and
+connection of a host, and a user's moves of robots, lamps and notes. They are repeated, and so are the changes
+of a branch. The state at every sample and every line of the transcript must equal the recorded ones.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,6 @@ from itertools import zip_longest
 import numpy as np
 
 from khep_twin import __version__
-from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.log.channels import TextLine
@@ -69,24 +68,25 @@ def repeat(recorded: RecordedRun, progress: Callable[[float], None] | None = Non
     try:
         setup = Setup(recorded.path, recorded.label)
         with setup.open() as twin:
-            return _run(recorded, setup, twin, progress)
+            return _repeat_on_twin(recorded, setup, twin, progress)
     except LogError:
         raise
     except KhepTwinError as error:
         raise LogError(f"{recorded.path}: cannot be repeated: {first_line(error)}") from error
 
 
-def _run(
+def _repeat_on_twin(
     recorded: RecordedRun, setup: Setup, twin: Twin, progress: Callable[[float], None] | None
 ) -> Divergence | None:
+    """Repeat a run on a twin of its setup; return the first difference, or None."""
     comparison = _Comparison(twin.world, recorded)
     twin.world.add_observer(comparison)
-    run = ResumedRun(setup, (), twin, RecordedHosts(twin, iter(())), [])
+    run = ResumedRun(setup, changes=(), twin=twin, hosts=RecordedHosts(twin, iter(())), upcoming=[])
     last_ns = recorded.last_ns
     events = [event for event in recorded.events if not recorded.is_truncated or event[0] <= recorded.end_ns]
-    end: tuple[int, int, HostEvent | None] = recorded.end_ns if recorded.is_truncated else last_ns, 0, None
+    end_ns = recorded.end_ns if recorded.is_truncated else last_ns
     changes = list(recorded.changes)
-    for time_ns, index, event in [*events, end]:
+    for time_ns, robot_index, event in [*events, (end_ns, 0, None)]:
         while run.twin.world.time_ns < time_ns and comparison.difference is None:
             next_ns = changes[0].at_ns if changes else time_ns
             world = run.twin.world
@@ -98,16 +98,16 @@ def _run(
         if comparison.difference is not None:
             break
         if event is not None:
-            repeat_event(run.twin, index, event)
-    return min(filter(None, [comparison.difference, *comparison.lines(recorded)]), default=None)
+            repeat_event(run.twin, robot_index, event)
+    return min(filter(None, [comparison.difference, *comparison.line_differences(recorded)]), default=None)
 
 
 class _Comparison(Observer):
-    """Observer that stores the transcript and the first difference between a sample and its recording."""
+    """Observer that stores the transcript and the first state that differs from the recorded one."""
 
     def __init__(self, world: World, recorded: RecordedRun) -> None:
         self.difference: Divergence | None = None
-        self._recorded = recorded.states
+        self._recorded_states = recorded.states
         self._replies = ReplyHashes(len(world.robots))
         self._names = [robot.name for robot in world.robots]
         self._lines: dict[str, list[TextLine]] = {f"/{name}/serial": [] for name in self._names}
@@ -115,14 +115,15 @@ class _Comparison(Observer):
 
     def sample(self, world: World) -> None:
         """Compare the state with the recorded one."""
-        index = world.time_ns // SAMPLE_NS
-        if self.difference is None and index < len(self._recorded):
+        sample_number = world.time_ns // SAMPLE_NS
+        if self.difference is None and sample_number < len(self._recorded_states):
             registers = (board for robot in world.robots for board in board_registers(robot))
-            parts = (np.array(self._replies.values), world.data.qpos, world.data.qvel, *registers)
-            old, new = self._recorded[index], int(hash_samples(*(part.reshape(1, -1) for part in parts))[0])
+            state_arrays = (np.array(self._replies.values), world.data.qpos, world.data.qvel, *registers)
+            old = self._recorded_states[sample_number]
+            new = int(hash_samples(*(array.reshape(1, -1) for array in state_arrays))[0])
             if old != new:
-                texts = [f"{state % 2**64:016x}" for state in (old, new)]
-                self.difference = Divergence(world.time_ns, "/state", *texts)
+                hash_texts = [f"{state % 2**64:016x}" for state in (old, new)]
+                self.difference = Divergence(world.time_ns, "/state", *hash_texts)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Add bytes to the transcript."""
@@ -134,7 +135,7 @@ class _Comparison(Observer):
         """Add complete lines of the transcript."""
         self._lines[topic] += map(read_line, messages)
 
-    def lines(self, recorded: RecordedRun) -> list[Divergence]:
+    def line_differences(self, recorded: RecordedRun) -> list[Divergence]:
         """Return the first difference of each robot's transcript."""
         self._transcript.write()
         if not recorded.is_truncated:

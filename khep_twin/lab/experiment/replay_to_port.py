@@ -28,9 +28,9 @@ from khep_twin.playpen import parse
 QUANTITIES = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position", "r": "position"}
 """Quantities of the replies whose values are compared one by one, by letter."""
 
-_LAST_WAIT = 0.5
-_SLICE = 0.01
-_WINDOW = 8
+_LAST_WAIT_S, _SLICE_S = 0.5, 0.01
+"""Waiting time for the last replies, and longest wait between two reads of a real port [s]."""
+_SEARCH_WINDOW = 8
 """Number of replies within which the counterpart of a reply is searched."""
 
 
@@ -119,7 +119,7 @@ def replay_to_port(
     lines = [line for line in recorded.lines[robot] if line.name == "robot"]
     last_ns = lines[-1].time_ns if lines else 0
     replies = _send(events, url, _baud(recorded, events), _model(recorded, robot), last_ns, progress)
-    return _compare(recorded.label.robots[robot], lines, replies)
+    return _compare_replies(recorded.label.robots[robot], lines, replies)
 
 
 def _model(recorded: RecordedRun, robot: int) -> str:
@@ -158,11 +158,12 @@ def _send(
         # A simulated port loses no bytes, and each read would take simulated time.
         is_simulated = hasattr(port, "time_ns")
         start = khepera.time
-        end = HostEvent(HostEventKind.DISCONNECT, max(last_ns, events[-1].at_ns) + int(_LAST_WAIT * NS_PER_S))
+        end_ns = max(last_ns, events[-1].at_ns) + int(_LAST_WAIT_S * NS_PER_S)
+        end = HostEvent(HostEventKind.DISCONNECT, end_ns)
         try:
             for event in (*events, end):
                 while (wait := event.at_ns / NS_PER_S - (khepera.time - start)) > 0:
-                    khepera.sleep(wait if is_simulated else min(wait, _SLICE))
+                    khepera.sleep(wait if is_simulated else min(wait, _SLICE_S))
                     received += b"" if is_simulated else port.read(port.in_waiting)
                 if event.kind == HostEventKind.SEND:
                     port.write(event.data)
@@ -178,8 +179,9 @@ def _send(
     return [escape(line) for line in re.split(rb"[\r\n]", received) if line]
 
 
-def _compare(robot: str, recorded: Sequence[TextLine], replies: Sequence[str]) -> Comparison:
-    pairs, n_additional = _pair(recorded, replies)
+def _compare_replies(robot: str, recorded: Sequence[TextLine], replies: Sequence[str]) -> Comparison:
+    """Return the comparison of a robot's replies with the recorded ones."""
+    pairs, n_additional = _align(recorded, replies)
     first_difference = next(((line, text) for line, text in pairs if line.text != text), None)
     letters: dict[str, LetterComparison] = {}
     for letter in sorted({line.text[:1] for line, text in pairs if text}):
@@ -192,23 +194,23 @@ def _compare(robot: str, recorded: Sequence[TextLine], replies: Sequence[str]) -
     return Comparison(robot, letters, sum(not text for _, text in pairs), n_additional, first_difference)
 
 
-def _pair(recorded: Sequence[TextLine], replies: Sequence[str]) -> tuple[list[tuple[TextLine, str]], int]:
+def _align(recorded: Sequence[TextLine], replies: Sequence[str]) -> tuple[list[tuple[TextLine, str]], int]:
     """Return each recorded reply with its counterpart or an empty text, and the number of other replies."""
     pairs: list[tuple[TextLine, str]] = []
-    position, n_additional = 0, 0
+    reply_index, n_additional = 0, 0
     texts = [line.text for line in recorded]
     for index, line in enumerate(recorded):
-        n_skipped = _index_of_letter(line.text, replies[position : position + _WINDOW])
+        n_skipped = _index_of_letter(line.text, replies[reply_index : reply_index + _SEARCH_WINDOW])
         n_missing = None
-        if position < len(replies):
-            n_missing = _index_of_letter(replies[position], texts[index : index + _WINDOW])
+        if reply_index < len(replies):
+            n_missing = _index_of_letter(replies[reply_index], texts[index : index + _SEARCH_WINDOW])
         if n_skipped is None or (n_missing is not None and n_missing < n_skipped):
             pairs.append((line, ""))
             continue
         n_additional += n_skipped
-        pairs.append((line, replies[position + n_skipped]))
-        position += n_skipped + 1
-    return pairs, n_additional + len(replies) - position
+        pairs.append((line, replies[reply_index + n_skipped]))
+        reply_index += n_skipped + 1
+    return pairs, n_additional + len(replies) - reply_index
 
 
 def _index_of_letter(reply: str, replies: Sequence[str]) -> int | None:

@@ -108,15 +108,15 @@ class LightStatistics:
     time_s: float
 
 
-def find_intervals(times_s: Floats, holds: NDArray[np.bool_], gap_s: float = 0.0) -> Intervals:
+def find_intervals(times_s: Floats, is_true: NDArray[np.bool_], gap_s: float = 0.0) -> Intervals:
     """Return the time intervals in which a condition is true.
 
     Args:
         times_s: Increasing times of the samples (n,) [s].
-        holds: True where the condition is true (n,).
+        is_true: True where the condition is true (n,).
         gap_s: Gap below which intervals are joined [s]; the total excludes the gaps.
     """
-    edges = np.diff(holds[:-1].astype(np.int8), prepend=0, append=0)
+    edges = np.diff(is_true[:-1].astype(np.int8), prepend=0, append=0)
     spans = np.column_stack([times_s[np.flatnonzero(edges > 0)], times_s[np.flatnonzero(edges < 0)]])
     total_s = float(np.diff(spans, axis=1).sum())
     is_separate = spans[1:, 0] - spans[:-1, 1] >= gap_s
@@ -163,8 +163,8 @@ def odometry(pulses: NDArray[np.int64], start: Floats, body: Body = BODIES["khep
     heading = start[2] + (right - left) / body.wheel_base
     steps = np.diff((left + right) / 2)
     middle = (heading[1:] + heading[:-1]) / 2
-    moved = np.column_stack([steps * np.cos(middle), steps * np.sin(middle)])
-    positions = np.vstack([start[:2], start[:2] + np.cumsum(moved, axis=0)])
+    displacements = np.column_stack([steps * np.cos(middle), steps * np.sin(middle)])
+    positions = np.vstack([start[:2], start[:2] + np.cumsum(displacements, axis=0)])
     return np.column_stack([positions, heading])
 
 
@@ -193,8 +193,8 @@ def clearance(positions: Floats, playpen: Playpen) -> Floats:
     arena = playpen.arena
     shapes: list[Footprint] = [] if arena.table else [*walls_around(arena.corners, arena.wall_thickness_mm)]
     shapes += [shape for wall in playpen.walls for shape in wall.footprints]
-    items = (item for items in playpen.objects.values() for item in items if not item.movable)
-    shapes += [item.footprint for item in items if not (isinstance(item, Block) and item.ramp)]
+    fixed_objects = (item for items in playpen.objects.values() for item in items if not item.movable)
+    shapes += [item.footprint for item in fixed_objects if not (isinstance(item, Block) and item.ramp)]
     nearest = np.full(len(positions), np.inf)
     for shape in shapes:
         np.minimum(nearest, _signed_distances(positions, shape), out=nearest)

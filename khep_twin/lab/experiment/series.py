@@ -186,13 +186,13 @@ def run_series(
                     before_run(number)
                 if stop is not None and stop():
                     break
-                completed = _run(controller, robot, session.start, number, plan, progress, stop, on_abort)
+                completed = _run_one(controller, robot, session.start, number, plan, progress, stop, on_abort)
                 if completed is None:
                     break
                 yield completed
 
 
-def _run(
+def _run_one(
     controller: Controller,
     robot: Khepera,
     start: StartPose | None,
@@ -212,7 +212,7 @@ def _run(
         host_metrics.end_cycle()
         n_cycles += 1
 
-    def series_run(outcome: Outcome) -> SeriesRun:
+    def make_series_run(outcome: Outcome) -> SeriesRun:
         metrics = host_metrics.metrics() | ({} if ground_truth is None else ground_truth.metrics())
         return SeriesRun(number, start, outcome.cycles, outcome.duration, metrics, copy_variables(controller))
 
@@ -236,13 +236,13 @@ def _run(
     except KhepTwinError:
         # The error may be due to `stop` within a cycle.
         if on_abort is not None and stop is not None and stop():
-            on_abort(series_run(Outcome(n_cycles, robot.time - start_time, complete=False)))
+            on_abort(make_series_run(Outcome(n_cycles, robot.time - start_time, complete=False)))
         raise
     _log_event(twin, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
     if outcome.complete:
-        return series_run(outcome)
+        return make_series_run(outcome)
     if on_abort is not None:
-        on_abort(series_run(outcome))
+        on_abort(make_series_run(outcome))
     return None
 
 

@@ -29,12 +29,13 @@ from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
 from khep_twin.lab.experiment.measures import UNITS
 from khep_twin.lab.experiment.series_run import SeriesRun
+from khep_twin.renamed import renamed_attribute
 
 Row = Mapping[str, int | float | str | bool]
 """A run as a table row: values by column name."""
 
 _INDEX = "series.json"
-_SCALARS = (bool, int, float, str)
+_SCALAR_TYPES = (bool, int, float, str)
 _NAME_LIMIT = 63
 """Longest variable name in Matlab [characters]."""
 
@@ -79,6 +80,8 @@ class SeriesFolder:
         elif files := sorted([*path.glob("run-*.mat"), *path.glob("runs.*")]):
             raise ControllerError(f"{path}: holds {files[0].name} and no {_INDEX}; expected another folder")
         self._write()
+
+    keep = renamed_attribute("keep", "save")
 
     def save(self, run: SeriesRun) -> bool:
         """Save a run and return whether it is new; a repeated run must equal the saved one.
@@ -135,7 +138,7 @@ def read_series(path: StrPath) -> tuple[dict[str, object], list[Row]]:
         settings: dict[str, object] = dict(content["settings"])
         rows: list[Row] = [dict(row) for row in content["runs"]]
         for number, row in enumerate(rows, 1):
-            is_plain = {type(value) for value in row.values()} <= {*_SCALARS}
+            is_plain = {type(value) for value in row.values()} <= {*_SCALAR_TYPES}
             if row["run"] != number or not is_plain:
                 raise ValueError(f"runs: entry {number} is not run {number}")
     except FileNotFoundError:
@@ -167,7 +170,7 @@ def row_of(run: SeriesRun) -> Row:
         }
     row |= {"cycles": run.cycles, "duration_s": run.duration, **run.metrics}
     for name, value in run.variables.items():
-        if isinstance(value, _SCALARS):
+        if isinstance(value, _SCALAR_TYPES):
             row[name if name not in _UNITS else f"controller_{name}"] = value
     return row
 
@@ -205,22 +208,22 @@ def _parquet(rows: Sequence[Row], names: Sequence[str]) -> bytes:
 def _as_single_type(values: Sequence[int | float | str | None]) -> Sequence[int | float | str | None]:
     """Return a column's values with a common type; integers and floats become floats, other mixtures text."""
     present = [value for value in values if value is not None]
-    kinds = [kind for kind in (bool, int, float, str) if any(type(value) is kind for value in present)]
-    if len(kinds) <= 1:
+    types = [kind for kind in (bool, int, float, str) if any(type(value) is kind for value in present)]
+    if len(types) <= 1:
         return values
-    convert = float if kinds == [int, float] else str
+    convert = float if types == [int, float] else str
     return [None if value is None else convert(value) for value in values]
 
 
 def _mat(values: Mapping[str, object], description: str) -> bytes:
     """Return variables as the bytes of a MAT file."""
-    named: dict[str, object] = {}
+    variables: dict[str, object] = {}
     for name, value in values.items():
-        named[_identifier(name, named)] = np.asarray(value)
-    return mat_bytes(named, description)
+        variables[_matlab_name(name, variables)] = np.asarray(value)
+    return mat_bytes(variables, description)
 
 
-def _identifier(name: str, used_names: Mapping[str, object]) -> str:
+def _matlab_name(name: str, used_names: Mapping[str, object]) -> str:
     """Return a name as a Matlab identifier that is not in use."""
     identifier = "".join(char if char.isascii() and char.isalnum() else "_" for char in name)
     identifier = (identifier if identifier[:1].isalpha() else f"v{identifier}")[:_NAME_LIMIT]
@@ -228,12 +231,12 @@ def _identifier(name: str, used_names: Mapping[str, object]) -> str:
     return next(name for name in itertools.chain([identifier], numbered) if name not in used_names)
 
 
-def _first_difference(one: object, other: object) -> tuple[str, str]:
+def _first_difference(saved: object, current: object) -> tuple[str, str]:
     """Return two shortened settings; for multi-line texts, their first lines that differ."""
-    if isinstance(one, str) and isinstance(other, str):
-        pairs = itertools.zip_longest(one.splitlines(), other.splitlines(), fillvalue="nothing")
-        one, other = next((pair for pair in pairs if pair[0] != pair[1]), (one, other))
-    return _shorten(one), _shorten(other)
+    if isinstance(saved, str) and isinstance(current, str):
+        pairs = itertools.zip_longest(saved.splitlines(), current.splitlines(), fillvalue="nothing")
+        saved, current = next((pair for pair in pairs if pair[0] != pair[1]), (saved, current))
+    return _shorten(saved), _shorten(current)
 
 
 def _shorten(value: object) -> str:

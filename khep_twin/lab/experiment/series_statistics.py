@@ -64,17 +64,17 @@ def summarize(values: Sequence[float]) -> Summary:
 
 def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
     """Return the mean of `after` less the mean of `before`."""
-    first, second = summarize(before), summarize(after)
-    variances = [sample.sd**2 / sample.count for sample in (first, second)]
-    error = math.sqrt(sum(variances))
-    if not error:
-        return Difference(second.mean - first.mean, 0.0)
-    # Degrees of freedom by Welch and Satterthwaite.
-    degrees = math.nan
-    if not math.isnan(error):
-        pairs = zip(variances, (first, second), strict=True)
-        degrees = sum(variances) ** 2 / sum(part**2 / (sample.count - 1) for part, sample in pairs)
-    return Difference(second.mean - first.mean, _ci95(error, degrees))
+    summary_before, summary_after = summarize(before), summarize(after)
+    variances = [summary.sd**2 / summary.count for summary in (summary_before, summary_after)]
+    standard_error = math.sqrt(sum(variances))
+    if not standard_error:
+        return Difference(summary_after.mean - summary_before.mean, 0.0)
+    # Degrees of freedom (dof) by Welch and Satterthwaite.
+    dof = math.nan
+    if not math.isnan(standard_error):
+        pairs = zip(variances, (summary_before, summary_after), strict=True)
+        dof = sum(variances) ** 2 / sum(variance**2 / (summary.count - 1) for variance, summary in pairs)
+    return Difference(summary_after.mean - summary_before.mean, _ci95(standard_error, dof))
 
 
 def finite_values(rows: Sequence[Row], name: str) -> list[float]:
@@ -102,10 +102,10 @@ def measured_columns(series: Sequence[Sequence[Row]], requested: Sequence[str] |
 
 def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence[str]) -> str:
     """Return series as text: a line for each column and series, and the differences from the first series."""
-    head = ("", "series", "runs", "mean", "+- 95 %", "sd", "least", "most")
-    lines: list[tuple[str, ...]] = [head]
+    header = ("", "series", "runs", "mean", "+- 95 %", "sd", "least", "most")
+    lines: list[tuple[str, ...]] = [header]
     for name in names:
-        first: list[float] | None = None
+        first_values: list[float] | None = None
         title = f"{name} [{UNITS[name]}]" if UNITS.get(name) else name
         for label, rows in zip(labels, series, strict=True):
             numbers = finite_values(rows, name)
@@ -113,17 +113,16 @@ def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequenc
                 continue
             statistics = summarize(numbers)
             estimates = (statistics.mean, statistics.ci95, statistics.sd, statistics.low, statistics.high)
-            lines.append((title, label, str(statistics.count), *map(_number, estimates)))
+            lines.append((title, label, str(statistics.count), *map(_format_number, estimates)))
             title = ""
-            if first is None:
-                first = numbers
+            if first_values is None:
+                first_values = numbers
             else:
-                change = difference(first, numbers)
+                change = difference(first_values, numbers)
                 verdict = "differs" if change.is_clear else "no clear difference"
-                lines.append(
-                    ("", "  less the first", "", _number(change.mean), _number(change.ci95), verdict, "", "")
-                )
-    widths = [max(len(line[column]) for line in lines) for column in range(len(head))]
+                mean, ci95 = map(_format_number, (change.mean, change.ci95))
+                lines.append(("", "  less the first", "", mean, ci95, verdict, "", ""))
+    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
     return "\n".join(
         "  ".join(
             cell.ljust(width) if column < 2 else cell.rjust(width)
@@ -133,12 +132,12 @@ def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequenc
     )
 
 
-def _ci95(error: float, freedom: float) -> float:
+def _ci95(standard_error: float, dof: float) -> float:
     """Return the half width of the confidence interval of a mean with this standard error."""
-    if math.isnan(error) or not freedom > 0:
+    if math.isnan(standard_error) or not dof > 0:
         return math.nan
-    return float(student.ppf((1 + CONFIDENCE) / 2, freedom)) * error
+    return float(student.ppf((1 + CONFIDENCE) / 2, dof)) * standard_error
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.4g}"

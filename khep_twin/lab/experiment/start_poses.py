@@ -1,4 +1,4 @@
-"""Start poses and lighting of a series of runs."""
+"""Start poses and lighting of a series of runs, by words of the command line."""
 
 import math
 import re
@@ -22,7 +22,7 @@ from khep_twin.renamed import renamed_arguments
 LIGHTINGS = (*get_args(LightingMode), "off")
 """Lighting modes, and "off"."""
 
-_GRID_LIMIT = 1000
+_MAX_GRID_CELLS = 1000
 
 
 class StartPose(NamedTuple):
@@ -72,9 +72,9 @@ def starts(words: Sequence[str], playpen: Playpen, robot: int, runs: int, seed: 
             poses += _parse_grid(word, playpen, robot)
         else:
             poses.append(_parse_pose(word, playpen, robot))
-    fixed = [pose for pose in poses if pose is not None]
-    if len(fixed) == len(poses):
-        return fixed
+    given_poses = [pose for pose in poses if pose is not None]
+    if len(given_poses) == len(poses):
+        return given_poses
     random_poses = _random_poses(playpen, robot, seed)
     return [next(random_poses) if pose is None else pose for pose in islice(cycle(poses), runs)]
 
@@ -113,7 +113,7 @@ def nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Lamp:
     return min(playpen.lamps, key=lambda lamp: math.hypot(lamp.x_mm - x_mm, lamp.y_mm - y_mm))
 
 
-def numbers(text: str, count: int) -> list[float] | None:
+def parse_numbers(text: str, count: int) -> list[float] | None:
     """Return `count` finite numbers separated by commas, None for anything else."""
     try:
         values = [float(part) for part in text.split(",")]
@@ -123,7 +123,7 @@ def numbers(text: str, count: int) -> list[float] | None:
 
 
 def _parse_pose(word: str, playpen: Playpen, robot: int) -> StartPose:
-    values = numbers(word, 3)
+    values = parse_numbers(word, 3)
     if values is None:
         raise PlaypenError(
             f"start {word!r}; expected X,Y,HEADING in mm and degrees, such as 100,200,90, or "
@@ -137,17 +137,17 @@ def _parse_pose(word: str, playpen: Playpen, robot: int) -> StartPose:
 
 def _parse_grid(word: str, playpen: Playpen, robot: int) -> list[StartPose]:
     """Return the centres of a grid's cells with room, row by row from the lowest y."""
-    parts = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", word)
-    columns, rows = (int(parts[1]), int(parts[2])) if parts else (0, 0)
-    if parts is None or not 1 <= columns * rows <= _GRID_LIMIT:
+    match = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", word)
+    columns, rows = (int(match[1]), int(match[2])) if match else (0, 0)
+    if match is None or not 1 <= columns * rows <= _MAX_GRID_CELLS:
         raise PlaypenError(
             f"start {word!r}; expected grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as "
-            f"grid:3x2@90, of up to {_GRID_LIMIT} places"
+            f"grid:3x2@90, of up to {_MAX_GRID_CELLS} places"
         )
     (left, right), (low, high) = extent(playpen)
     xs = [left + (right - left) * (column + 0.5) / columns for column in range(columns)]
     ys = [low + (high - low) * (row + 0.5) / rows for row in range(rows)]
-    positions = [StartPose(x, y, float(parts[3] or 0)) for y in ys for x in xs]
+    positions = [StartPose(x, y, float(match[3] or 0)) for y in ys for x in xs]
     free = [start for start in positions if not find_obstruction(playpen, robot, start.x_mm, start.y_mm)]
     if not free:
         raise PlaypenError(f"start {word}: none of the {len(positions)} places has room for the robot")

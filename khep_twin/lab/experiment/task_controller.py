@@ -155,7 +155,7 @@ class TaskController(PeriodicController):
         space = getattr(self._policy, f"{kind}_space", None)
         if space is None:
             return
-        bounds = [np.asarray(getattr(space, end, ()), np.float64) for end in ("low", "high")]
+        bounds = [np.asarray(getattr(space, bound_name, ()), np.float64) for bound_name in ("low", "high")]
         has_shape = bounds[0].shape == bounds[1].shape == low.shape
         if has_shape and np.allclose(bounds, [low, high]):
             return

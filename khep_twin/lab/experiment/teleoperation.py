@@ -32,8 +32,7 @@ TIMEOUT = 0.6
 
 _CYCLE = 0.05
 """Shortest cycle of the loop [s]."""
-
-_SUPPLY_EVERY = 5.0
+_SUPPLY_INTERVAL = 5.0
 """Shortest time between two readings of the supply voltage [s]."""
 
 _NO_SPEED = Speeds(0, 0)
@@ -119,7 +118,7 @@ class Teleoperation:
         self._leds = _LEDS[0]
         self._sent_leds: tuple[int, int] | None = None
         self._supply_time: float | None = now()
-        self._failed = False
+        self._was_unanswered = False
 
     # From any thread -----------------------------------------------------------------------------------
 
@@ -189,11 +188,11 @@ class Teleoperation:
             # The robot may have missed any command; the next cycle sends all of them again.
             self._sent_speeds = self._sent_leds = None
             self._update(lost=state.lost + 1)
-            if self._failed:
+            if self._was_unanswered:
                 raise
-            self._failed = True
+            self._was_unanswered = True
             return
-        self._failed = False
+        self._was_unanswered = False
         self._sent_speeds, self._sent_leds = speeds, leds
         self._update(direction=direction, leds=leds, proximity=proximity, ambient=ambient, measured=measured)
         if self._supply_time is not None and direction is Direction.STOP and self._now() >= self._supply_time:
@@ -201,7 +200,7 @@ class Teleoperation:
 
     def _read_supply(self) -> None:
         """Read the supply voltage, twice that of the converter's channel 0; stop asking after a refusal."""
-        self._supply_time = self._now() + _SUPPLY_EVERY
+        self._supply_time = self._now() + _SUPPLY_INTERVAL
         try:
             counts = self._robot.converter(0)
         except ProtocolError:
@@ -222,7 +221,7 @@ def _round_away_from_zero(value: float) -> int:
 WIDTH, HEIGHT = 64, 18
 """Size of the smallest terminal [characters]."""
 
-_LABEL, _COUNTS, _GAP = 12, 5, 3
+_LABEL_WIDTH, _COUNTS_WIDTH, _GAP_WIDTH = 12, 5, 3  # [characters]
 _ON_OFF = ("off", "on")
 
 KEYS = (
@@ -236,33 +235,34 @@ def draw(state: DriveState, name: str, width: int, height: int) -> list[str]:
     if width < WIDTH or height < HEIGHT:
         line = f"{width} x {height} characters; expected at least {WIDTH} x {HEIGHT}; q ends"
         return [line[: max(width - 1, 0)]]
-    bar = (width - _LABEL - 2 * _COUNTS - _GAP - 1) // 2
+    bar_width = (width - _LABEL_WIDTH - 2 * _COUNTS_WIDTH - _GAP_WIDTH - 1) // 2
     left, right = (1e3 * speed(pulses) for pulses in state.measured)
     supply = "" if state.supply is None else f"   supply about {state.supply:.1f} V"
     lost = f"   {state.lost} replies lost" if state.lost else ""
-    column = bar + _COUNTS + _GAP
+    column_width = bar_width + _COUNTS_WIDTH + _GAP_WIDTH
     lines = [
         f"khep-twin drive  {name}",
         "",
-        f"{'':{_LABEL}}{'proximity':{column}}{BARS['light'].legend}",
+        f"{'':{_LABEL_WIDTH}}{'proximity':{column_width}}{BARS['light'].legend}",
         *(
-            f"{sensor:{_LABEL}}"
-            f"{_bar('proximity', near, bar)}{near:{_COUNTS}}{'':{_GAP}}"
-            f"{_bar('light', dark, bar)}{dark:{_COUNTS}}"
-            for sensor, near, dark in zip(SENSOR_LABELS, state.proximity, state.ambient, strict=True)
+            f"{sensor:{_LABEL_WIDTH}}"
+            f"{_draw_bar('proximity', proximity, bar_width)}{proximity:{_COUNTS_WIDTH}}{'':{_GAP_WIDTH}}"
+            f"{_draw_bar('light', ambient, bar_width)}{ambient:{_COUNTS_WIDTH}}"
+            for sensor, proximity, ambient in zip(SENSOR_LABELS, state.proximity, state.ambient, strict=True)
         ),
         "",
-        f"{'wheels':{_LABEL}}left {state.measured.left:4}  right {state.measured.right:4} pulses/10 ms"
+        f"{'wheels':{_LABEL_WIDTH}}left {state.measured.left:4}  right {state.measured.right:4} pulses/10 ms"
         f"   ({left:.0f}, {right:.0f} mm/s)",
-        f"{'drives':{_LABEL}}{state.direction.name.lower()}, speed {state.speed}{lost}",
-        f"{'LEDs':{_LABEL}}lateral {_ON_OFF[state.leds[0]]:3}  frontal {_ON_OFF[state.leds[1]]:3}{supply}",
+        f"{'drives':{_LABEL_WIDTH}}{state.direction.name.lower()}, speed {state.speed}{lost}",
+        f"{'LEDs':{_LABEL_WIDTH}}lateral {_ON_OFF[state.leds[0]]:3}  frontal {_ON_OFF[state.leds[1]]:3}"
+        f"{supply}",
         "",
         *KEYS,
     ]
     return [line[: width - 1] for line in lines]
 
 
-def _bar(name: str, value: float, width: int) -> str:
-    """Return a bar of `width` characters, filled in proportion to a value."""
-    n_filled = round(BARS[name].filled(value) * width)
+def _draw_bar(name: str, value: float, width: int) -> str:
+    """Return a bar of `width` characters, filled in proportion to a reading of a quantity in `BARS`."""
+    n_filled = round(BARS[name].filled_part(value) * width)
     return "#" * n_filled + "." * (width - n_filled)

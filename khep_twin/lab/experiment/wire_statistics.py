@@ -39,7 +39,7 @@ def wire(lines: Sequence[TextLine]) -> Wire:
     """Return a transcript's statistics; a reply belongs to the oldest pending command with its letter."""
     commands: Counter[str] = Counter()
     open_commands: list[tuple[str, int]] = []
-    times_ns: list[int] = []
+    delays_ns: list[int] = []
     refused = unanswered = 0
     for line in lines:
         if line.name == "host":
@@ -49,17 +49,17 @@ def wire(lines: Sequence[TextLine]) -> Wire:
             if name.isupper() or not name.isalpha():
                 open_commands.append((name[:1].lower(), line.time_ns))
             continue
-        refusal = line.text.startswith(_REFUSALS)
-        letters, head = [letter for letter, _ in open_commands], line.text.partition(",")[0]
+        is_refusal = line.text.startswith(_REFUSALS)
+        letters, reply_letter = [letter for letter, _ in open_commands], line.text.partition(",")[0]
         # A refusal answers the oldest command; commands before an answered one stay unanswered.
-        if not letters or (not refusal and head not in letters):
+        if not letters or (not is_refusal and reply_letter not in letters):
             continue
-        index = 0 if refusal else letters.index(head)
-        times_ns.append(line.time_ns - open_commands[index][1])
-        refused += refusal
-        unanswered += index
-        del open_commands[: index + 1]
+        command_index = 0 if is_refusal else letters.index(reply_letter)
+        delays_ns.append(line.time_ns - open_commands[command_index][1])
+        refused += is_refusal
+        unanswered += command_index
+        del open_commands[: command_index + 1]
     unanswered += len(open_commands)
-    mean_s = sum(times_ns) / len(times_ns) / 1e9 if times_ns else 0.0
-    ordered = dict(sorted(commands.items(), key=lambda item: (-item[1], item[0])))
-    return Wire(ordered, len(times_ns), refused, unanswered, mean_s, max(times_ns, default=0) / 1e9)
+    mean_s = sum(delays_ns) / len(delays_ns) / 1e9 if delays_ns else 0.0
+    sorted_commands = dict(sorted(commands.items(), key=lambda item: (-item[1], item[0])))
+    return Wire(sorted_commands, len(delays_ns), refused, unanswered, mean_s, max(delays_ns, default=0) / 1e9)

@@ -21,7 +21,7 @@ from khep_twin.units import SENSOR_LABELS
 
 _COLOURS = ("#e4572e", "#4dabf7", "#5c9e3a", "#9775c9", "#b8860b", "#2aa198")
 _UNITS = {"linear": "distance driven [cm]", "rotational": "turned [degrees]"}
-_ROW_HEIGHT, _MARGIN, _DRIVE_HEIGHT = 1.75, 0.85, 2.6
+_ROW_HEIGHT, _MARGIN, _DRIVE_HEIGHT = 1.75, 0.85, 2.6  # [inch]
 
 
 def draw_fit(tests: FitTests, fit: RobotFit) -> Figure | None:
@@ -30,49 +30,51 @@ def draw_fit(tests: FitTests, fit: RobotFit) -> Figure | None:
     Returns:
         The figure; None if only measured drives were fitted.
     """
-    kinds: dict[tuple[str, str], list[SensorData]] = {}
+    tests_by_kind: dict[tuple[str, str], list[SensorData]] = {}
     for data in (*tests.objects, *tests.lamps):
-        kinds.setdefault((data.run.test.what, data.run.test.motion), []).append(data)
-    heights = [2 * _ROW_HEIGHT + _MARGIN] * len(kinds) + [_DRIVE_HEIGHT] * len(tests.motors)
+        tests_by_kind.setdefault((data.run.test.what, data.run.test.motion), []).append(data)
+    heights = [2 * _ROW_HEIGHT + _MARGIN] * len(tests_by_kind) + [_DRIVE_HEIGHT] * len(tests.motors)
     if not heights:
         return None
     with matplotlib.style.context(STYLE):
         figure = blank_figure(10, sum(heights), "constrained")
         rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
-        parts: list[SubFigure] = rows[:, 0].tolist()
-        for part, (kind, runs) in zip(parts, kinds.items(), strict=False):
-            _draw_sensors(part, *kind, runs, fit)
-        for part, drive in zip(parts[len(kinds) :], tests.motors, strict=True):
-            _draw_speeds(part, fit.drives.get(drive.name, drive), fit.calibration)
+        subfigures: list[SubFigure] = rows[:, 0].tolist()
+        for subfigure, (kind, runs) in zip(subfigures, tests_by_kind.items(), strict=False):
+            _draw_sensors(subfigure, *kind, runs, fit)
+        for subfigure, drive in zip(subfigures[len(tests_by_kind) :], tests.motors, strict=True):
+            _draw_speeds(subfigure, fit.drives.get(drive.name, drive), fit.calibration)
     return figure
 
 
-def _draw_sensors(part: SubFigure, kind: str, motion: str, runs: Sequence[SensorData], fit: RobotFit) -> None:
+def _draw_sensors(
+    subfigure: SubFigure, kind: str, motion: str, tests: Sequence[SensorData], fit: RobotFit
+) -> None:
     """Draw eight panels, one per sensor."""
-    panels: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).ravel())
-    for index, data in enumerate(runs):
+    panels: list[Axes] = list(subfigure.subplots(2, 4, sharex=True, sharey=True).ravel())
+    for index, test in enumerate(tests):
         colour = _COLOURS[index % len(_COLOURS)]
-        model = simulate_readings(data, fit.calibration, fit.misplacements.get(data.name, IN_PLACE))
-        order = np.argsort(data.run.travelled, kind="stable")
-        for axes, counts, line in zip(panels, data.counts.T, model.T, strict=True):
-            axes.plot(data.run.travelled, counts, ".", ms=2.5, color=colour, alpha=0.55)
-            axes.plot(data.run.travelled[order], line[order], color=colour, lw=1.3, label=data.name)
+        model = simulate_readings(test, fit.calibration, fit.misplacements.get(test.name, IN_PLACE))
+        by_travel = np.argsort(test.run.travelled, kind="stable")
+        for axes, counts, line in zip(panels, test.counts.T, model.T, strict=True):
+            axes.plot(test.run.travelled, counts, ".", ms=2.5, color=colour, alpha=0.55)
+            axes.plot(test.run.travelled[by_travel], line[by_travel], color=colour, lw=1.3, label=test.name)
     for axes, name in zip(panels, SENSOR_LABELS, strict=True):
         axes.set_title(name, fontsize=9, color=INK)
-    part.supxlabel(_UNITS[motion], fontsize=9)
-    part.supylabel("ambient [counts]" if kind == "light" else "proximity [counts]", fontsize=9)
+    subfigure.supxlabel(_UNITS[motion], fontsize=9)
+    subfigure.supylabel("ambient [counts]" if kind == "light" else "proximity [counts]", fontsize=9)
     lines, labels = panels[0].get_legend_handles_labels()
-    part.legend(lines, labels, loc="outside upper center", ncols=3, fontsize=7, frameon=False)
+    subfigure.legend(lines, labels, loc="outside upper center", ncols=3, fontsize=7, frameon=False)
 
 
-def _draw_speeds(part: SubFigure, drive: DutyDrive, calibration: Calibration) -> None:
+def _draw_speeds(subfigure: SubFigure, drive: DutyDrive, calibration: Calibration) -> None:
     """Draw the speeds of the wheels with fixed duties."""
-    axes = part.subplots(1, 1)
+    axes = subfigure.subplots(1, 1)
     measured, twin = drive.speeds(drive.values), simulate(drive, calibration)
-    order = np.argsort(drive.times, kind="stable")
+    by_time = np.argsort(drive.speed_times_s, kind="stable")
     for side, name in enumerate(("left", "right")):
-        axes.plot(drive.times, measured[:, side], ".", ms=3, color=_COLOURS[side], alpha=0.6)
-        axes.plot(drive.times[order], twin[order, side], color=_COLOURS[side], lw=1.3, label=name)
+        axes.plot(drive.speed_times_s, measured[:, side], ".", ms=3, color=_COLOURS[side], alpha=0.6)
+        axes.plot(drive.speed_times_s[by_time], twin[by_time, side], color=_COLOURS[side], lw=1.3, label=name)
     axes.set_xlabel("time [s]", fontsize=9)
     axes.set_ylabel("speed [pulses/10 ms]", fontsize=9)
     axes.set_title(drive.name, fontsize=9, color=INK)

@@ -33,7 +33,7 @@ FILAMENT_MM = 15.0
 FASTEST_TURN = 8
 """Fastest turn [pulses/10 ms]: above it, a robot turns by 2.8 degrees during one scan of its sensors."""
 
-_LAG = 0.01
+_LAG_S = 0.01
 """Time by which readings are younger than their row's counters [s]: N comes some 20 ms after H at 9600 baud,
 and its values are up to 20 ms old."""
 
@@ -73,12 +73,12 @@ class SensorData:
 
     def readings(self, wheels: WheelCalibration) -> Readings:
         """Return the readings, with the object's position and the robot's poses."""
-        pulse = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
+        pulse_length_mm = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
         # A straight drive does not turn, and the speed of a turn is known.
         speed = self.run.test.speed if self.run.test.motion == "rotational" else None
-        turning = 2 * (speed or 0) * 100 * pulse / wheels.base_mm
+        turn_rate = 2 * (speed or 0) * 100 * pulse_length_mm / wheels.base_mm
         radius = self.radius if self.power is None else BULB_RADIUS
-        placement = Placement(self._poses(wheels), self.distance, radius, turning)
+        placement = Placement(self._poses(wheels), self.distance, radius, turn_rate)
         return Readings(self.name, placement, self.counts, self.power, self.height - SENSOR_HEIGHT)
 
     @property
@@ -89,13 +89,13 @@ class SensorData:
     def _poses(self, wheels: WheelCalibration) -> Floats:
         """Return the robot's poses at the readings by odometry: x, y [m], heading [rad] (n, 3)."""
         distances = self.run.dv[:, :2] * (2 * math.pi * wheels.radius_mm / 1e3 / PULSES_PER_TURN)
-        times = self.run.times
-        if len(times) > 1 and np.isfinite(times).all() and (np.diff(times) > 0).all():
-            distances = distances + _LAG * np.gradient(distances, times, axis=0)
+        times_s = self.run.times
+        if len(times_s) > 1 and np.isfinite(times_s).all() and (np.diff(times_s) > 0).all():
+            distances = distances + _LAG_S * np.gradient(distances, times_s, axis=0)
         heading = (distances[:, 1] - distances[:, 0]) / (wheels.base_mm / 1e3)
         forward = np.diff(distances.mean(axis=1), prepend=0.0)
-        middle = heading - np.diff(heading, prepend=0.0) / 2
-        x, y = np.cumsum(forward * np.cos(middle)), np.cumsum(forward * np.sin(middle))
+        middle_heading = heading - np.diff(heading, prepend=0.0) / 2
+        x, y = np.cumsum(forward * np.cos(middle_heading)), np.cumsum(forward * np.sin(middle_heading))
         return np.column_stack([x, y, heading])
 
 
@@ -125,49 +125,50 @@ def fit_inputs(words: list[str]) -> FitTests:
         SensorTestError: A sensor test cannot be read.
     """
     tests: dict[Path, Drive | DutyDrive | SensorData] = {}
-    for text in words:
-        file = resolve(Path(text.rpartition("=")[0]))
-        if file in tests:
-            raise FitError(f"{text}: this file is given twice; expected each test once")
-        tests[file] = _read_test(text)
-    sensors = [test for test in tests.values() if isinstance(test, SensorData)]
+    for word in words:
+        path = resolve(Path(word.rpartition("=")[0]))
+        if path in tests:
+            raise FitError(f"{word}: this file is given twice; expected each test once")
+        tests[path] = _read_test(word)
+    sensor_tests = [test for test in tests.values() if isinstance(test, SensorData)]
     return FitTests(
         tuple(test for test in tests.values() if isinstance(test, Drive)),
         tuple(test for test in tests.values() if isinstance(test, DutyDrive)),
-        tuple(test for test in sensors if test.power is None),
-        tuple(test for test in sensors if test.power is not None),
+        tuple(test for test in sensor_tests if test.power is None),
+        tuple(test for test in sensor_tests if test.power is not None),
     )
 
 
-def _read_test(text: str) -> Drive | DutyDrive | SensorData:
-    parts = _WORDS.fullmatch(text)
-    if parts is None:
-        raise FitError(f"{text}; {_EXPECTED_WORDS}")
-    path = Path(parts["file"])
-    if parts["duty"]:
+def _read_test(word: str) -> Drive | DutyDrive | SensorData:
+    """Read the file of one word."""
+    match = _WORDS.fullmatch(word)
+    if match is None:
+        raise FitError(f"{word}; {_EXPECTED_WORDS}")
+    path = Path(match["file"])
+    if match["duty"]:
         return read_drive(path)
-    if parts["distance"]:
-        return Drive(parts["file"], *read_pulses(path), distance=float(parts["distance"]) / 1e3)
-    if parts["turns"]:
-        return Drive(parts["file"], *read_pulses(path), turn=float(parts["turns"]) * 2 * math.pi)
-    kind = "light" if parts["lamp"] else "proximity"
-    run = load(path, kind)
-    if run.test.what != kind:
-        raise FitError(f"{text}: a test of {run.test.what}; expected one of {kind}")
+    if match["distance"]:
+        return Drive(match["file"], *read_pulses(path), distance=float(match["distance"]) / 1e3)
+    if match["turns"]:
+        return Drive(match["file"], *read_pulses(path), turn=float(match["turns"]) * 2 * math.pi)
+    sensor_kind = "light" if match["lamp"] else "proximity"
+    run = load(path, sensor_kind)
+    if run.test.what != sensor_kind:
+        raise FitError(f"{word}: a test of {run.test.what}; expected one of {sensor_kind}")
     speed = run.test.speed
     if run.test.motion == "rotational" and (speed is None or speed > FASTEST_TURN):
-        turned = "an unknown speed" if speed is None else f"speed {speed}"
+        speed_text = "an unknown speed" if speed is None else f"speed {speed}"
         raise FitError(
-            f"{text}: turned at {turned}, where readings lag by degrees; expected a turn with "
+            f"{word}: turned at {speed_text}, where readings lag by degrees; expected a turn with "
             f"`khep-twin sense --speed 1`, and up to {FASTEST_TURN}"
         )
-    if parts["lamp"]:
-        power, height = float(parts["power"]), float(parts["height"] or FILAMENT_MM) / 1e3
+    if match["lamp"]:
+        power, height = float(match["power"]), float(match["height"] or FILAMENT_MM) / 1e3
         if not power:
-            raise FitError(f"{text}: a lamp of 0 W; expected a power above 0")
-        return SensorData(text, run, float(parts["lamp"]) / 1e3, power=power, height=height)
-    if parts["cylinder"]:
-        if not float(parts["radius"]):
-            raise FitError(f"{text}: a cylinder of radius 0; expected a radius above 0")
-        return SensorData(text, run, float(parts["cylinder"]) / 1e3, radius=float(parts["radius"]) / 1e3)
-    return SensorData(text, run, float(parts["wall"]) / 1e3)
+            raise FitError(f"{word}: a lamp of 0 W; expected a power above 0")
+        return SensorData(word, run, float(match["lamp"]) / 1e3, power=power, height=height)
+    if match["cylinder"]:
+        if not float(match["radius"]):
+            raise FitError(f"{word}: a cylinder of radius 0; expected a radius above 0")
+        return SensorData(word, run, float(match["cylinder"]) / 1e3, radius=float(match["radius"]) / 1e3)
+    return SensorData(word, run, float(match["wall"]) / 1e3)

@@ -1,8 +1,9 @@
 """Light reflected to an infrared sensor by a wall or a cylinder, vectorized over poses.
 
 The optics are those of `khep_twin.sensing.reflection` for a single object. They serve to fit a calibration to
-measurements, and to compare both. Bearings and distances are those of a test bench: a robot turns on the spot
-in front of an object; the distance is from its edge to the object's nearest point.
+measurements, and to compare both. On a test bench, a robot turns on the spot in front of an object, at a
+distance from its edge to the object's nearest point. `View.of` converts the object's bearings and distances
+to those of one sensor: off the sensor's axis, and from its face.
 """
 
 from dataclasses import dataclass
@@ -19,9 +20,9 @@ OBJECT_HEIGHT = 0.05
 """Height of walls and cylinders [m]: a playpen's default (unknown for the measured ones)."""
 
 _MIN_DISTANCE = 1e-4
-"""Smallest distance of a surface [m]."""
-
+"""Smallest distance of a surface from a sensor's chip [m]."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+"""Nodes from -1 to 1 and weights of the Gauss-Legendre quadrature over the points of an object."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,7 @@ class View:
         return (weights / lengths**2 * lobe * elevation_share).sum(axis=1) / lobes.norm(lobe_exponent)
 
     def _wall(self, offset: float) -> tuple[Floats, Floats, Floats]:
-        """Return lengths and azimuths of rays to points of the wall, and their quadrature weights."""
+        """Return lengths, azimuths and weights of rays to a wall, for a chip `offset` [m] behind the face."""
         wall_distances = np.maximum(self.distances + offset * np.cos(self.bearings), _MIN_DISTANCE)
         # Integrate between the ends of the wall or the lobe, over sines of the angle from the perpendicular.
         lobe_limit = np.cos(self.bearings)
@@ -93,17 +94,19 @@ class View:
         return wall_distances[:, None] / cosines, self.bearings[:, None] + np.arcsin(sines), weights
 
     def _cylinder(self, offset: float) -> tuple[Floats, Floats, Floats]:
-        """Return lengths, azimuths and quadrature weights for points of the cylinder."""
+        """Return the same as `_wall` for a cylinder."""
         x = self.distances * np.cos(self.bearings) + offset
         y = self.distances * np.sin(self.bearings)
         axis_distances = np.maximum(np.hypot(x, y), self.radius + _MIN_DISTANCE)[:, None]
         axis_azimuths = np.arctan2(y, x)[:, None]
         node_squares = _NODES**2
-        incidence_cosines = (1 - node_squares) * np.sqrt(4 - node_squares) / 2
+        cos_incidence = (1 - node_squares) * np.sqrt(4 - node_squares) / 2
         sines = _NODES * (3 - node_squares) / 2 * self.radius / axis_distances
         cosines = np.sqrt(1 - sines**2)
-        lengths = axis_distances * cosines - self.radius * incidence_cosines
-        weights = _WEIGHTS * 1.5 * (1 - node_squares) * incidence_cosines * self.radius / (axis_distances * cosines)
+        lengths = axis_distances * cosines - self.radius * cos_incidence
+        weights = (
+            _WEIGHTS * 1.5 * (1 - node_squares) * cos_incidence * self.radius / (axis_distances * cosines)
+        )
         return lengths, axis_azimuths + np.arcsin(sines), weights
 
 

@@ -2,13 +2,12 @@
 
 Gain, threshold, heading, lobe exponent and noise of each sensor are fitted by least squares, together with
 the errors of the ruler in each test. The other parameters of the optics are those of an initial calibration.
-Heading and lobe exponent keep their initial values if the readings do not determine them. A clipped reading
-still has
-information: it is compared with the mean of a noisy sensor,
+Heading and lobe exponent keep their initial values if the readings do not determine them. A reading that is
+clipped to 0 or the sensor's limit still has information: it is compared with the mean of a noisy sensor,
 
     E[clip(x + s z, 0, limit)],  z normal,
 
-with level x and the sensor's noise s, weighted by the reading's precision.
+with the counts x before clipping and the sensor's noise s, weighted by the reading's precision.
 """
 
 import math
@@ -47,21 +46,17 @@ headings are up to 9 degrees off the manual's)."""
 
 _MIN_READINGS = 10
 """Smallest number of unclipped readings to fit a sensor."""
-
 _MIN_NOISE_READINGS = 50
 """Smallest number of readings far from both ends that determine a sensor's noise."""
 
-_DATA = "readings at several distances between 10 and 40 mm"
+_EXPECTED = "readings at several distances between 10 and 40 mm"
 
 _MODEL_ERROR = 8.0
 """Error of a reading in addition to its noise, by simplifications of the optics' model [counts] (assumed)."""
-
 _OUTLIER = 3.0
 """Residual above which a reading is an outlier, in standard deviations."""
-
 _MAX_INTERVAL = 0.3
 """Largest accepted half width of a gain's confidence interval, relative."""
-
 _N_PARAMETERS = 4
 """Number of parameters of a sensor: gain, threshold, heading, lobe exponent."""
 
@@ -113,10 +108,11 @@ def sensor_counts(
         position: Distances from the robot's edge [m] and bearings, counter-clockwise [rad], of the object.
         radius: Radius of the cylinder, 0 for a wall [m].
     """
-    return unclipped_counts(View.of(SENSOR_POSITIONS[sensor], math.radians(heading_deg), *position, radius), optics)
+    view = View.of(SENSOR_POSITIONS[sensor], math.radians(heading_deg), *position, radius)
+    return unclipped_counts(view, optics)
 
 
-def levels(placement: Placement, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
+def mean_counts(placement: Placement, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
     """Return the proximity of a calibration without noise and clipping (n, 8)."""
     object_position = placement.object_positions(misplacement)
     optics = [Optics.of(robot.proximity, sensor) for sensor in range(N_SENSORS)]
@@ -142,7 +138,7 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
     counts = np.concatenate([test.counts for test in tests])
     _check_readings(counts, np.array(proximity.noise_counts), proximity.limit_counts)
     initial = [Optics.of(proximity, sensor) for sensor in range(N_SENSORS)]
-    parameters = [*_parameters(initial, start.heading_deg), *error_parameters(tests, ruler or Ruler())]
+    parameters = [*_sensor_parameters(initial, start.heading_deg), *error_parameters(tests, ruler or Ruler())]
     sparsity = jacobian_sparsity(tests, _N_PARAMETERS)
     n_values = _N_PARAMETERS * N_SENSORS
 
@@ -152,9 +148,10 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
             (test.placement.object_positions(misplacement), test.placement.radius)
             for test, misplacement in zip(tests, misplacements(x[n_values:]), strict=True)
         ]
+        pairs = [(row[2], _replace_values(old, row)) for row, old in zip(rows, initial, strict=True)]
         columns = [
-            np.concatenate([sensor_counts(sensor, row[2], _optics(old, row), *position) for position in objects])
-            for sensor, (row, old) in enumerate(zip(rows, initial, strict=True))
+            np.concatenate([sensor_counts(sensor, heading, optics, *position) for position in objects])
+            for sensor, (heading, optics) in enumerate(pairs)
         ]
         return np.column_stack(columns)
 
@@ -166,29 +163,31 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
         return ((means - counts) * weights).ravel()
 
     # A robust loss limits the influence of outliers, for example of readings while someone walks by.
-    robust = least_squares(residuals, parameters, _DATA, _OUTLIER, unit_variance=True, sparsity=sparsity)
-    first_levels = model_levels(robust.values)
+    robust = least_squares(residuals, parameters, _EXPECTED, _OUTLIER, unit_variance=True, sparsity=sparsity)
+    robust_levels = model_levels(robust.values)
     differences = residuals(robust.values).reshape(counts.shape) / weights
-    noise, n_used = _fit_noise(first_levels, differences, noise, proximity.limit_counts)
-    deviations = np.hypot(reading_deviations(first_levels, noise, proximity.limit_counts), _MODEL_ERROR)
+    noise, n_used = _fit_noise(robust_levels, differences, noise, proximity.limit_counts)
+    deviations = np.hypot(reading_deviations(robust_levels, noise, proximity.limit_counts), _MODEL_ERROR)
     weights = (1 + (differences / deviations / _OUTLIER) ** 2) ** -0.25 / deviations
-    estimate = least_squares(residuals, parameters, _DATA, unit_variance=True, sparsity=sparsity)
-    weights = np.ones(N_SENSORS)
+    estimate = least_squares(residuals, parameters, _EXPECTED, unit_variance=True, sparsity=sparsity)
+    weights = np.ones(N_SENSORS)  # residuals in counts
     final_residuals = residuals(estimate.values).reshape(counts.shape)
-    lag = max(CONFIDENCE * math.degrees(test.placement.turning * SCAN_LAG_S) for test in tests)
+    lag_deg = max(CONFIDENCE * math.degrees(test.placement.turn_rate * SCAN_LAG_S) for test in tests)
     values, widths = (x[:n_values].reshape(N_SENSORS, -1) for x in (estimate.values, estimate.intervals))
     fixed = estimate.fixed[:n_values].reshape(N_SENSORS, -1)
+    pairs = zip(noise.tolist(), n_used, strict=True)
+    noise_intervals = [CONFIDENCE * sd / math.sqrt(2 * count) if count else None for sd, count in pairs]
     fits = [
         SensorFit(
-            _optics(old, row),
-            float(row[2]),
-            float(noise[sensor]),
-            float(width[0] / row[0]),
-            float(width[1]),
-            None if is_fixed[2] else math.hypot(width[2], lag),
-            None if is_fixed[3] else float(width[3]),
-            CONFIDENCE * float(noise[sensor]) / math.sqrt(2 * n_used[sensor]) if n_used[sensor] else None,
-            float(np.sqrt(np.mean(final_residuals[:, sensor] ** 2))),
+            optics=_replace_values(old, row),
+            heading_deg=float(row[2]),
+            noise_counts=float(noise[sensor]),
+            gain_interval=float(width[0] / row[0]),
+            threshold_interval=float(width[1]),
+            heading_interval=None if is_fixed[2] else math.hypot(width[2], lag_deg),
+            lobe_interval=None if is_fixed[3] else float(width[3]),
+            noise_interval=noise_intervals[sensor],
+            rms=float(np.sqrt(np.mean(final_residuals[:, sensor] ** 2))),
         )
         for sensor, (row, width, is_fixed, old) in enumerate(zip(values, widths, fixed, initial, strict=True))
     ]
@@ -211,38 +210,40 @@ def apply_fit(start: Calibration, infrared: InfraredFit) -> Calibration:
 
 def _check_readings(counts: Floats, noise: Floats, limit: float) -> None:
     """Raise a `FitError` for a sensor with too few readings between both ends."""
-    between = ((counts > noise) & (counts < limit - noise)).sum(axis=0)
-    for name, n_readings in zip(SENSOR_LABELS, between.tolist(), strict=True):
+    n_unclipped = ((counts > noise) & (counts < limit - noise)).sum(axis=0)
+    for name, n_readings in zip(SENSOR_LABELS, n_unclipped.tolist(), strict=True):
         if n_readings < _MIN_READINGS:
             raise FitError(
                 f"{name}: the gain cannot be determined: {n_readings} readings are neither 0 nor saturated; "
-                f"expected at least {_MIN_READINGS} such {_DATA}"
+                f"expected at least {_MIN_READINGS} such {_EXPECTED}"
             )
 
 
-def _parameters(initial: Sequence[Optics], headings_deg: Sequence[float]) -> list[Parameter]:
+def _sensor_parameters(initial: Sequence[Optics], headings_deg: Sequence[float]) -> list[Parameter]:
+    """Return gain, threshold, heading [deg] and lobe exponent of each sensor in turn."""
     parameters: list[Parameter] = []
-    for name, old, heading_deg in zip(SENSOR_LABELS, initial, headings_deg, strict=True):
-        gain, spread, lobe = old.gain_counts_mm2, HEADING_SPREAD_DEG, LOBE_SPREAD
+    for name, optics, heading_deg in zip(SENSOR_LABELS, initial, headings_deg, strict=True):
+        gain, heading_sd, lobe_sd = optics.gain_counts_mm2, HEADING_SPREAD_DEG, LOBE_SPREAD
         parameters += [
             Parameter(f"{name}: gain", gain, gain / 4, gain * _MAX_INTERVAL, " counts mm2", gain / 20),
-            Parameter(f"{name}: threshold", old.threshold_counts, 100, 500, " counts"),
-            Parameter(f"{name}: heading", heading_deg, spread, prior=spread, optional=True),
-            Parameter(f"{name}: lobe", old.lobe_exponent, lobe, low=0, prior=lobe, optional=True),
+            Parameter(f"{name}: threshold", optics.threshold_counts, 100, 500, " counts"),
+            Parameter(f"{name}: heading", heading_deg, heading_sd, prior=heading_sd, optional=True),
+            Parameter(f"{name}: lobe", optics.lobe_exponent, lobe_sd, low=0, prior=lobe_sd, optional=True),
         ]
     return parameters
 
 
-def _optics(initial: Optics, x: Floats) -> Optics:
+def _replace_values(initial: Optics, x: Floats) -> Optics:
+    """Return a sensor's optics with the values x of its parameters; the heading is no part of them."""
     gain, threshold, _, lobe = x.tolist()
     return replace(initial, gain_counts_mm2=gain, threshold_counts=threshold, lobe_exponent=lobe)
 
 
 def _fit_noise(levels: Floats, residuals: Floats, noise: Floats, limit: float) -> tuple[Floats, list[int]]:
     """Return each sensor's noise [counts], and its number of readings far from both ends; 0 if too few."""
-    inside = (levels > 2 * noise) & (levels < limit - 2 * noise)
-    n_readings = inside.sum(axis=0)
+    is_inside = (levels > 2 * noise) & (levels < limit - 2 * noise)
+    n_readings = is_inside.sum(axis=0)
     # Degrees of freedom: the readings less the sensor's four parameters.
-    variances = np.where(inside, residuals**2, 0).sum(axis=0) / np.maximum(n_readings - _N_PARAMETERS, 1)
+    variances = np.where(is_inside, residuals**2, 0).sum(axis=0) / np.maximum(n_readings - _N_PARAMETERS, 1)
     is_enough = n_readings >= _MIN_NOISE_READINGS
     return np.where(is_enough, np.sqrt(variances), noise), np.where(is_enough, n_readings, 0).tolist()

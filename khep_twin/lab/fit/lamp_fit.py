@@ -27,15 +27,14 @@ from khep_twin.lab.fit.placement import (
 from khep_twin.sensing.calibration import AmbientCalibration, Calibration
 from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_LABELS, SENSOR_POSITIONS
 
-_MIN_DEPTH = 40.0
+_MIN_RANGE = 40.0
 """Smallest range of a receiver's readings to fit it [counts]."""
-
 _N_PARAMETERS = 3
 """Number of parameters of a receiver: heading, gain, lobe exponent."""
 
 
 @dataclass(frozen=True, slots=True)
-class LampTable:
+class LampPositions:
     """Positions of a lamp around a robot.
 
     Attributes:
@@ -80,12 +79,12 @@ class LampFit:
     misplacements: tuple[Misplacement, ...]
 
 
-def ambient_counts(table: LampTable, channel: int, calibration: AmbientCalibration) -> Floats:
+def ambient_counts(lamp: LampPositions, channel: int, calibration: AmbientCalibration) -> Floats:
     """Return the readings of a receiver without noise, for an unobstructed lamp, not rounded (n,)."""
     columns = (calibration.heading_deg, calibration.gain_counts_mm2_per_w, calibration.lobe_exponent)
     receiver = tuple(column[channel] for column in columns)
     levels = calibration.dark_counts, calibration.floor_counts, calibration.diffuse
-    return _counts(table, channel, receiver, levels, calibration.offset_mm)
+    return _counts(lamp, channel, receiver, levels, calibration.offset_mm)
 
 
 def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> LampFit:
@@ -102,10 +101,10 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
     initial = start.ambient
     counts = np.concatenate([test.counts for test in tests])
     for name, readings in zip(SENSOR_LABELS, counts.T, strict=True):
-        if np.ptp(readings) < _MIN_DEPTH:
+        if np.ptp(readings) < _MIN_RANGE:
             raise FitError(
                 f"{name}: the gain for lamps cannot be determined: its readings differ by less than "
-                f"{_MIN_DEPTH:.0f} counts; expected a turn of 360 degrees in a lamp's light"
+                f"{_MIN_RANGE:.0f} counts; expected a turn of 360 degrees in a lamp's light"
             )
     # Without saturated readings, the level of the brightest light keeps its initial value.
     is_saturated = bool((counts < initial.floor_counts + 4 * initial.noise_counts).sum() >= N_SENSORS)
@@ -113,17 +112,15 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
     n_shared = len(shared)
     n_levels = n_shared + _N_PARAMETERS * N_SENSORS
 
-    def split(x: Floats) -> tuple[tuple[float, float, float], Floats]:
+    def split_values(x: Floats) -> tuple[tuple[float, float, float], Floats]:
         floor = float(x[2]) if is_saturated else initial.floor_counts
         return (float(x[0]), floor, float(x[1])), x[n_shared:n_levels].reshape(N_SENSORS, _N_PARAMETERS)
 
     noise = max(initial.noise_counts, 1.0)
 
     def residuals(x: Floats) -> Floats:
-        levels, receivers = split(x)
-        lamps = [
-            LampTable.of(test, error) for test, error in zip(tests, misplacements(x[n_levels:]), strict=True)
-        ]
+        levels, receivers = split_values(x)
+        lamps = [LampPositions.of(*pair) for pair in zip(tests, misplacements(x[n_levels:]), strict=True)]
         columns = [
             np.concatenate([_counts(lamp, sensor, tuple(row), levels, initial.offset_mm) for lamp in lamps])
             for sensor, row in enumerate(receivers)
@@ -133,13 +130,13 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
         return ((means - counts) / noise).ravel()
 
     parameters = [*shared, *_receiver_parameters(initial), *error_parameters(tests, ruler or Ruler())]
-    data = "readings of a lamp in turns of 360 degrees, at two distances and more"
+    expected_data = "readings of a lamp in turns of 360 degrees, at two distances and more"
     sparsity = jacobian_sparsity(tests, _N_PARAMETERS, n_shared)
     # The residuals determine the noise, which weighs them against the errors of the ruler.
-    noise *= max(least_squares(residuals, parameters, data, sparsity=sparsity).rms, 0.1)
-    estimate = least_squares(residuals, parameters, data, unit_variance=True, sparsity=sparsity)
-    (dark, floor, diffuse), receivers = split(estimate.values)
-    _, intervals = split(estimate.intervals)
+    noise *= max(least_squares(residuals, parameters, expected_data, sparsity=sparsity).rms, 0.1)
+    estimate = least_squares(residuals, parameters, expected_data, unit_variance=True, sparsity=sparsity)
+    (dark, floor, diffuse), receivers = split_values(estimate.values)
+    _, intervals = split_values(estimate.intervals)
     update = {
         "heading_deg": tuple(np.round(receivers[:, 0], 1).tolist()),
         "gain_counts_mm2_per_w": tuple(np.round(receivers[:, 1], -3).tolist()),
@@ -148,11 +145,11 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
         "floor_counts": round(floor, 1),
         "diffuse": round(diffuse, 3),
     }
-    lag = max(CONFIDENCE * math.degrees(test.placement.turning * SCAN_LAG_S) for test in tests)
+    lag_deg = max(CONFIDENCE * math.degrees(test.placement.turn_rate * SCAN_LAG_S) for test in tests)
     return LampFit(
         initial.model_copy(update=update),
         tuple((intervals[:, 1] / receivers[:, 1]).tolist()),
-        tuple(np.hypot(intervals[:, 0], lag).tolist()),
+        tuple(np.hypot(intervals[:, 0], lag_deg).tolist()),
         tuple(intervals[:, 2].tolist()),
         float(estimate.intervals[0]),
         float(estimate.intervals[1]),
@@ -185,19 +182,19 @@ def _receiver_parameters(initial: AmbientCalibration) -> list[Parameter]:
 
 
 def _counts(
-    table: LampTable,
+    lamp: LampPositions,
     channel: int,
     receiver: tuple[float, ...],
     levels: tuple[float, float, float],
     offset_mm: float,
 ) -> Floats:
-    """Return counts; a receiver is heading [deg], gain, exponent; levels: dark, brightest, diffuse part."""
+    """Return clipped counts; a receiver is heading [deg], gain, exponent; levels: dark, floor, diffuse."""
     (heading_deg, gain, exponent), (dark, floor, diffuse) = receiver, levels
-    offsets = table.positions - np.array([*SENSOR_POSITIONS[channel], 0.0])
+    offsets = lamp.positions - np.array([*SENSOR_POSITIONS[channel], 0.0])
     distances = np.sqrt((offsets**2).sum(axis=1))
     heading = np.radians(heading_deg)
     cosines = (offsets[:, 0] * np.cos(heading) + offsets[:, 1] * np.sin(heading)) / distances
     direct = np.where(cosines > 0, np.abs(cosines) ** exponent, 0)
     lobe = (1 - diffuse) * direct + diffuse * (1 + cosines) / 2
-    light = gain * table.power * lobe / np.maximum(distances * 1e3 - offset_mm, 1) ** 2
+    light = gain * lamp.power * lobe / np.maximum(distances * 1e3 - offset_mm, 1) ** 2
     return np.maximum(dark - light, floor)

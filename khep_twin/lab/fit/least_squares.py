@@ -9,8 +9,7 @@ Here C is the covariance for residuals of variance 1, and J the Jacobian of the 
 parameter is fixed at its initial value if the data do not determine it better than its prior. The uncertainty
 of that value also propagates to the other intervals.
 
-A noisy reading that is clipped at both ends still has information: near an end, its mean depends on the level
-x.
+Readings are clipped to 0 and a limit. Near an end, the mean of a noisy one still depends on the level x:
 
     E[clip(x + s z, 0, limit)],  z normal
 """
@@ -39,7 +38,6 @@ MAX_DEVIATION_RATIO = 0.5
 
 _MIN_EIGENVALUE = 1e-14
 """Smallest eigenvalue of the normal equations, relative to the largest, for which they are regular."""
-
 _MAX_ITERATIONS, _TOLERANCE, _MAX_DAMPING = 200, 1e-9, 1e9
 """Limits of the iterations, of their relative progress, and of the damping, beyond which they stop."""
 
@@ -130,8 +128,8 @@ def least_squares(
     intervals = CONFIDENCE * noise * np.sqrt(variances)
     for parameter, interval in zip(parameters, intervals, strict=True):
         if not interval <= parameter.max_interval:
-            problem_text = f"can be determined to +-{interval:.3g}{parameter.unit} only"
-            raise FitError(f"{parameter.name}: {problem_text}; expected {expected_data}")
+            precision_text = f"can be determined to +-{interval:.3g}{parameter.unit} only"
+            raise FitError(f"{parameter.name}: {precision_text}; expected {expected_data}")
     return Estimate(values, intervals, rms, fixed)
 
 
@@ -168,13 +166,13 @@ class _Problem:
             hessian, previous_cost = hessian[np.ix_(free, free)], cost
             while damping < _MAX_DAMPING:
                 damped = hessian + damping * np.diag(np.maximum(np.diag(hessian), _MIN_EIGENVALUE))
-                new = x.copy()
-                new[free] += np.linalg.solve(damped, descent[free])
-                new = np.clip(new, self._low, self._high)
-                new_residuals = self._residuals_at(new)
-                new_cost = self._cost(new, new_residuals, outlier)
-                if new_cost < cost:
-                    x, residuals, cost, damping = new, new_residuals, new_cost, damping / 10
+                candidate = x.copy()
+                candidate[free] += np.linalg.solve(damped, descent[free])
+                candidate = np.clip(candidate, self._low, self._high)
+                candidate_residuals = self._residuals_at(candidate)
+                candidate_cost = self._cost(candidate, candidate_residuals, outlier)
+                if candidate_cost < cost:
+                    x, residuals, cost, damping = candidate, candidate_residuals, candidate_cost, damping / 10
                     break
                 damping *= 10
             if previous_cost - cost <= _TOLERANCE * previous_cost:
@@ -216,8 +214,8 @@ class _Problem:
         hessian, descent = penalty.ravel(), -(self._prior_weights**2) * x
         for rows, slope in zip(self._sparsity.T, slopes, strict=True):
             descent -= np.bincount(rows, slope * weights * residuals, n)
-            for columns, other in zip(self._sparsity.T, slopes, strict=True):
-                hessian = hessian + np.bincount(rows * n + columns, slope * weights * other, n * n)
+            for columns, other_slope in zip(self._sparsity.T, slopes, strict=True):
+                hessian = hessian + np.bincount(rows * n + columns, slope * weights * other_slope, n * n)
         return hessian.reshape(n, n), descent
 
     def _residuals_at(self, x: Floats) -> Floats:
@@ -228,7 +226,7 @@ class _Problem:
 
 
 def expected_readings(levels: Floats, noise: float | Floats, limit: float) -> Floats:
-    """Return the mean reading of a noisy sensor whose readings are clipped to 0 and a limit."""
+    """Return the mean reading at levels without noise; noisy readings are clipped to 0 and `limit`."""
     noise = np.maximum(noise, 1e-6)
     low, high = -levels / noise, (limit - levels) / noise
     return noise * (_pdf(low) - _pdf(high)) + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)

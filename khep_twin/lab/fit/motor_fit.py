@@ -1,10 +1,9 @@
 """Fit of one robot's motors to recorded drives with fixed duties (command P), by simulating them.
 
-The host's lines of a log are sent to a twin at their times, and its replies to E and H are compared with the
-robot's. Steady speeds at two duties determine the no-load speed and the gears' friction; the rise time
-determines the stall torque. The controllers of D and C hide them, so the log must contain P. A host's log
-does not contain the phase of the robot's controller, which ticks every 10 ms, so the phase with the smallest
-residuals is used.
+A twin receives the host's lines of a log at their times; its replies to E (speeds) and H (counters) are
+compared with the robot's. Steady speeds at two duties determine no-load speed and gear friction; the rise
+time determines the stall torque. The speed and position controllers (commands D and C) hide these parameters.
+The phase of the controller's 10 ms ticks is not in the log; the one with the smallest residuals is used.
 """
 
 import re
@@ -32,16 +31,15 @@ from khep_twin.world import World
 _EXPECTED_DATA = "steps of duty (P) of up to 50 and of half a second and more, while polling E or H"
 _MAX_DUTY = 50
 """Largest duty; above it the tyres slip and hide the motors' behaviour (measured on the twin)."""
-
 _PHASES_NS, _FINE_STEPS_NS = range(0, TICK_NS, TICK_NS // 10), (TICK_NS // 20, TICK_NS // 40, TICK_NS // 80)
-"""Phases of a log relative to the controller's ticks, and refinement steps around the best phase [ns]."""
+"""Times of a log's first line after a tick, and steps of their refinement around the best one [ns]."""
 
 _MAX_ROUNDS = 4
 """Limit of the rounds, each a fit of the motors and then of the phases."""
 
-_MIN_REPLIES = 20
-_OPEN_FLOOR = 'version = 1\nname = "field"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
-_STEP = 0.1
+_MIN_REPLIES = 20  # to E and H
+_OPEN_FLOOR_TEXT = 'version = 1\nname = "field"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
+_DERIVATIVE_STEP = 0.1
 """Step of the numeric derivatives in each parameter's scale; large, as slipping tyres add noise."""
 
 
@@ -51,7 +49,7 @@ class DutyDrive:
 
     Attributes:
         name: Name in messages.
-        requests: Times at which the robot received the host's lines [ns], and the lines.
+        requests: Time at which the robot received each line of the host [ns], and the line.
         times_ns: Times of the requests E and H (n,) [ns].
         is_position: True for replies to H (n,).
         values: Replies to E and H, left and right (n, 2).
@@ -69,18 +67,18 @@ class DutyDrive:
         rates = np.diff(values[self.is_position], axis=0) / ticks[:, None]
         return np.concatenate([values[~self.is_position], rates], dtype=np.float64)
 
-    def at_phase(self, phase_ns: int) -> Self:
+    def align_to_phase(self, phase_ns: int) -> Self:
         """Return the drive with its first line at this phase after a tick of the controller [ns]."""
         # One additional tick, so that no line precedes the start of the world.
-        return self.delayed(phase_ns + TICK_NS - self.requests[0][0])
+        return self.shift_times(phase_ns + TICK_NS - self.requests[0][0])
 
-    def delayed(self, shift_ns: int) -> Self:
+    def shift_times(self, shift_ns: int) -> Self:
         """Return the drive with all times shifted [ns]."""
         requests = tuple((time_ns + shift_ns, text) for time_ns, text in self.requests)
         return replace(self, requests=requests, times_ns=self.times_ns + shift_ns)
 
     @property
-    def times(self) -> Floats:
+    def speed_times_s(self) -> Floats:
         """Times of the rows of `speeds` (m,) [s]."""
         return np.concatenate([self.times_ns[~self.is_position], self.times_ns[self.is_position][1:]]) / 1e9
 
@@ -145,13 +143,13 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
         FitError: The drives do not determine a parameter.
     """
     drives = [align(drive, start) for drive in drives]
-    fit = _fit(drives, start)
+    fit = _fit_aligned_drives(drives, start)
     for _ in range(_MAX_ROUNDS):
-        previous_ns = [drive.requests[0][0] for drive in drives]
+        previous_starts_ns = [drive.requests[0][0] for drive in drives]
         drives = [align(drive, start.model_copy(update={"motors": fit.motors})) for drive in drives]
-        if [drive.requests[0][0] for drive in drives] == previous_ns:
+        if [drive.requests[0][0] for drive in drives] == previous_starts_ns:
             break
-        fit = _fit(drives, start)
+        fit = _fit_aligned_drives(drives, start)
     return fit
 
 
@@ -161,16 +159,16 @@ def align(drive: DutyDrive, robot: Calibration) -> DutyDrive:
     def mean_square(candidate: DutyDrive) -> float:
         return float(np.mean((simulate(candidate, robot) - candidate.speeds(candidate.values)) ** 2))
 
-    candidates = {mean_square(drive): drive for drive in map(drive.at_phase, _PHASES_NS)}
+    candidates = {mean_square(drive): drive for drive in map(drive.align_to_phase, _PHASES_NS)}
     for step_ns in _FINE_STEPS_NS:
         best = candidates[min(candidates)]
-        candidates |= {mean_square(drive): drive for drive in map(best.delayed, (-step_ns, step_ns))}
+        candidates |= {mean_square(drive): drive for drive in map(best.shift_times, (-step_ns, step_ns))}
     return candidates[min(candidates)]
 
 
-def _fit(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
+def _fit_aligned_drives(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
     """Fit the motors to drives that are in phase with the controller."""
-    measured = np.concatenate([drive.speeds(drive.values) for drive in drives])
+    measured_speeds = np.concatenate([drive.speeds(drive.values) for drive in drives])
     initial = start.motors
     parameters = [
         Parameter("no-load speed", initial.no_load_speed_rad_s, 30, 5, " rad/s", 20, 1000),
@@ -180,10 +178,10 @@ def _fit(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
 
     def residuals(x: Floats) -> Floats:
         robot = start.model_copy(update={"motors": _motor_calibration(x.tolist())})
-        twin = np.concatenate([simulate(drive, robot) for drive in drives])
-        return (twin - measured).ravel()
+        twin_speeds = np.concatenate([simulate(drive, robot) for drive in drives])
+        return (twin_speeds - measured_speeds).ravel()
 
-    estimate = least_squares(residuals, parameters, _EXPECTED_DATA, step=_STEP)
+    estimate = least_squares(residuals, parameters, _EXPECTED_DATA, step=_DERIVATIVE_STEP)
     speed_interval, torque_interval, friction_interval = estimate.intervals
     intervals = float(speed_interval), float(torque_interval) / 1e3, float(friction_interval) / 1e3
     return MotorFit(_motor_calibration(estimate.values.tolist()), *intervals, tuple(drives))
@@ -192,20 +190,20 @@ def _fit(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
 def simulate(drive: DutyDrive, robot: Calibration) -> Floats:
     """Return the speeds of a robot's twin on a drive, in the form of `DutyDrive.speeds` (m, 2)."""
     with TemporaryDirectory(prefix="khep-twin-") as folder:
-        file = Path(folder) / "robot.toml"
-        file.write_text(dump(robot), encoding="utf-8")
-        position = f"[[robot]]\nx_mm = 5000\ny_mm = 5000\nheading_deg = 0\ncalibration = '{file}'\n"
-        world = World(playpen.parse(_OPEN_FLOOR + position, "field"), noise=False, unpaced=True)
+        path = Path(folder) / "robot.toml"
+        path.write_text(dump(robot), encoding="utf-8")
+        robot_text = f"[[robot]]\nx_mm = 5000\ny_mm = 5000\nheading_deg = 0\ncalibration = '{path}'\n"
+        world = World(playpen.parse(_OPEN_FLOOR_TEXT + robot_text, "field"), noise=False, unpaced=True)
     # Proximity is not needed and would take half of the time.
     world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
     world.code.switch_if_ready()
-    axles = list(world.robots[0].indices.wheel_angles)
-    pending = deque(drive.requests)
+    wheel_qpos = list(world.robots[0].indices.wheel_qpos)
+    pending_requests = deque(drive.requests)
     angles: list[Floats] = []
     for tick in range(int(drive.times_ns[-1]) // TICK_NS + 1):
-        angles.append(world.data.qpos[axles].copy())
-        while pending and pending[0][0] < (tick + 1) * TICK_NS:
-            time_ns, text = pending.popleft()
+        angles.append(world.data.qpos[wheel_qpos].copy())
+        while pending_requests and pending_requests[0][0] < (tick + 1) * TICK_NS:
+            time_ns, text = pending_requests.popleft()
             world.advance_to(max(time_ns, world.time_ns))
             world.robots[0].send(text.encode("latin-1") + b"\n")
         world.advance_to((tick + 1) * TICK_NS)

@@ -73,7 +73,7 @@ class Placement:
     poses: Floats
     distance: float | Floats
     radius: float = 0.0
-    turning: float = 0.0
+    turn_rate: float = 0.0
 
     def object_positions(self, misplacement: Misplacement = IN_PLACE) -> tuple[Floats, Floats]:
         """Return distances from the robot's edge [m] and bearings, counter-clockwise [rad], per pose (n,)."""
@@ -111,7 +111,7 @@ class Readings:
 def error_parameters(tests: Sequence[Readings], ruler: Ruler) -> list[Parameter]:
     """Return the errors of all tests as parameters: distances, bearings, and one for the turns."""
     distance, base = max(ruler.distance_mm, 1e-3), max(ruler.base, 1e-6)
-    lags = [math.degrees(test.placement.turning * SCAN_LAG_S) for test in tests]
+    lags = [math.degrees(test.placement.turn_rate * SCAN_LAG_S) for test in tests]
     bearings = [math.hypot(max(ruler.bearing_deg, 1e-3), lag) for lag in lags]
     return [
         *(Parameter(f"{test.name}: distance", 0, distance, prior=distance) for test in tests),
@@ -123,18 +123,18 @@ def error_parameters(tests: Sequence[Readings], ruler: Ruler) -> list[Parameter]
     ]
 
 
-def jacobian_sparsity(tests: Sequence[Readings], n_own: int, n_shared: int = 0) -> NDArray[np.int64]:
-    """Return the parameters of each residual for `least_squares`: reading by reading, sensor by sensor.
+def jacobian_sparsity(tests: Sequence[Readings], n_per_sensor: int, n_shared: int = 0) -> NDArray[np.int64]:
+    """Return the indices of the parameters of each residual for `least_squares`: by reading, then sensor.
 
-    Parameters: `n_shared` of all residuals, `n_own` of each sensor in turn, and those of `error_parameters`.
+    The parameters are `n_shared` of all residuals, `n_per_sensor` of each sensor, and `error_parameters`.
     """
-    rows = np.repeat(np.arange(len(tests)), [len(test.counts) for test in tests])
-    test, sensor = np.repeat(rows, N_SENSORS), np.tile(np.arange(N_SENSORS), len(rows))
-    errors = n_shared + n_own * N_SENSORS
-    last = np.full_like(test, errors + 2 * len(tests))
+    test_of_reading = np.repeat(np.arange(len(tests)), [len(test.counts) for test in tests])
+    test, sensor = np.repeat(test_of_reading, N_SENSORS), np.tile(np.arange(N_SENSORS), len(test_of_reading))
+    first_error = n_shared + n_per_sensor * N_SENSORS
+    turn_error = np.full_like(test, first_error + 2 * len(tests))
     columns = [np.full_like(test, number) for number in range(n_shared)]
-    columns += [n_shared + n_own * sensor + number for number in range(n_own)]
-    return np.column_stack([*columns, errors + test, errors + len(tests) + test, last])
+    columns += [n_shared + n_per_sensor * sensor + number for number in range(n_per_sensor)]
+    return np.column_stack([*columns, first_error + test, first_error + len(tests) + test, turn_error])
 
 
 def misplacements(values: Floats) -> list[Misplacement]:

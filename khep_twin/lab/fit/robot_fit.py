@@ -8,12 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from khep_twin.lab.fit.fit_inputs import FitTests, SensorData
-from khep_twin.lab.fit.infrared_fit import InfraredFit, apply_fit, fit_infrared, levels
-from khep_twin.lab.fit.lamp_fit import LampFit, LampTable, ambient_counts, fit_lamps
+from khep_twin.lab.fit.infrared_fit import InfraredFit, apply_fit, fit_infrared, mean_counts
+from khep_twin.lab.fit.lamp_fit import LampFit, LampPositions, ambient_counts, fit_lamps
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, expected_readings, reading_deviations
 from khep_twin.lab.fit.motor_fit import DutyDrive, align, fit_motors, simulate
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Ruler
-from khep_twin.lab.fit.wheel_fit import fit_wheels, residual
+from khep_twin.lab.fit.wheel_fit import drive_residual, fit_wheels
+from khep_twin.renamed import renamed_attribute
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
@@ -58,6 +59,7 @@ class RobotFit:
     values: tuple[FittedValue, ...] = ()
     lines: tuple[str, ...] = ()
     misplacements: Mapping[str, Misplacement] = field(default_factory=dict[str, Misplacement])
+    moved = renamed_attribute("moved", "misplacements")
     drives: Mapping[str, DutyDrive] = field(default_factory=dict[str, DutyDrive])
 
 
@@ -188,29 +190,31 @@ def _lamp_lines(lamps: LampFit) -> Iterator[str]:
 
 
 def describe_residuals(tests: FitTests, fit: RobotFit, ruler: Ruler | None = None) -> Iterator[str]:
-    """Yield the residuals of each test as text, for the tests of the fit or other ones."""
+    """Yield a line of text with the residuals of each test; the tests may be others than those of the fit."""
     robot = fit.calibration
     for drive in tests.wheels:
-        error = residual(drive, robot.wheels.radius_mm / 1e3, robot.wheels.base_mm / 1e3)
+        error = drive_residual(drive, robot.wheels.radius_mm / 1e3, robot.wheels.base_mm / 1e3)
         text = f"{np.degrees(error):+.2f} degrees" if drive.distance is None else f"{error * 1e3:+.2f} mm"
         yield f"{drive.name}: {text}"
     for drive in tests.motors:
-        best = fit.drives.get(drive.name) or align(drive, robot)
-        residuals = simulate(best, robot) - best.speeds(best.values)
+        aligned_drive = fit.drives.get(drive.name) or align(drive, robot)
+        residuals = simulate(aligned_drive, robot) - aligned_drive.speeds(aligned_drive.values)
         yield f"{drive.name}: {np.sqrt(np.mean(residuals**2)):.2f} pulses/10 ms rms"
-    for data in (*tests.objects, *tests.lamps):
-        error = fit.misplacements.get(data.name, IN_PLACE)
-        rms = _rms(simulate_readings(data, robot, error) - data.counts)
-        noise = _rms(_noise_deviations(data, robot, error))
-        text = f"{data.name}: {rms:.1f} counts rms, of which the sensors' noise is {noise:.1f}"
-        if error is not IN_PLACE:
-            text += f", at {error.distance * 1e3:+.2f} mm and {math.degrees(error.bearing):+.1f} degrees,"
+    for test in (*tests.objects, *tests.lamps):
+        misplacement = fit.misplacements.get(test.name, IN_PLACE)
+        rms = _rms(simulate_readings(test, robot, misplacement) - test.counts)
+        noise = _rms(_noise_deviations(test, robot, misplacement))
+        text = f"{test.name}: {rms:.1f} counts rms, of which the sensors' noise is {noise:.1f}"
+        if misplacement is not IN_PLACE:
+            bearing_deg = math.degrees(misplacement.bearing)
+            text += f", at {misplacement.distance * 1e3:+.2f} mm and {bearing_deg:+.1f} degrees,"
         # Allow a model error of 8 counts, or as much as the noise.
-        is_large = rms > 2 * np.hypot(noise, 8) or _is_far(error, ruler or Ruler())
+        is_large = rms > 2 * np.hypot(noise, 8) or _is_misplaced(misplacement, ruler or Ruler())
         yield text + ("; check the object and its distance" if is_large else "")
 
 
-def _is_far(misplacement: Misplacement, ruler: Ruler) -> bool:
+def _is_misplaced(misplacement: Misplacement, ruler: Ruler) -> bool:
+    """Return whether an object is too far from its measured position for a ruler with these errors."""
     off_mm, off_deg = abs(misplacement.distance) * 1e3, abs(math.degrees(misplacement.bearing))
     # Even with an exact ruler, the fitted position also absorbs errors of the optics' model.
     limits = max(ruler.distance_mm, 0.5), max(ruler.bearing_deg, 1.5)
@@ -221,21 +225,21 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _noise_deviations(data: SensorData, robot: Calibration, misplacement: Misplacement) -> Floats:
+def _noise_deviations(test: SensorData, robot: Calibration, misplacement: Misplacement) -> Floats:
     """Return the standard deviation of each reading (n, 8), or a common one."""
-    if data.power is not None:
+    if test.power is not None:
         return np.array(robot.ambient.noise_counts)
-    means = levels(data.readings(robot.wheels).placement, robot, misplacement)
+    means = mean_counts(test.readings(robot.wheels).placement, robot, misplacement)
     return reading_deviations(means, np.array(robot.proximity.noise_counts), robot.proximity.limit_counts)
 
 
-def simulate_readings(data: SensorData, robot: Calibration, error: Misplacement = IN_PLACE) -> Floats:
+def simulate_readings(test: SensorData, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
     """Return the mean readings of a robot with a calibration in a sensor test (n, 8)."""
-    test, proximity = data.readings(robot.wheels), robot.proximity
-    if data.power is not None:
-        lamp = LampTable.of(test, error)
+    readings, proximity = test.readings(robot.wheels), robot.proximity
+    if test.power is not None:
+        lamp = LampPositions.of(readings, misplacement)
         return np.column_stack([ambient_counts(lamp, channel, robot.ambient) for channel in range(N_SENSORS)])
-    means = levels(test.placement, robot, error)
+    means = mean_counts(readings.placement, robot, misplacement)
     return expected_readings(means, np.array(proximity.noise_counts), proximity.limit_counts)
 
 

@@ -21,7 +21,6 @@ from khep_twin.units import BODIES, BULB_RADIUS
 
 _MARGIN_MM = 150.0
 """Distance of the robot's start from the wall behind it on the straight drive [mm]."""
-
 _MIN_ARENA_MM = 900.0
 """Smallest size of the arena [mm]: walls 170 mm aside add up to 7 counts 12 mm from the wall (measured)."""
 
@@ -52,7 +51,7 @@ class PersonAtTerminal:
 
     def place(self, step: Step) -> float | None:
         """Show the instruction; wait for Enter, another distance, or s."""
-        self._show(step.text)
+        self._show(step.instruction)
         if not self._wait:
             return step.distance_mm
         option = ", the distance in mm if it is another" if step.has_object else ""
@@ -99,10 +98,11 @@ class SimulatedPerson:
         arena, playpen = twin.world.playpen.arena, twin.world.playpen
         n_objects = sum(map(len, playpen.objects.values())) + len(playpen.walls) + len(playpen.robots) - 1
         self._model = playpen.robots[twin.robot.index].model
-        self._width, self._height = arena.width_mm, arena.height_mm
+        self._width_mm, self._height_mm = arena.width_mm, arena.height_mm
         problems = {
             "no rectangle": bool(arena.outline_mm),
-            f"{self._width:g} x {self._height:g} mm": min(self._width, self._height) < _MIN_ARENA_MM,
+            f"{arena.width_mm:g} x {arena.height_mm:g} mm": min(arena.width_mm, arena.height_mm)
+            < _MIN_ARENA_MM,
             f"walls of {arena.surface}": arena.surface != "white",
             f"{n_objects} objects and other robots": n_objects > 0,
         }
@@ -114,18 +114,18 @@ class SimulatedPerson:
 
     def place(self, step: Step) -> float | None:
         """Put the robot in front of the right wall, or on open floor."""
-        self._show(step.text)
+        self._show(step.instruction)
         if step.kind == "cylinder":
             self._show("A twin's playpen has no cylinder to be moved; skipped.")
             return None
         radius_mm = BODIES[self._model].radius * 1e3
         distance_mm = step.distance_mm + self._ruler.distance_mm * float(self._rng.standard_normal())
         heading_deg = self._ruler.bearing_deg * float(self._rng.standard_normal())
-        x_mm, y_mm = _MARGIN_MM, self._height / 2
+        x_mm, y_mm = _MARGIN_MM, self._height_mm / 2
         if step.kind == "wall":
-            x_mm = self._width - radius_mm - max(distance_mm, 0.5)
+            x_mm = self._width_mm - radius_mm - max(distance_mm, 0.5)
         elif step.kind in ("turns", "duty", "lamp"):
-            x_mm = self._width / 2
+            x_mm = self._width_mm / 2
         place_robot(self._twin.world, self._twin.robot.index, x_mm, y_mm, heading_deg)
         lamps: list[Lamp] = []
         if step.kind == "lamp":

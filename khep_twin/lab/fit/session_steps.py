@@ -5,7 +5,7 @@
     duty                     steps of command P on open floor                duty.mcap
     wall, cylinder, lamp     a sensor test, one turn on the spot             wall-12.csv
 
-Files and words have the form that `fit_inputs` reads.
+A word is a recording's name and a measurement, such as straight.mcap=598mm, in the form of `fit_inputs`.
 """
 
 import math
@@ -35,7 +35,6 @@ LAMPS_MM = (60.0, 150.0)
 DUTIES = (40, 0, -40, 0, 30, -10, 0)
 _DUTY_S = 0.75
 """Steps of duty, and the duration of each [s]."""
-
 _SPEED, _ACCELERATION = 10, 32
 """Values of command J on measured drives [pulses/10 ms, 3.125 mm/s^2]: slow, so that no tyre slips."""
 
@@ -69,12 +68,12 @@ class Step:
         return self.kind in ("wall", "cylinder", "lamp")
 
     @property
-    def file(self) -> str:
+    def file_name(self) -> str:
         """Name of the recording."""
         return f"{self.kind}-{self.distance_mm:g}.csv" if self.has_object else f"{self.kind}.mcap"
 
     @property
-    def text(self) -> str:
+    def instruction(self) -> str:
         """Instruction to the person."""
         near = f"its front {self.distance_mm:g} mm from"
         return {
@@ -90,7 +89,7 @@ class Step:
             f"filament {self.height_mm:g} mm above the floor, looking straight at it.",
         }[self.kind]
 
-    def word(self, measurement: float) -> str:
+    def make_word(self, measurement: float) -> str:
         """Return the name of the recording and a measurement, as `fit_inputs` reads them.
 
         Args:
@@ -105,7 +104,7 @@ class Step:
             "cylinder": f"cylinder:{self.radius_mm:g}mm@{value}mm",
             "lamp": f"lamp:{self.power_w:g}W:{self.height_mm:g}mm@{value}mm",
         }[self.kind]
-        return f"{self.file}={value_text}"
+        return f"{self.file_name}={value_text}"
 
 
 def steps(
@@ -162,6 +161,7 @@ def record(robot: Khepera, step: Step, path: Path, stop: Callable[[], bool]) -> 
 
 
 def _drive_measured(robot: Khepera, step: Step, stop: Callable[[], bool]) -> None:
+    """Drive straight or turn on the spot, by command C, and read the counters before and after."""
     length = STRAIGHT_MM / 1e3 if step.kind == "straight" else TURNS * math.pi * WHEEL_BASE
     pulses = round(length / PULSE_LENGTH)
     robot.set_position(0, 0)
@@ -173,6 +173,7 @@ def _drive_measured(robot: Khepera, step: Step, stop: Callable[[], bool]) -> Non
 
 
 def _drive_duties(robot: Khepera, stop: Callable[[], bool]) -> None:
+    """Drive with each duty of `DUTIES` by command P, and poll the speeds."""
     for duty in DUTIES:
         robot.set_duty(duty, duty)
         end = robot.time + _DUTY_S

@@ -1,7 +1,7 @@
 """Calibration from the values that a shadow learned of its robot: wheels, and the gains of its sensors.
 
-A shadow's log has them in `/shadow/learned`; for a relay's log, a shadow follows its serial line first. A
-value keeps its initial value if the robot's drive did not determine it better than its prior.
+A shadow's log has them in channel `/shadow/learned`; for a relay's log, a shadow follows the recorded serial
+line first. A value keeps its initial value if the robot's drive did not determine it better than its prior.
 """
 
 import math
@@ -69,8 +69,8 @@ def learn_from_log(
     recording, playpen = read_recording(path), Playpen.load(playpen_name)
     settings = ShadowSettings() if recording.baud is None else ShadowSettings(baud=recording.baud)
     follower = Follower(shadow := Shadow(playpen, settings))
-    for number, record in enumerate(recording.chunks):
-        for _ in follower.feed(record):
+    for number, chunk in enumerate(recording.chunks):
+        for _ in follower.feed(chunk):
             pass
         if progress is not None:
             progress(number / len(recording.chunks))
@@ -85,12 +85,12 @@ def fit_learned(learned: LearnedValues, start: Calibration) -> RobotFit:
     wheel_values, gains = dict[str, float](), list(start.proximity.gain_counts_mm2)
     for fitted_value, prior_interval in learned_values(learned, start):
         key, sensor = fitted_value.path[1], fitted_value.path[2] if len(fitted_value.path) > 2 else None
-        name, words = _FORMATS[key] if sensor is None else (SENSOR_LABELS[sensor], "gain {:.4g} +- {:.4g}")
+        name, form = _FORMATS[key] if sensor is None else (SENSOR_LABELS[sensor], "gain {:.4g} +- {:.4g}")
         if fitted_value.interval > MAX_DEVIATION_RATIO * prior_interval:
             undetermined.append(name if sensor is None else f"gain of {name}")
             continue
         values.append(fitted_value)
-        lines.append(f"{name:15}  {words.format(fitted_value.value, fitted_value.interval)} (95 %)")
+        lines.append(f"{name:15}  {form.format(fitted_value.value, fitted_value.interval)} (95 %)")
         if sensor is None:
             wheel_values[key] = fitted_value.value
         else:
@@ -104,16 +104,16 @@ def fit_learned(learned: LearnedValues, start: Calibration) -> RobotFit:
 
 
 def learned_values(learned: LearnedValues, start: Calibration) -> Iterator[tuple[FittedValue, float]]:
-    """Yield all values with their intervals, and the half widths of the intervals before the fit."""
+    """Yield each value with its interval, and the half width of its interval before the fit."""
     priors = PUBLISHED.radius, PUBLISHED.ratio, PUBLISHED.base
-    parts, deviations = learned.wheels.tolist(), learned.wheel_deviations.tolist()
-    for key, part, deviation, prior in zip(_WHEELS, parts, deviations, priors, strict=True):
+    ratios, deviations = learned.wheels.tolist(), learned.wheel_deviations.tolist()
+    for key, ratio, deviation, prior in zip(_WHEELS, ratios, deviations, priors, strict=True):
         unit = CONFIDENCE * float(getattr(start.wheels, key))
-        yield FittedValue(("wheels", key), unit / CONFIDENCE * part, unit * deviation), unit * prior
+        yield FittedValue(("wheels", key), unit / CONFIDENCE * ratio, unit * deviation), unit * prior
     prior = math.hypot(PUBLISHED.gain, calibration.GAIN_SPREAD)
     gains = start.proximity.gain_counts_mm2
-    parts, deviations = learned.gains.tolist(), learned.gain_deviations.tolist()
-    for sensor, (gain, part, deviation) in enumerate(zip(gains, parts, deviations, strict=True)):
-        unit = CONFIDENCE * gain * part
+    ratios, deviations = learned.gains.tolist(), learned.gain_deviations.tolist()
+    for sensor, (gain, ratio, deviation) in enumerate(zip(gains, ratios, deviations, strict=True)):
+        unit = CONFIDENCE * gain * ratio
         path = ("proximity", "gain_counts_mm2", sensor)
-        yield FittedValue(path, gain * part, unit * deviation), unit * prior
+        yield FittedValue(path, gain * ratio, unit * deviation), unit * prior

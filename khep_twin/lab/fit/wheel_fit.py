@@ -31,7 +31,7 @@ from khep_twin.units import PULSES_PER_TURN, WHEEL_BASE, WHEEL_RADIUS
 _MAX_RELATIVE_INTERVAL = 0.1
 """Largest accepted half width of a confidence interval, relative."""
 
-_MIN_DISTANCE, _MIN_TURN = 0.1, math.pi
+_MIN_DISTANCE, _MIN_TURN = 0.1, math.pi  # [m], [rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Drive:
         left: Distance of the left wheel [pulses].
         right: Distance of the right wheel [pulses].
         distance: Straight distance by the ruler [m]; None for a turn on the spot.
-        turned: Angle counted by a person, counter-clockwise [rad]; None for a straight drive.
+        turn: Angle counted by a person, counter-clockwise [rad]; None for a straight drive.
     """
 
     name: str
@@ -85,7 +85,7 @@ def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
         FitError: The drives do not determine the radius or the base, or contradict each other.
     """
     for drive in drives:
-        _check_kind(drive)
+        _check_counters(drive)
     if not any(abs(drive.distance or 0) >= _MIN_DISTANCE for drive in drives):
         raise FitError(
             "the wheels' radius cannot be determined: no straight drive of 10 cm and more; expected LOG=998mm"
@@ -96,7 +96,7 @@ def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
     deviations = np.array([_standard_deviation(drive, ruler or Ruler()) for drive in drives])
 
     def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([residual(drive, *x) for drive in drives]) / deviations
+        return np.array([drive_residual(drive, *x) for drive in drives]) / deviations
 
     solution = least_squares(residuals, [WHEEL_RADIUS, WHEEL_BASE], x_scale=[1e-3, 1e-2])
     radius, base = (float(value) for value in solution.x)
@@ -121,21 +121,21 @@ def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
 
 
 def read_pulses(log: Path) -> tuple[int, int]:
-    """Return the change of the counters between a log's first reply to H and its last.
+    """Return the changes of both counters, left and right, between a log's first and last replies to H.
 
     Raises:
         LogError: There is no log.
         FitError: The host did not send H twice, or set the counters in between.
     """
     lines = [line.text for line in read_transcript(log)]
-    replies = [number for number, text in enumerate(lines) if text.startswith("h,")]
-    if len(replies) < 2:
+    reply_rows = [row for row, text in enumerate(lines) if text.startswith("h,")]
+    if len(reply_rows) < 2:
         raise FitError(f"{log}: the counters were not read twice; expected H before and after the drive")
-    between = lines[replies[0] : replies[-1]]
-    if any(text.startswith("G") or text == "restart" for text in between):
+    drive_lines = lines[reply_rows[0] : reply_rows[-1]]
+    if any(text.startswith("G") or text == "restart" for text in drive_lines):
         raise FitError(f"{log}: the counters were set during the drive; expected G only before the first H")
-    first, last = (lines[replies[position]].split(",") for position in (0, -1))
-    return int(last[1]) - int(first[1]), int(last[2]) - int(first[2])
+    start_fields, end_fields = (lines[row].split(",") for row in (reply_rows[0], reply_rows[-1]))
+    return int(end_fields[1]) - int(start_fields[1]), int(end_fields[2]) - int(start_fields[2])
 
 
 def read_transcript(log: Path) -> Sequence[TextLine]:
@@ -153,16 +153,16 @@ def read_transcript(log: Path) -> Sequence[TextLine]:
     return track.serial
 
 
-def residual(drive: Drive, radius: float, base: float) -> float:
+def drive_residual(drive: Drive, radius: float, base: float) -> float:
     """Return the residual of a drive: measurement less odometry [m or rad]."""
-    pulse = 2 * math.pi * radius / PULSES_PER_TURN
+    pulse_length = 2 * math.pi * radius / PULSES_PER_TURN
     if drive.distance is not None:
-        return drive.distance - pulse * (drive.left + drive.right) / 2
-    return (drive.turn or 0.0) - pulse * (drive.right - drive.left) / base
+        return drive.distance - pulse_length * (drive.left + drive.right) / 2
+    return (drive.turn or 0.0) - pulse_length * (drive.right - drive.left) / base
 
 
-def _check_kind(drive: Drive) -> None:
-    """Raise a `FitError` for a straight drive with a turn, a turn with a drive, or a wrong sign."""
+def _check_counters(drive: Drive) -> None:
+    """Raise a `FitError` if the counters contradict the kind of a drive, straight or turn, or its sign."""
     main_change, value = drive.left + drive.right, drive.distance
     other_change, expected = drive.right - drive.left, "a drive straight on, such as =998mm"
     if value is None:

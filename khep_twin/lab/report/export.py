@@ -34,10 +34,10 @@ from khep_twin.log.channels import TextLine
 from khep_twin.log.columns import (
     KHEPERA4_PREFIX,
     Columns,
-    identifier,
     is_khepera4,
     name_columns,
     order_channels,
+    to_identifier,
 )
 from khep_twin.log.reader import Recording, TimeSeries, read_batches
 
@@ -92,14 +92,14 @@ def choose_channels(
     Raises:
         LogError: The log has no such channel.
     """
-    is_iv = {robot: is_khepera4(robot, recording.series) for robot in robots}
-    mixed = len({*is_iv.values()}) > 1
+    is_k4 = {robot: is_khepera4(robot, recording.series) for robot in robots}
+    is_mixed = len({*is_k4.values()}) > 1
     available: dict[str, tuple[str, Columns]] = {}
     for topic, series in recording.series.items():
         owner, _, kind = topic.removeprefix("/").rpartition("/")
         if owner in robots or (not owner and kind.startswith("lamps")):
-            khepera4 = is_iv.get(owner, False)
-            name, columns = name_columns(kind, series.values.shape[1], khepera4=khepera4, is_mixed=mixed)
+            khepera4 = is_k4.get(owner, False)
+            name, columns = name_columns(kind, series.values.shape[1], khepera4=khepera4, is_mixed=is_mixed)
             available.setdefault(name, (kind, columns))
     known_names = order_channels({*available})
     if names is None:
@@ -118,7 +118,7 @@ def choose_channels(
             shared
             if shared in recording.series
             else f"/{robot}/{kind}"
-            * (name_columns(kind, 0, khepera4=is_iv[robot], is_mixed=mixed)[0] == name)
+            * (name_columns(kind, 0, khepera4=is_k4[robot], is_mixed=is_mixed)[0] == name)
             for robot in robots
         )
         empty = TimeSeries(np.zeros(0, np.int64), np.zeros((0, len(columns)), np.int64))
@@ -159,19 +159,20 @@ def write_table(
         file.seek(0)
         file.truncate()
         writer = TABLES[kind](file, Heading(robots, channels, fractional))
-        n_rows, floats = 0, set[str]()
+        n_rows, fractional_names = 0, set[str]()
         with closing(writer):
-            for piece in read_batches(log, progress):
-                parts = [_read_piece(log, channel, piece) for channel in channels]
-                floats = {part.name for part in parts if part.name not in fractional and not is_integer(part)}
-                if floats:
+            for batch in read_batches(log, progress):
+                batch_channels = [_channel_of_batch(log, channel, batch) for channel in channels]
+                others = (channel for channel in batch_channels if channel.name not in fractional)
+                fractional_names = {channel.name for channel in others if not is_integer(channel)}
+                if fractional_names:
                     break
-                rows = rows_of(parts, len(robots))
-                writer.write(rows, parts)
+                rows = rows_of(batch_channels, len(robots))
+                writer.write(rows, batch_channels)
                 n_rows += len(rows.times_ns)
-        if not floats:
+        if not fractional_names:
             return n_rows
-        fractional |= floats
+        fractional |= fractional_names
 
 
 def matrices(
@@ -186,11 +187,11 @@ def matrices(
         LogError: The log is incomplete, or too large for a MAT file.
     """
     parts: list[list[Channel]] = [[] for _ in channels]
-    lines: dict[str, list[TextLine]] = {topic: [] for topic in (*map(_transcript, robots), "/events")}
+    lines: dict[str, list[TextLine]] = {topic: [] for topic in (*map(_transcript_topic, robots), "/events")}
     size = 0
     for piece in read_batches(log, progress):
         for channel, pieces in zip(channels, parts, strict=True):
-            pieces.append(_read_piece(log, channel, piece))
+            pieces.append(_channel_of_batch(log, channel, piece))
             size += pieces[-1].values.size * 8
         for topic, entries in lines.items():
             entries += piece.lines.get(topic, [])
@@ -200,24 +201,24 @@ def matrices(
                 f"{log}: more than {MAT_BYTES >> 20} MiB of numbers and text, which is made in memory for a "
                 "MAT file; expected a shorter log, fewer --channels, or -o FILE.csv or .parquet"
             )
-    several = len(robots) > 1
-    values: dict[str, object] = {"robots": _cells(robots)} if several else {}
+    has_several_robots = len(robots) > 1
+    values: dict[str, object] = {"robots": _cell_column(robots)} if has_several_robots else {}
     merged = [_merge(pieces) for pieces in parts]
     for channel in merged:
-        name, (times_ns, owners, (indices,)) = identifier(channel.name), rows_of([channel], len(robots))
+        name, (times_ns, owners, (indices,)) = to_identifier(channel.name), rows_of([channel], len(robots))
         values[name] = channel.values[indices].astype(np.float64)
         values[f"{name}_time_s"] = times_ns.reshape(-1, 1) / 1e9
-        values[f"{name}_columns"] = _cells([column for column, _ in channel.columns])
-        values[f"{name}_units"] = _cells([unit for _, unit in channel.columns])
-        if several:
+        values[f"{name}_columns"] = _cell_column([column for column, _ in channel.columns])
+        values[f"{name}_units"] = _cell_column([unit for _, unit in channel.columns])
+        if has_several_robots:
             values[f"{name}_robot"] = owners.reshape(-1, 1) + 1.0
     events = lines.pop("/events")
     serial = _sort_lines([*lines.values()])
     for name, entries in (("serial", [line for _, line in serial]), ("events", events)):
         values[f"{name}_time_s"] = np.array([line.time_ns / 1e9 for line in entries]).reshape(-1, 1)
-        values[f"{name}_from"] = _cells([line.name for line in entries])
-        values[f"{name}_text"] = _cells([line.text for line in entries])
-    if several:
+        values[f"{name}_from"] = _cell_column([line.name for line in entries])
+        values[f"{name}_text"] = _cell_column([line.text for line in entries])
+    if has_several_robots:
         values["serial_robot"] = np.array([owner + 1.0 for owner, _ in serial]).reshape(-1, 1)
     return mat_bytes(values, "log"), len(rows_of(merged, len(robots)).times_ns) if merged else 0
 
@@ -234,7 +235,7 @@ def write_transcript(
     file.write(b"time_s,robot,from,text\n" if len(robots) > 1 else b"time_s,from,text\n")
     for piece in read_batches(log, progress):
         text = StringIO()
-        lines = _sort_lines([piece.lines.get(_transcript(robot), []) for robot in robots])
+        lines = _sort_lines([piece.lines.get(_transcript_topic(robot), []) for robot in robots])
         names = [[robot] if len(robots) > 1 else [] for robot in robots]
         rows = ([repr(line.time_ns / 1e9), *names[owner], line.name, line.text] for owner, line in lines)
         csv.writer(text, lineterminator="\n").writerows(rows)
@@ -243,7 +244,7 @@ def write_transcript(
     return n_lines
 
 
-def _transcript(robot: str) -> str:
+def _transcript_topic(robot: str) -> str:
     return f"/{robot}/serial"
 
 
@@ -253,10 +254,10 @@ def _sort_lines(lines: Sequence[Sequence[TextLine]]) -> list[tuple[int, TextLine
     return sorted(pairs, key=lambda pair: pair[1].time_ns)
 
 
-def _read_piece(log: Path, channel: Channel, piece: Recording) -> Channel:
+def _channel_of_batch(log: Path, channel: Channel, batch: Recording) -> Channel:
     """Return a channel with its series in a piece of the log; its number of columns may not change."""
     n_columns, empty = len(channel.columns), TimeSeries(np.zeros(0, np.int64), channel.series[0].values[:0])
-    series = tuple(piece.series.get(topic, empty) for topic in channel.topics)
+    series = tuple(batch.series.get(topic, empty) for topic in channel.topics)
     for topic, part in zip(channel.topics, series, strict=True):
         if part.values.shape[1:] != (n_columns,):
             raise LogError(
@@ -279,7 +280,7 @@ def _merge(parts: Sequence[Channel]) -> Channel:
     return replace(parts[0], series=merged)
 
 
-def _cells(texts: Sequence[str]) -> NDArray[np.object_]:
+def _cell_column(texts: Sequence[str]) -> NDArray[np.object_]:
     """Return texts as a column of cells."""
     cells = np.empty((len(texts), 1), object)
     cells[:, 0] = texts

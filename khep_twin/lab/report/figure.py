@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from khep_twin.drawing.symbols import INK, Look
-from khep_twin.khepera4.channels import CODES
+from khep_twin.khepera4.channels import ULTRASONIC_CODES
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, draw_strip
@@ -30,7 +30,7 @@ _SENSOR_HEIGHT, WHEEL_HEIGHT, VISION_HEIGHT, EXTRA_HEIGHT = 0.6125, 2.9, 1.9, 4.
 
 _PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
 _SPEED, _SETPOINT, _CONTACT = "#2f7d5b", "#2b2f36", "#c2452d"
-_MARK_LIMIT = 300
+_MAX_MARKS = 300
 
 Values = NDArray[np.int64] | Floats
 
@@ -40,18 +40,18 @@ WIDTH = 7.1
 
 def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
     """Draw proximity and ambient light, a strip for each sensor; the corner is the lower left [inch]."""
-    kinds = (
+    sensor_kinds = (
         ("proximity", robot.proximity, _PROXIMITY, (0, COUNTS_LIMIT)),
-        ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _highest(robot.ambient)))),
+        ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _max_value(robot.ambient)))),
     )
-    titles = [f"{name} [counts]" for name, *_ in kinds]
+    titles = [f"{name} [counts]" for name, *_ in sensor_kinds]
     columns = sensor_panels(figure, corner, sensor_height(robot), titles, -0.11, robot.body.sensors)
-    for panels, (name, series, colour, limits) in zip(columns, kinds, strict=True):
+    for panels, (name, series, colour, limits) in zip(columns, sensor_kinds, strict=True):
         for sensor, axes in enumerate(panels):
             if series is not None:
-                _draw_strip(axes, series, sensor, colour, None if name == "proximity" else robot.dark)
+                _draw_sensor_curve(axes, series, sensor, colour, None if name == "proximity" else robot.dark)
             axes.set(ylim=limits, yticks=limits if sensor == 0 else [], xlim=_time_limits(robot))
-            _mark_contact(axes, robot)
+            _mark_contacts(axes, robot)
             if series is None and sensor == 3:
                 axes.text(0.5, 0.5, "not in this log", transform=axes.transAxes, ha="center", va="center")
 
@@ -70,15 +70,15 @@ def draw_extra(figure: Figure, robot: RobotReport, corner: tuple[float, float]) 
         style_time_axes(axes)
         times_s, values = series.times_ns / 1e9, series.values.astype(np.float64)
         if name == "ultrasonic":
-            values[np.isin(values, CODES)] = np.nan
+            values[np.isin(values, ULTRASONIC_CODES)] = np.nan
         columns = KHEPERA4_COLUMNS[name]
         for (column, _), curve in zip(columns, values.T, strict=True):
             label = column.removeprefix(f"{name}_").replace("_", " ")
             axes.plot(*thin_curve(times_s, curve), lw=0.8, label=label)
         axes.set_title(f"{name} [{columns[0][1]}]", fontsize=9, loc="left", color=INK)
         axes.set_xlim(_time_limits(robot))
-        place: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.98), "ncols": len(columns)}
-        axes.legend(fontsize=8, frameon=False, borderpad=0, **place)
+        legend_style: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.98), "ncols": len(columns)}
+        axes.legend(fontsize=8, frameon=False, borderpad=0, **legend_style)
         axes.tick_params(labelbottom=row == len(robot.extra) - 1)
     figure.axes[-1].set_xlabel("time [s]", fontsize=8)
 
@@ -87,7 +87,7 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float])
     """Draw both wheels' speeds with their setpoints; the corner is the lower left [inch]."""
     grid = axes_edges(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
     cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
-    mm_s = 1e5 * robot.body.pulse_length
+    mm_s_per_speed = 1e5 * robot.body.pulse_length
     for side, name in enumerate(("left", "right")):
         axes = figure.add_subplot(cells[side, 0])
         if robot.speed is not None:
@@ -96,14 +96,14 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float])
             axes.plot(*thin_curve(times_s, values[:, side]), color=_SPEED, label="speed", **look)
             setpoint = thin_curve(times_s, values[:, 2 + side])
             axes.plot(*setpoint, color=_SETPOINT, ls=(0, (4, 2)), label="setpoint", **look)
-        _mark_contact(axes, robot)
+        _mark_contacts(axes, robot)
         axes.set_xlim(_time_limits(robot))
         axes.set_ylabel(f"{name}\n[pulses/10 ms]", fontsize=8)
         axes.tick_params(labelsize=7, length=2)
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color=INK, alpha=0.1, lw=0.5)
         axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-        functions = partial(np.multiply, mm_s), partial(np.multiply, 1 / mm_s)
+        functions = partial(np.multiply, mm_s_per_speed), partial(np.multiply, 1 / mm_s_per_speed)
         right_axis = axes.secondary_yaxis("right", functions=functions)
         right_axis.set_ylabel("[mm/s]", fontsize=8)
         right_axis.tick_params(labelsize=7, length=2)
@@ -112,8 +112,8 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float])
             axes.tick_params(labelbottom=False)
             axes.set_title("wheel speeds", fontsize=9, loc="left", color=INK)
             handles, labels = axes.get_legend_handles_labels()
-            place: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.98)}
-            axes.legend(handles, labels, ncols=3, fontsize=8, frameon=False, borderpad=0, **place)
+            legend_style: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.98)}
+            axes.legend(handles, labels, ncols=3, fontsize=8, frameon=False, borderpad=0, **legend_style)
         else:
             axes.set_xlabel("time [s]", fontsize=8)
 
@@ -124,12 +124,12 @@ def draw_vision(figure: Figure, robot: RobotReport, corner: tuple[float, float])
         return
     grid = axes_edges(figure, corner, VISION_HEIGHT, left=0.7, right=0.57)
     axes = figure.add_subplot(figure.add_gridspec(1, 1, **grid)[0, 0])
-    begin, end = _time_limits(robot)
+    start_s, end_s = _time_limits(robot)
     # Each column is the last image before its time.
-    column_times_ns = np.linspace(begin, end, POINT_LIMIT) * 1e9
+    column_times_ns = np.linspace(start_s, end_s, POINT_LIMIT) * 1e9
     rows = np.searchsorted(robot.vision.times_ns, column_times_ns, side="right") - 1
-    strip = np.where(rows[:, None] >= 0, robot.vision.values[np.maximum(rows, 0)], 0)
-    draw_strip(axes, strip.T, (begin, end))
+    images = np.where(rows[:, None] >= 0, robot.vision.values[np.maximum(rows, 0)], 0)
+    draw_strip(axes, images.T, (start_s, end_s))
     axes.set_title("line image [greys, left pixel at the top]", fontsize=9, loc="left", color=INK)
     axes.set_ylabel("pixel", fontsize=8)
     axes.set_xlabel("time [s]", fontsize=8)
@@ -164,9 +164,9 @@ def sensor_panels(
         for axes in panels:
             style_time_axes(axes)
             axes.tick_params(labelbottom=axes is panels[-1])
-    place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
+    label_style: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
     for axes, name in zip(columns[0], names, strict=True):
-        axes.set_ylabel(fill(name, 12), **place)
+        axes.set_ylabel(fill(name, 12), **label_style)
         axes.yaxis.set_label_coords(label_x, 0.5)
     return columns
 
@@ -192,29 +192,29 @@ def axes_edges(
     }
 
 
-def _draw_strip(axes: Axes, series: TimeSeries, sensor: int, colour: str, dark: float | None) -> None:
+def _draw_sensor_curve(axes: Axes, series: TimeSeries, sensor: int, colour: str, dark: float | None) -> None:
     """Draw one sensor: proximity filled from below, ambient light from the dark level."""
     times_s, values = thin_curve(series.times_ns / 1e9, series.values[:, sensor])
-    level = 0.0 if dark is None else dark
-    axes.fill_between(times_s, values, level, color=colour, alpha=0.4, lw=0)
+    base = 0.0 if dark is None else dark
+    axes.fill_between(times_s, values, base, color=colour, alpha=0.4, lw=0)
     axes.plot(times_s, values, color=colour, lw=0.7)
     axes.axhline(NEAR_COUNTS if dark is None else dark, color=INK, alpha=0.4, lw=0.5, ls=":")
 
 
 def thin_curve(times_s: Floats, values: Values) -> tuple[Floats, Values]:
-    """Return a curve with fewer points that looks the same."""
+    """Return a curve with at most two points, the extremes, for each of `POINT_LIMIT` intervals."""
     if len(values) <= 2 * POINT_LIMIT:
         return times_s, values
-    bounds = np.linspace(0, len(values), POINT_LIMIT + 1).astype(int)[:-1]
-    low, high = np.minimum.reduceat(values, bounds), np.maximum.reduceat(values, bounds)
-    return np.repeat(times_s[bounds], 2), np.column_stack([low, high]).ravel()
+    interval_starts = np.linspace(0, len(values), POINT_LIMIT + 1).astype(int)[:-1]
+    low, high = np.minimum.reduceat(values, interval_starts), np.maximum.reduceat(values, interval_starts)
+    return np.repeat(times_s[interval_starts], 2), np.column_stack([low, high]).ravel()
 
 
-def _mark_contact(axes: Axes, robot: RobotReport) -> None:
-    spans: Iterable[list[float]] = robot.contact[:_MARK_LIMIT].tolist()
-    for number, (begin, end) in enumerate(spans):
+def _mark_contacts(axes: Axes, robot: RobotReport) -> None:
+    spans: Iterable[list[float]] = robot.contact[:_MAX_MARKS].tolist()
+    for number, (start_s, end_s) in enumerate(spans):
         label = "in touch with something" if number == 0 else None
-        axes.axvspan(begin, end, color=_CONTACT, alpha=0.18, lw=0.6, label=label, zorder=0)
+        axes.axvspan(start_s, end_s, color=_CONTACT, alpha=0.18, lw=0.6, label=label, zorder=0)
 
 
 def _time_limits(robot: RobotReport) -> tuple[float, float]:
@@ -225,5 +225,5 @@ def _time_limits(robot: RobotReport) -> tuple[float, float]:
     return 0.0, last_s or 1.0
 
 
-def _highest(series: TimeSeries | None) -> int:
+def _max_value(series: TimeSeries | None) -> int:
     return 0 if series is None else int(series.values.max(initial=0))

@@ -132,18 +132,19 @@ def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
 
 
 def _sheet(draw: Callable[[Figure, _T, tuple[float, float]], None], height: float, subject: _T) -> Figure:
+    """Return a figure of this height [inch] with one picture of a robot or a shadow."""
     with matplotlib.style.context(STYLE):
         figure = blank_figure(WIDTH, height)
         draw(figure, subject, (0.0, 0.0))
     return figure
 
 
-def _image(figure: Figure, text: str, kind: str = "curves") -> str:
+def _image(figure: Figure, text: str, css_class: str = "curves") -> str:
     # PNG images can be pasted into word processors.
     data = b64encode(drawing.picture(figure, "png", DPI)).decode("ascii")
-    return f'<img class="{kind}" alt="{escape(text)}" src="data:image/png;base64,{data}">'
+    return f'<img class="{css_class}" alt="{escape(text)}" src="data:image/png;base64,{data}">'
 
 
-def _table(rows: Sequence[Row], kind: str = "numbers") -> str:
+def _table(rows: Sequence[Row], css_class: str = "numbers") -> str:
     lines = [f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows]
-    return "\n".join([f'<table class="{kind}">', *lines, "</table>"])
+    return "\n".join([f'<table class="{css_class}">', *lines, "</table>"])

@@ -113,7 +113,7 @@ def make_report(recording: Recording, source: str, shadow: ShadowTrack | None = 
     else:
         title = f"Run of the robot at {metadata['relay']}" if "relay" in metadata else "Run"
     names = recording.label.robots if shadow is None else ()
-    poses = {name: _series(recording, f"/{name}/pose", 3) for name in names}
+    poses = {name: _find_series(recording, f"/{name}/pose", 3) for name in names}
     events = recording.lines.get("/events", [])
     tracks = tuple(
         DrawnPath(name, pose.times_ns / 1e9, pose.values[:, :2].astype(np.float64) * 1000)
@@ -124,19 +124,22 @@ def make_report(recording: Recording, source: str, shadow: ShadowTrack | None = 
         title,
         playpen,
         tracks,
-        tuple(_part(recording, source, playpen, index, name) for index, name in enumerate(names)),
+        tuple(_robot_report(recording, source, playpen, index, name) for index, name in enumerate(names)),
         tuple((f"{line.time_ns / 1e9:.2f} s, {line.name}", line.text) for line in events),
         tuple((key.replace("_", " "), value) for key, value in metadata.items() if value not in _UNSET),
         shadow,
     )
 
 
-def _part(recording: Recording, source: str, playpen: Playpen | None, index: int, name: str) -> RobotReport:
+def _robot_report(
+    recording: Recording, source: str, playpen: Playpen | None, index: int, name: str
+) -> RobotReport:
+    """Return the part of the report on the robot with this index in the playpen and name in the log."""
     robots = () if playpen is None else playpen.robots
     body = robots[index].body if index < len(robots) else BODIES["khepera1"]
     width = len(body.sensors)
     pose, proximity, ambient, speed, registers, position = (
-        _series(recording, f"/{name}/{channel}", width)
+        _find_series(recording, f"/{name}/{channel}", width)
         for channel, width in (
             *(("pose", 3), ("proximity", width), ("ambient", width), ("speed", 4)),
             *(("registers", N_REGISTERS), ("position", 4)),
@@ -146,13 +149,14 @@ def _part(recording: Recording, source: str, playpen: Playpen | None, index: int
     extra = {
         channel: series
         for channel in EXTRA_CHANNELS
-        if (series := _series(recording, f"/{name}/{channel}", len(KHEPERA4_COLUMNS[channel]))) is not None
+        if (series := _find_series(recording, f"/{name}/{channel}", len(KHEPERA4_COLUMNS[channel])))
+        is not None
     }
-    vision = _series(recording, f"/{name}/vision", K213_PIXELS)
+    vision = _find_series(recording, f"/{name}/vision", K213_PIXELS)
     lines = recording.lines.get(f"/{name}/serial", [])
     calibration = calibration_of(recording.label.attachments, name, source)
     dark = None if calibration is None else calibration.ambient.dark_counts
-    level = float(USUAL_DARK_COUNTS if dark is None else dark)
+    dark_level = float(USUAL_DARK_COUNTS if dark is None else dark)
     rows: list[Row] = [("Duration", f"{_duration_s(recording):.2f} s")]
     contact = np.zeros((0, 2))
     if pose is not None:
@@ -168,7 +172,7 @@ def _part(recording: Recording, source: str, playpen: Playpen | None, index: int
         counts = proximity.values[:, :N_SENSORS].astype(np.int64)
         rows += near_rows(statistics.near(proximity.times_ns / 1e9, counts, body.near_counts))
     if ambient is not None:
-        rows += light_rows(ambient, level, body.sensors)
+        rows += light_rows(ambient, dark_level, body.sensors)
     rows += wire_rows(lines, _duration_s(recording))
     channels = {"pose": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
     absent = [label for label, series in channels.items() if series is None]
@@ -182,16 +186,16 @@ def _part(recording: Recording, source: str, playpen: Playpen | None, index: int
     if ambient is not None and dark is None:
         missing += f" There is no calibration: the dark level is taken as {USUAL_DARK_COUNTS} counts."
     texts = tuple(rows), missing.strip()
-    return RobotReport(name, body, *texts, proximity, ambient, speed, vision, extra, level, contact)
+    return RobotReport(name, body, *texts, proximity, ambient, speed, vision, extra, dark_level, contact)
 
 
-def _series(recording: Recording, topic: str, width: int) -> TimeSeries | None:
+def _find_series(recording: Recording, topic: str, width: int) -> TimeSeries | None:
     """Return a channel; None if it is missing or has another shape."""
     series = recording.series.get(topic)
     if series is None or series.values.shape[1:] != (width,):
         return None
-    fits = len(series.values) == len(series.times_ns) and np.isfinite(series.values).all()
-    return series if fits else None
+    is_valid = len(series.values) == len(series.times_ns) and np.isfinite(series.values).all()
+    return series if is_valid else None
 
 
 def _duration_s(recording: Recording) -> float:

@@ -16,7 +16,7 @@ from khep_twin.units import BODIES, N_SENSORS, Body
 Row = tuple[str, str]
 """Name, and value with its unit."""
 
-_NEAR4 = BODIES["khepera4"].near_counts
+_KHEPERA4_NEAR_COUNTS = BODIES["khepera4"].near_counts
 
 DEFINITIONS: tuple[Row, ...] = (
     ("Distance", "path length of the centre, measured in steps of 1 mm; its mean speed includes standing"),
@@ -25,7 +25,7 @@ DEFINITIONS: tuple[Row, ...] = (
     (
         "Near something",
         f"any of the eight sensors around reads a proximity above {NEAR_COUNTS} counts, "
-        f"of a Khepera IV {_NEAR4}",
+        f"of a Khepera IV {_KHEPERA4_NEAR_COUNTS}",
     ),
     (
         "Collisions",
@@ -47,12 +47,12 @@ DEFINITIONS: tuple[Row, ...] = (
 def motion_rows(pose: TimeSeries) -> Iterator[Row]:
     """Yield the rows on a robot's motion."""
     motion = statistics.motion(pose.times_ns / 1e9, pose.values.astype(np.float64))
-    yield "Distance", _length(motion.distance)
+    yield "Distance", _format_length(motion.distance)
     yield "Mean speed", f"{1000 * motion.mean_speed:.1f} mm/s"
     yield "Largest speed", f"{1000 * motion.top_speed:.0f} mm/s"
     left, right = (turn / (2 * math.pi) for turn in (motion.left_turn, motion.right_turn))
-    net = math.degrees(motion.left_turn - motion.right_turn)
-    yield "Turned", f"{left:.2f} turns left, {right:.2f} turns right; net {_signed(net, 0)}°"
+    net_deg = math.degrees(motion.left_turn - motion.right_turn)
+    yield "Turned", f"{left:.2f} turns left, {right:.2f} turns right; net {_format_signed(net_deg, 0)}°"
 
 
 def collision_rows(contacts: Intervals) -> Iterator[Row]:
@@ -75,18 +75,18 @@ def slip_rows(pose: TimeSeries, pulses: NDArray[np.int64], body: Body) -> Iterat
     times_s, truth = pose.times_ns / 1e9, pose.values.astype(np.float64)
     slip = statistics.slip(times_s, truth, pulses, body)
     true_length = statistics.path_length(truth[:, :2])
-    difference = f", {_signed(100 * (slip.distance / true_length - 1), 1)} %" if true_length else ""
-    yield "Distance by counters", f"{_length(slip.distance)}{difference}"
-    heading = _signed(math.degrees(slip.heading), 1)
+    difference = f", {_format_signed(100 * (slip.distance / true_length - 1), 1)} %" if true_length else ""
+    yield "Distance by counters", f"{_format_length(slip.distance)}{difference}"
+    heading = _format_signed(math.degrees(slip.heading), 1)
     yield "Heading by counters", f"at most {heading}° off, at {slip.heading_s:.1f} s"
     yield "End by counters", f"{1000 * slip.end:.0f} mm off"
 
 
 def light_rows(ambient: TimeSeries, dark: float, names: Sequence[str]) -> Iterator[Row]:
     """Yield the rows on the light received from lamps, below a dark level [counts]."""
-    levels = np.full(N_SENSORS, float(dark))
+    dark_levels = np.full(N_SENSORS, float(dark))
     counts = ambient.values[:, :N_SENSORS].astype(np.int64)
-    light = statistics.light(ambient.times_ns / 1e9, counts, levels)
+    light = statistics.light(ambient.times_ns / 1e9, counts, dark_levels)
     yield "Light gained", f"{light.mean:.1f} counts in the mean of all sensors"
     sensor = names[light.sensor]
     yield "Brightest moment", f"{light.brightest:.0f} counts, sensor {sensor}, at {light.time_s:.1f} s"
@@ -107,10 +107,10 @@ def wire_rows(lines: Sequence[TextLine], duration_s: float) -> Iterator[Row]:
     yield "Unanswered", f"{stats.unanswered}; refused {stats.refused}"
 
 
-def _length(length: float) -> str:
+def _format_length(length: float) -> str:
     return f"{length:.2f} m" if length >= 1 else f"{1000 * length:.0f} mm"
 
 
-def _signed(value: float, digits: int) -> str:
+def _format_signed(value: float, digits: int) -> str:
     text = f"{value:+.{digits}f}"
     return text.replace("-", "\N{MINUS SIGN}") if float(text) else text[1:]

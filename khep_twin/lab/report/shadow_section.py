@@ -80,8 +80,8 @@ def rows(track: ShadowTrack) -> Iterator[Row]:
     if track.states:
         times = track.state_times
         yield "States", f"{times}; lost {'once' if times.n_losses == 1 else f'{times.n_losses} times'}"
-        highest = _highest(track)
-        suspects = ", ".join(f"{name} up to {100 * part:.0f} %" for name, part in highest[:_MAX_CURVES])
+        highest = _peak_probabilities(track)
+        suspects = ", ".join(f"{name} up to {100 * peak:.0f} %" for name, peak in highest[:_MAX_CURVES])
         remainder = f" and {len(highest) - _MAX_CURVES} more" if len(highest) > _MAX_CURVES else ""
         yield "Suspected", f"{suspects}{remainder}" or "nothing"
     position_mm, heading_deg = _spreads(track)
@@ -127,12 +127,12 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
         axes.plot(*pose[:, :2].T, color=_ESTIMATE, lw=1.3, zorder=5)
         indices = np.unique(np.linspace(0, max(len(pose) - 1, 0), min(_ELLIPSES, len(pose))).astype(int))
         indices = indices[~lost[indices]]
-        sizes, turns = _ellipses(track.covariance[stride][indices])
+        sizes, angles_deg = _ellipse_axes(track.covariance[stride][indices])
         colours = [_STATES[states[index]] for index in indices]
         look: Look = {"facecolors": colours, "alpha": 0.2, "zorder": 4}
         _draw_search(axes, track)
         placement: Look = {"units": "xy", "offsets": pose[indices, :2], "offset_transform": axes.transData}
-        axes.add_collection(EllipseCollection(sizes[:, 0], sizes[:, 1], turns, **placement, **look))
+        axes.add_collection(EllipseCollection(sizes[:, 0], sizes[:, 1], angles_deg, **placement, **look))
         radius_mm = 1000 * playpen.robots[0].body.radius
         for path, colour in ((pose, _ESTIMATE), (reckoned, _RECKONED)):
             if len(path) and not np.isnan(path[-1]).any():
@@ -190,7 +190,7 @@ def _draw_states(figure: Figure, track: ShadowTrack, corner: tuple[float, float]
     strip.set_title("states", fontsize=9, loc="left", color=INK)
     strip_legend: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.8), "frameon": False}
     strip.legend(ncols=3, fontsize=8, **strip_legend)
-    names = [name for name, _ in _highest(track)[:_MAX_CURVES]]
+    names = [name for name, _ in _peak_probabilities(track)[:_MAX_CURVES]]
     times_s = [time_ns / 1e9 for time_ns, _ in track.suspected]
     for name in names:
         probabilities = [
@@ -212,7 +212,7 @@ def _draw_states(figure: Figure, track: ShadowTrack, corner: tuple[float, float]
         curves.axvspan(alarm.raised_ns / 1e9, end_ns / 1e9, color=_ALARM, alpha=0.12, lw=0.6, zorder=0)
 
 
-def _highest(track: ShadowTrack) -> list[tuple[str, float]]:
+def _peak_probabilities(track: ShadowTrack) -> list[tuple[str, float]]:
     """Return the suspected faults with their highest probabilities, the most probable first."""
     highest: dict[str, float] = {}
     for _, suspected in track.suspected:
@@ -230,10 +230,10 @@ def _states_at(track: ShadowTrack, times_ns: NDArray[np.int64]) -> list[PoseStat
 
 def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
     """Draw the residuals of proximity and light, a strip for each sensor."""
-    kinds = (("proximity", PROXIMITY), ("light", LIGHT))
-    titles = [f"{name}: measured less expected [counts]" for name, _ in kinds]
+    sensor_kinds = (("proximity", PROXIMITY), ("light", LIGHT))
+    titles = [f"{name}: measured less expected [counts]" for name, _ in sensor_kinds]
     columns = sensor_panels(figure, corner, _SENSORS_HEIGHT, titles, -0.16)
-    for panels, (name, indices) in zip(columns, kinds, strict=True):
+    for panels, (name, indices) in zip(columns, sensor_kinds, strict=True):
         times_s, values = _known_residuals(track, indices)
         high = float(np.abs(values).max(initial=1.0))
         for sensor, axes in enumerate(panels):
@@ -241,7 +241,7 @@ def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float
             axes.set(ylim=(-high, high), yticks=(-round(high), 0, round(high)) if sensor == 0 else [0])
             if len(values):
                 axes.plot(*thin_curve(times_s, values[:, sensor]), color=_RESIDUAL, lw=0.7)
-                _mark(axes, track, name, sensor)
+                _mark_alarms(axes, track, name, sensor)
             elif sensor == 3:
                 axes.text(0.5, 0.5, "not asked", transform=axes.transAxes, ha="center", va="center")
 
@@ -269,7 +269,7 @@ def _draw_wheels(figure: Figure, track: ShadowTrack, corner: tuple[float, float]
         if not len(curves[0][1]):
             axes.text(0.5, 0.5, "not asked", transform=axes.transAxes, ha="center", va="center")
         elif channel:
-            _mark(axes, track, channel)
+            _mark_alarms(axes, track, channel)
         if len(curves) > 1 and len(curves[0][1]):
             axes.legend(loc="lower right", bbox_to_anchor=(1, 0.94), ncols=2, fontsize=8, frameon=False)
         axes.yaxis.set_major_locator(MaxNLocator(3))
@@ -284,7 +284,7 @@ def _set_time_axis(axes: Axes, track: ShadowTrack) -> None:
     axes.axhline(0, color=INK, alpha=0.4, lw=0.5, ls=":")
 
 
-def _mark(axes: Axes, track: ShadowTrack, channel: str, sensor: int | None = None) -> None:
+def _mark_alarms(axes: Axes, track: ShadowTrack, channel: str, sensor: int | None = None) -> None:
     """Mark the alarms of a channel; alarms that name a sensor are marked at this sensor only."""
     for alarm in track.alarms:
         match = _SENSOR.search(alarm.fault)
@@ -310,7 +310,7 @@ def _reckoning_error_mm(track: ShadowTrack) -> Floats:
     return 1000 * np.hypot(*(track.reckoned - track.pose)[:, :2].T)
 
 
-def _ellipses(covariances: Floats) -> tuple[Floats, Floats]:
+def _ellipse_axes(covariances: Floats) -> tuple[Floats, Floats]:
     """Return widths and heights (n, 2) [mm] and angles [degrees] of 95 % ellipses of positions."""
     if not len(covariances):
         return np.zeros((0, 2)), np.zeros(0)

@@ -51,11 +51,11 @@ class Rows(NamedTuple):
     indices: list[NDArray[np.int64]]
 
 
-def rows_of(channels: Sequence[Channel], count: int) -> Rows:
-    """Return the rows of a table of `count` robots: one per robot and time, in order of time, then robot."""
+def rows_of(channels: Sequence[Channel], n_robots: int) -> Rows:
+    """Return the rows of a table: one per robot and time of a message, in order of time, then robot."""
     times: list[NDArray[np.int64]] = []
     indices: list[list[NDArray[np.int64]]] = [[] for _ in channels]
-    for robot in range(count):
+    for robot in range(n_robots):
         robot_series = [channel.series[robot] for channel in channels]
         times.append(np.unique(np.concatenate([series.times_ns for series in robot_series])))
         for channel, series, rows in zip(channels, robot_series, indices, strict=True):
@@ -63,9 +63,9 @@ def rows_of(channels: Sequence[Channel], count: int) -> Rows:
             rows.append(np.full(len(times[-1]), -1))
             rows[-1][np.searchsorted(times[-1], series.times_ns)] = offset + np.arange(len(series.times_ns))
     times_ns = np.concatenate(times)
-    order = np.argsort(times_ns, kind="stable")
-    robots = np.repeat(np.arange(count), [len(robot_times) for robot_times in times])
-    return Rows(times_ns[order], robots[order], [np.concatenate(rows)[order] for rows in indices])
+    by_time = np.argsort(times_ns, kind="stable")
+    robots = np.repeat(np.arange(n_robots), [len(robot_times) for robot_times in times])
+    return Rows(times_ns[by_time], robots[by_time], [np.concatenate(rows)[by_time] for rows in indices])
 
 
 class Heading(NamedTuple):
@@ -98,7 +98,7 @@ class CsvFile:
             columns.append([str(self._robots[robot]) for robot in rows.robots.tolist()])
         for channel, indices in zip(channels, rows.indices, strict=True):
             value_rows = indices.tolist()
-            for values in _numbers(channel, self._fractional).T:
+            for values in _values_to_write(channel, self._fractional).T:
                 texts = [*map(repr, values.tolist()), ""]  # the last is for row -1
                 columns.append([texts[row] for row in value_rows])
         self._file.write("".join(f"{','.join(row)}\n" for row in zip(*columns, strict=True)).encode())
@@ -119,9 +119,9 @@ class ParquetFile:
         if len(self._robots) > 1:
             fields.append(arrow.field("robot", arrow.string()))
         for channel in channels:
-            kind = arrow.float64() if channel.name in self._fractional else arrow.int64()
+            arrow_type = arrow.float64() if channel.name in self._fractional else arrow.int64()
             for name, unit in channel.columns:
-                fields.append(arrow.field(name, kind, metadata={"unit": unit, "channel": channel.name}))
+                fields.append(arrow.field(name, arrow_type, metadata={"unit": unit, "channel": channel.name}))
         self._schema = arrow.schema(fields)
         self._writer = parquet.ParquetWriter(file, self._schema)
 
@@ -133,7 +133,7 @@ class ParquetFile:
         if len(self._robots) > 1:
             columns.append(arrow.array([self._robots[robot] for robot in rows.robots.tolist()]))
         for channel, indices in zip(channels, rows.indices, strict=True):
-            for values in _numbers(channel, self._fractional).T:
+            for values in _values_to_write(channel, self._fractional).T:
                 # The last is for row -1, a missing value.
                 columns.append(arrow.array(np.append(values, 0)[indices], mask=indices < 0))
         self._writer.write_table(arrow.Table.from_arrays(columns, schema=self._schema))
@@ -147,7 +147,7 @@ TABLES: Mapping[str, type[CsvFile] | type[ParquetFile]] = {".csv": CsvFile, ".pa
 """Class of each table format by suffix; a new format is a class like `CsvFile`, and a line here."""
 
 
-def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[np.generic]:
+def _values_to_write(channel: Channel, fractional: Collection[str]) -> NDArray[np.generic]:
     """Return a channel's values, as integers unless it is fractional."""
     values = channel.values
     return values if channel.name in fractional else values.astype(np.int64)

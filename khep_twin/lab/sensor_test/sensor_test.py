@@ -78,13 +78,10 @@ PULSES_PER_DEGREE = math.radians(1) * WHEEL_BASE / 2 / PULSE_LENGTH
 
 _TOLERANCE_PULSES = 2
 """Largest decrease of a wheel's distance to its target that is not progress [pulses]."""
-
 _DETECTION_COUNTS = 50
 """Proximity below which no object is detected [counts], far above the noise of the converter."""
-
 _LAMP_COUNTS = 40
 """Smallest difference of ambient counts due to a lamp; smaller ones are noise and sensor tolerance."""
-
 _NEAR_PULSES = 10
 """Distance to the target below which the status is read [pulses]; it takes the time of a reading."""
 
@@ -341,16 +338,16 @@ def drive_to(
 ) -> bool:
     """Send the wheels to a target and read the sensors meanwhile; return whether the target is reached."""
     robot.set_target(*target)
-    nearest, last_progress = [math.inf, math.inf], [robot.time] * 2
+    min_distances, last_progress = [math.inf, math.inf], [robot.time] * 2
     while not stop():
         position = robot.position()
         if on_position is not None:
             on_position(position)
         distances = [abs(end - count) for end, count in zip(target, position, strict=True)]
-        is_nearer = [new < old - _TOLERANCE_PULSES for new, old in zip(distances, nearest, strict=True)]
+        is_nearer = [new < old - _TOLERANCE_PULSES for new, old in zip(distances, min_distances, strict=True)]
         for wheel in (0, 1):
             if is_nearer[wheel]:
-                nearest[wheel], last_progress[wheel] = distances[wheel], robot.time
+                min_distances[wheel], last_progress[wheel] = distances[wheel], robot.time
         if all(is_nearer) and max(distances) > _NEAR_PULSES:
             continue
         status = robot.status()

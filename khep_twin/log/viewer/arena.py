@@ -1,4 +1,4 @@
-"""Additions to the arena view: sensor rays, paths, the light of the lamps, and events.
+"""Additions to the arena view: rays of the sensors, trails of the robots, light of the lamps, and events.
 
 The log contains poses and readings. Ray lengths are computed in the log's scene, like those of rangefinders.
 """
@@ -31,25 +31,26 @@ RAY_LIMIT = 0.06
 """Longest drawn ray [m]: slightly more than a sensor's range."""
 
 TRAIL_POINTS = 20_000
-"""Maximum number of points of a path; longer paths are subsampled regularly."""
+"""Maximum number of points of a trail; longer ones are subsampled regularly."""
 
 LABEL_LIMIT = 6
 """Maximum number of events with permanent texts in the arena; with more, texts are shown on hovering only."""
 
-_RAYS = 5
-_NO_HIT, _FAR, _NEAR = (190, 190, 185, 255), np.array((150, 150, 150)), np.array((228, 30, 20))
+_N_RAYS = 5  # per sensor
+_NO_HIT_RGBA, _FAR_RGB, _NEAR_RGB = (190, 190, 185, 255), np.array((150, 150, 150)), np.array((228, 30, 20))
 TRAIL_COLOUR = (94, 53, 177)
-"""Colour of a robot's path."""
+"""Colour of a robot's trail."""
 
 EVENT_PATH = "/event_marks"
 """Entity path of the event marks in the arena."""
 
 _EVENT_COLOUR = (255, 183, 77)
 _FLOOR_COLOUR, _GLOW_COLOUR = np.array((237.0, 235.0, 224.0)), np.array((255.0, 184.0, 31.0))
-_HALF_GLOW = 3e-4
+_HALF_GLOW_IRRADIANCE = 3e-4
 """Irradiance at half the maximum glow of the floor [W/mm^2], as on maps."""
 
-_GLOW_PIXELS = 200
+_GLOW_PIXELS = 200  # along the longer side of the floor
+_TRAIL_HEIGHT = 0.0015  # above the patches painted on the floor [m]
 _STATE_LIMIT = 32
 """Maximum number of lamp combinations whose light is computed."""
 
@@ -66,27 +67,27 @@ class Rays:
             for joint in np.flatnonzero(self._model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
         }
 
-    def chunks(self, robot: str, track: Samples, poses: Poses) -> list[Chunk]:
+    def chunks(self, robot: str, samples: Samples, poses: Poses) -> list[Chunk]:
         """Return rays at the times of samples, coloured by the reading, up to the first hit.
 
         `poses` contains the poses of all bodies at these times, or at more.
         """
-        rows = poses.rows_at(track.times_ns)
+        rows = poses.rows_at(samples.times_ns)
         if rows is None or not len(rows):
             return []
         ends, hits = self._cast(robot, poses, rows)
         n, names = len(rows), self._bodies[robot].cameras
-        strips = np.empty((n, len(names), _RAYS, 2, 3), np.float32)
+        strips = np.empty((n, len(names), _N_RAYS, 2, 3), np.float32)
         starts = [self._model.camera(f"{robot}/{name}").pos for name in names]
         strips[..., 0, :], strips[..., 1, :] = np.array(starts)[None, :, None], ends
-        intensity = np.sqrt(np.clip(track.proximity / COUNTS_LIMIT, 0, 1))[..., None]
-        colours = np.empty((n, len(names), _RAYS, 4), np.uint8)
-        colours[..., :3] = (_FAR + intensity * (_NEAR - _FAR))[:, :, None]
+        intensity = np.sqrt(np.clip(samples.proximity / COUNTS_LIMIT, 0, 1))[..., None]
+        colours = np.empty((n, len(names), _N_RAYS, 4), np.uint8)
+        colours[..., :3] = (_FAR_RGB + intensity * (_NEAR_RGB - _FAR_RGB))[:, :, None]
         colours[..., 3] = 255
-        colours[~hits] = _NO_HIT
-        path = f"/obstacles/{robot}_sensors"
+        colours[~hits] = _NO_HIT_RGBA
+        path, n_lines = f"/obstacles/{robot}_sensors", len(names) * _N_RAYS
         lines = strips.reshape(-1, 2, 3), colours.reshape(-1, 4)
-        return line_chunks(path, f"{robot}/base", track.times_ns, *lines, 0.0004, len(names) * _RAYS)
+        return line_chunks(path, f"{robot}/base", samples.times_ns, *lines, radius=0.0004, n_lines=n_lines)
 
     def led_positions(self, robot: str) -> Floats:
         """Return the positions of a robot's LEDs in its frame (n, 3) [m]."""
@@ -100,12 +101,12 @@ class Rays:
         base = model.body(f"{robot}/base").id
         is_robot_body = model.body_rootid == base
         cameras = [model.camera(f"{robot}/{name}").id for name in self._bodies[robot].cameras]
-        angles = np.arctan(np.linspace(-1, 1, _RAYS))
+        angles = np.arctan(np.linspace(-1, 1, _N_RAYS))
         # A camera looks along its negative z axis, with x to the right.
-        ray_directions = np.column_stack((np.sin(angles), np.zeros(_RAYS), -np.cos(angles)))
-        ends = np.empty((len(rows), len(cameras), _RAYS, 3))
-        hits = np.zeros((len(rows), len(cameras), _RAYS), bool)
-        geoms, lengths = np.zeros(_RAYS, np.int32), np.zeros(_RAYS)
+        ray_directions = np.column_stack((np.sin(angles), np.zeros(_N_RAYS), -np.cos(angles)))
+        ends = np.empty((len(rows), len(cameras), _N_RAYS, 3))
+        hits = np.zeros((len(rows), len(cameras), _N_RAYS), bool)
+        geoms, lengths = np.zeros(_N_RAYS, np.int32), np.zeros(_N_RAYS)
         for index, row in enumerate(rows.tolist()):
             for name, address in self._qpos_addresses.items():
                 if name in poses.bodies:
@@ -115,60 +116,60 @@ class Rays:
             rotation, origin = data.xmat[base].reshape(3, 3), data.xpos[base]
             for channel, camera in enumerate(cameras):
                 rays = ray_directions @ data.cam_xmat[camera].reshape(3, 3).T
-                start = data.cam_xpos[camera]
+                eye = data.cam_xpos[camera]
                 mujoco.mj_multiRay(
-                    model, data, start, rays.ravel(), None, True, base, geoms, lengths, None, _RAYS, RAY_LIMIT
+                    model, data, eye, rays.ravel(), None, True, base, geoms, lengths, None, _N_RAYS, RAY_LIMIT
                 )
                 hit = (geoms >= 0) & (lengths >= 0) & (lengths <= RAY_LIMIT)
                 hit &= ~is_robot_body[model.geom_bodyid[geoms]]
                 hits[index, channel] = hit
                 ray_lengths = np.where(hit, lengths, RAY_LIMIT)[:, None]
-                ends[index, channel] = (start + ray_lengths * rays - origin) @ rotation
+                ends[index, channel] = (eye + ray_lengths * rays - origin) @ rotation
         return ends, hits
 
 
-def path_chunks(
-    path: str,
+def trail_chunks(
+    entity_path: str,
     times_ns: NDArray[np.int64],
     points: Floats,
     colour: tuple[int, int, int],
     last_pose: Floats | None,
 ) -> list[Chunk]:
-    """Return a path of points (n, 3) [m] on the floor, one line per time, continued from `last_pose`."""
+    """Return a trail through points (n, 3) [m] on the floor, one line per time, from `last_pose` on."""
     stride = slice(None, None, -(-len(points) // TRAIL_POINTS) or 1)
     points, times_ns = np.array(points[stride]), times_ns[stride]
-    points[:, 2] = 0.0015  # just above the patches painted on the floor
+    points[:, 2] = _TRAIL_HEIGHT
     if last_pose is not None:
-        points = np.vstack((last_pose[:3] * (1, 1, 0) + (0, 0, 0.0015), points))
+        points = np.vstack((last_pose[:3] * (1, 1, 0) + (0, 0, _TRAIL_HEIGHT), points))
     else:
         times_ns = times_ns[1:]
     if len(points) < 2:
         return []
     strips = np.stack((points[:-1], points[1:]), axis=1).astype(np.float32)
     colours = np.tile(np.array([colour], np.uint8), (len(strips), 1))
-    return line_chunks(path, "world", times_ns, strips, colours, 0.0015, 1)
+    return line_chunks(entity_path, "world", times_ns, strips, colours, radius=0.0015, n_lines=1)
 
 
 def line_chunks(
     path: str, frame: str, times_ns: NDArray[np.int64], strips: Any, colours: Any, radius: float, n_lines: int
 ) -> list[Chunk]:
-    """Return lines in a coordinate frame, `n_lines` at each time."""
+    """Return lines at an entity path, in a coordinate frame, `n_lines` at each time; `radius` is in m."""
     n = len(times_ns)
     radii = np.full(n * n_lines, radius, np.float32)
     lines = rr.LineStrips3D.columns(strips=strips, colors=colours, radii=radii).partition([n_lines] * n)
-    return [in_frame(path, frame), Chunk.from_columns(path, [time_column(times_ns)], lines)]
+    return [frame_chunk(path, frame), Chunk.from_columns(path, [time_column(times_ns)], lines)]
 
 
-def trail(robot: str) -> str:
+def trail_path(robot: str) -> str:
     """Return the entity path of a robot's trail."""
     return f"/trails/{robot}"
 
 
 def event_chunks(
-    label: Label, collected: Collector, poses: Poses | None, last_poses: Mapping[str, Floats]
+    label: Label, collector: Collector, poses: Poses | None, last_poses: Mapping[str, Floats]
 ) -> list[Chunk]:
-    """Return marks of events: in the arena at the robot's pose, or in `last_poses`; in curves at 0."""
-    times_ns, texts = collected.events()
+    """Return marks of events: at 0 in curves; in the arena at the robot's pose, else that of `last_poses`."""
+    times_ns, texts = collector.events()
     if not len(texts):
         return []
     times = time_column(times_ns)
@@ -176,7 +177,7 @@ def event_chunks(
     chunks = [Chunk.from_columns(f"/{robot}/events", [times], zeros) for robot in label.robots]
     positions: list[Floats] = []
     for time_ns, text in zip(times_ns, texts, strict=True):
-        robot = _subject(text, label.robots)
+        robot = _robot_of_event(text, label.robots)
         if poses is not None and (name := f"{robot}/base") in poses.bodies:
             row = min(np.searchsorted(poses.times_ns, time_ns), len(poses.times_ns) - 1)
             positions.append(poses.bodies[name][row, :3])
@@ -191,7 +192,7 @@ def event_chunks(
         labels=texts,
         show_labels=[len(texts) <= LABEL_LIMIT] * len(texts),
     )
-    return [*chunks, in_frame(EVENT_PATH, "world"), Chunk.from_columns(EVENT_PATH, [times], points)]
+    return [*chunks, frame_chunk(EVENT_PATH, "world"), Chunk.from_columns(EVENT_PATH, [times], points)]
 
 
 class FloorLight:
@@ -201,42 +202,42 @@ class FloorLight:
         self._source = source
         self._playpen = playpen_of(label.attachments, source)
         self._powers_w = np.array([lamp.power_w * lamp.dim for lamp in self._playpen.lamps])
-        self._states: dict[tuple[bool, ...], str] = {}
+        self._paths_by_lamps: dict[tuple[bool, ...], str] = {}
         self._is_constant = not any((lamp.on_s or lamp.blink_period_s) for lamp in self._playpen.lamps)
         self._is_constant &= self._playpen.lighting.mode == "all"
 
-    def chunks(self, collected: Collector) -> Iterator[Chunk]:
+    def chunks(self, collector: Collector) -> Iterator[Chunk]:
         """Yield the floor for each new combination of lamps, and the times at which it is visible."""
-        times_ns, powers = collected.lamps()
-        if not self._powers_w.any() or (powers is None and (self._states or not self._is_constant)):
+        times_ns, powers = collector.lamps()
+        if not self._powers_w.any() or (powers is None and (self._paths_by_lamps or not self._is_constant)):
             return
         if powers is not None and powers.shape[1] != len(self._powers_w):
             actual = f"{powers.shape[1]} powers in /lamps"
             expected = f"expected {len(self._powers_w)}, as playpen.toml has lamps"
             raise LogError(f"{self._source}: {actual}; {expected}")
         is_on = np.ones((1, len(self._powers_w)), bool) if powers is None else powers > self._powers_w / 2
-        changed = np.flatnonzero(np.any(is_on != np.roll(is_on, 1, axis=0), axis=1))
-        changed = np.union1d(0, changed)
+        changed_rows = np.flatnonzero(np.any(is_on != np.roll(is_on, 1, axis=0), axis=1))
+        changed_rows = np.union1d(0, changed_rows)
         shown_paths: list[str] = []
-        for row in is_on[changed]:
-            state = tuple(map(bool, row))
-            if state not in self._states and len(self._states) < _STATE_LIMIT:
-                path = self._states[state] = f"/light/{len(self._states)}"
-                yield in_frame(path, "world")
-                yield Chunk.from_columns(path, [], _floor_columns(self._playpen, state))
+        for row in is_on[changed_rows]:
+            lamps_on = tuple(map(bool, row))
+            if lamps_on not in self._paths_by_lamps and len(self._paths_by_lamps) < _STATE_LIMIT:
+                path = self._paths_by_lamps[lamps_on] = f"/light/{len(self._paths_by_lamps)}"
+                yield frame_chunk(path, "world")
+                yield Chunk.from_columns(path, [], _floor_columns(self._playpen, lamps_on))
             # Beyond `_STATE_LIMIT` combinations, the first one is shown.
-            shown_paths.append(self._states.get(state, "/light/0"))
+            shown_paths.append(self._paths_by_lamps.get(lamps_on, "/light/0"))
         if powers is None:
             return
-        times = time_column(times_ns[changed])
-        for path in self._states.values():
+        times = time_column(times_ns[changed_rows])
+        for path in self._paths_by_lamps.values():
             # Invisible light has scale 0.
             scales = [(float(shown_path == path),) * 3 for shown_path in shown_paths]
             poses = rr.InstancePoses3D.columns(scales=scales)
             yield Chunk.from_columns(path, [times], poses)
 
 
-def _floor_columns(playpen: playpens.Playpen, state: Sequence[bool]) -> Any:
+def _floor_columns(playpen: playpens.Playpen, lamps_on: Sequence[bool]) -> Any:
     """Return the floor in the light of the lamps that are on, as columns of rerun."""
     width_mm, height_mm = playpen.arena.width_mm, playpen.arena.height_mm
     pixel_mm = max(width_mm, height_mm) / _GLOW_PIXELS
@@ -244,9 +245,9 @@ def _floor_columns(playpen: playpens.Playpen, state: Sequence[bool]) -> Any:
     x, y = np.meshgrid(
         (np.arange(columns) + 0.5) * width_mm / columns, (np.arange(rows) + 0.5) * height_mm / rows
     )
-    lamps = tuple(lamp for lamp, is_on in zip(playpen.lamps, state, strict=True) if is_on)
+    lamps = tuple(lamp for lamp, is_on in zip(playpen.lamps, lamps_on, strict=True) if is_on)
     light = illumination(playpen.model_copy(update={"lamps": lamps}), x, y)[..., None]
-    colours = _FLOOR_COLOUR + 0.75 * light / (light + _HALF_GLOW) * (_GLOW_COLOUR - _FLOOR_COLOUR)
+    colours = _FLOOR_COLOUR + 0.75 * light / (light + _HALF_GLOW_IRRADIANCE) * (_GLOW_COLOUR - _FLOOR_COLOUR)
     width, depth, z = metres(width_mm), metres(height_mm), 0.0004
     mesh = rr.Mesh3D(
         vertex_positions=[[0, 0, z], [width, 0, z], [width, depth, z], [0, depth, z]],
@@ -259,12 +260,12 @@ def _floor_columns(playpen: playpens.Playpen, state: Sequence[bool]) -> Any:
     return [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
 
 
-def _subject(text: str, robots: Sequence[str]) -> str:
+def _robot_of_event(text: str, robots: Sequence[str]) -> str:
     """Return the robot of an event; the first one for events of the world."""
     match = re.match(r"\[([^\]]*)\]", text)
     return match[1] if match is not None and match[1] in robots else robots[0]
 
 
-def in_frame(path: str, frame: str) -> Chunk:
-    """Return the static coordinate frame of an entity."""
-    return Chunk.from_columns(path, [], rr.CoordinateFrame.columns(frame=[frame]))
+def frame_chunk(entity_path: str, frame: str) -> Chunk:
+    """Return the chunk that assigns a coordinate frame to an entity."""
+    return Chunk.from_columns(entity_path, [], rr.CoordinateFrame.columns(frame=[frame]))

@@ -89,33 +89,33 @@ class ShadowSamples:
     particles: Floats
 
 
-_POSE = ("Transform3D:child_frame", "Transform3D:translation", "Transform3D:quaternion")
-_STAMPED = ("InstancePoses3D:translations", "InstancePoses3D:quaternions")
-_UNSURE = "geometry_msgs.msg.PoseWithCovarianceStamped:message"
-_PIXELS = ("Image:buffer", "DepthImage:buffer")
+_POSE_COLUMNS = ("Transform3D:child_frame", "Transform3D:translation", "Transform3D:quaternion")
+_STAMPED_POSE_COLUMNS = ("InstancePoses3D:translations", "InstancePoses3D:quaternions")
+_ESTIMATE_COLUMN = "geometry_msgs.msg.PoseWithCovarianceStamped:message"
+_PIXEL_COLUMNS = ("Image:buffer", "DepthImage:buffer")
 """Pixels of grey images, which rerun may classify as depth images."""
 EXTRA_CHANNELS = ("ultrasonic", "leds")
 """Channels of a Khepera IV that are drawn in the arena."""
-_SAMPLED = tuple(f"/{name}" for name in ("proximity", "ambient", "speed", "vision", *EXTRA_CHANNELS))
-_SHADOW = ("pose", "reckoned", "expected", "measured", "residuals")
+_SAMPLED_SUFFIXES = tuple(f"/{name}" for name in ("proximity", "ambient", "speed", "vision", *EXTRA_CHANNELS))
+_SHADOW_CHANNELS = ("pose", "reckoned", "expected", "measured", "residuals")
 
 
 class Collector:
     """Collector of samples, poses and events from a log while rerun reads it, to read the log only once."""
 
     def __init__(self) -> None:
-        self._rows: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
+        self._values: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
         self._poses: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
         self._texts: dict[str, list[tuple[int, str]]] = {topic: [] for topic in ("/events", *LINE_TOPICS)}
 
-    def collect(self, copy: Path, source: Path) -> Iterator[Chunk]:
-        """Yield the chunks of the copy of a log, and collect their content.
+    def collect(self, part: Path, source: Path) -> Iterator[Chunk]:
+        """Yield the chunks of `part`, an MCAP file with messages of `source`, and collect their content.
 
         Raises:
             LogError: rerun cannot parse its messages.
         """
         try:
-            for chunk in McapReader(copy, timeline_type="duration_ns").stream():
+            for chunk in McapReader(part, timeline_type="duration_ns").stream():
                 if not chunk.is_static:
                     self._add(chunk)
                 yield chunk
@@ -130,19 +130,19 @@ class Collector:
         columns = self._join_topics(f"/{robot}/{topic}" for topic in ("proximity", "ambient", "speed"))
         if columns is None:
             return None
-        names = EXTRA_CHANNELS if f"/{robot}/ultrasonic" in self._rows else ()
-        joined = [(name, *_join(parts)) for name in names if (parts := self._rows.get(f"/{robot}/{name}"))]
+        names = EXTRA_CHANNELS if f"/{robot}/ultrasonic" in self._values else ()
+        joined = [(name, *_concat(rows)) for name in names if (rows := self._values.get(f"/{robot}/{name}"))]
         extra = {name: values for name, times_ns, values in joined if np.array_equal(times_ns, columns[0])}
         return Samples(*columns, extra_channels=extra)
 
     def images(self, robot: str) -> tuple[NDArray[np.int64], Floats] | None:
         """Return times (n,) [ns] and line images (n, pixels) of a robot; None if there are none."""
-        parts = self._rows.get(f"/{robot}/vision")
-        return _join(parts) if parts else None
+        parts = self._values.get(f"/{robot}/vision")
+        return _concat(parts) if parts else None
 
     def poses(self) -> Poses | None:
         """Return the poses of all bodies; None if there are none."""
-        joined = {name: _join(parts) for name, parts in self._poses.items()}
+        joined = {name: _concat(parts) for name, parts in self._poses.items()}
         if not joined:
             return None
         times_ns = max((times_ns for times_ns, _ in joined.values()), key=len)
@@ -151,17 +151,17 @@ class Collector:
 
     def lamps(self) -> tuple[NDArray[np.int64], Floats | None]:
         """Return times (n,) [ns] and powers (n, lamps) [W]; None if they never change."""
-        parts = self._rows.get("/lamps")
-        return _join(parts) if parts else (np.zeros(0, np.int64), None)
+        parts = self._values.get("/lamps")
+        return _concat(parts) if parts else (np.zeros(0, np.int64), None)
 
     def shadow(self) -> ShadowSamples | None:
         """Return the updates of a shadow; None without updates, or if the channels have different times."""
-        columns = self._join_topics(f"/shadow/{topic}" for topic in _SHADOW)
+        columns = self._join_topics(f"/shadow/{topic}" for topic in _SHADOW_CHANNELS)
         if columns is None:
             return None
         times_ns, poses, reckoned, expected, measured, residuals = columns
-        particle_parts = self._rows.get("/shadow/particles")
-        particles = _join(particle_parts) if particle_parts else (np.zeros(0, np.int64), np.zeros((0, 0)))
+        particle_parts = self._values.get("/shadow/particles")
+        particles = _concat(particle_parts) if particle_parts else (np.zeros(0, np.int64), np.zeros((0, 0)))
         return ShadowSamples(times_ns, poses, reckoned, expected, measured, residuals, *particles)
 
     def events(self) -> tuple[NDArray[np.int64], list[str]]:
@@ -176,18 +176,19 @@ class Collector:
 
     def _join_topics(self, topics: Iterable[str]) -> tuple[NDArray[np.int64], *tuple[Floats, ...]] | None:
         """Return times [ns] and the values of each topic; None if a topic is missing or has other times."""
-        parts = [self._rows.get(topic, []) for topic in topics]
+        parts = [self._values.get(topic, []) for topic in topics]
         if not all(parts):
             return None
-        (times_ns, first), *rest = map(_join, parts)
+        (times_ns, first_values), *rest = map(_concat, parts)
         if not all(np.array_equal(times_ns, topic_ns) for topic_ns, _ in rest):
             return None
-        return times_ns, first, *(values for _, values in rest)
+        return times_ns, first_values, *(values for _, values in rest)
 
     def _add(self, chunk: Chunk) -> None:
+        """Collect the values, texts or poses of a chunk."""
         path = chunk.entity_path
         is_relevant = path in ("/tf", "/lamps", "/events") or path.startswith("/shadow/")
-        if not is_relevant and not path.endswith(_SAMPLED):
+        if not is_relevant and not path.endswith(_SAMPLED_SUFFIXES):
             return
         batch: Any = chunk.to_record_batch()
         names = batch.schema.names
@@ -203,21 +204,21 @@ class Collector:
         times_ns = times_of(batch)
         if "Scalars:scalars" in names:
             scalars: Floats = column("Scalars:scalars").flatten().to_numpy(zero_copy_only=False)
-            self._rows.setdefault(path, []).append((times_ns, scalars.reshape(len(times_ns), -1)))
-        elif pixel_names := [name for name in _PIXELS if name in names]:
+            self._values.setdefault(path, []).append((times_ns, scalars.reshape(len(times_ns), -1)))
+        elif pixel_names := [name for name in _PIXEL_COLUMNS if name in names]:
             pixels = column(pixel_names[0]).flatten().flatten().to_numpy(zero_copy_only=False)
-            self._rows.setdefault(path, []).append((times_ns, pixels.reshape(len(times_ns), -1)))
+            self._values.setdefault(path, []).append((times_ns, pixels.reshape(len(times_ns), -1)))
         elif path in self._texts and "TextLog:text" in names:
             texts = column("TextLog:text").flatten().to_pylist()
             self._texts[path] += zip(times_ns.tolist(), texts, strict=True)
-        elif _UNSURE in names:
-            estimates = _poses_with_covariance(column(_UNSURE).flatten())
-            self._rows.setdefault(path, []).append((times_ns, estimates))
-        elif path == "/shadow/reckoned" and set(_STAMPED) <= set(names):
-            self._rows.setdefault(path, []).append((times_ns, poses(_STAMPED)))
-        elif path == "/tf" and set(_POSE) <= set(names):
-            frames = np.array(column(_POSE[0]).flatten().to_pylist())
-            rows = poses(_POSE[1:])
+        elif _ESTIMATE_COLUMN in names:
+            estimates = _poses_with_covariance(column(_ESTIMATE_COLUMN).flatten())
+            self._values.setdefault(path, []).append((times_ns, estimates))
+        elif path == "/shadow/reckoned" and set(_STAMPED_POSE_COLUMNS) <= set(names):
+            self._values.setdefault(path, []).append((times_ns, poses(_STAMPED_POSE_COLUMNS)))
+        elif path == "/tf" and set(_POSE_COLUMNS) <= set(names):
+            frames = np.array(column(_POSE_COLUMNS[0]).flatten().to_pylist())
+            rows = poses(_POSE_COLUMNS[1:])
             for name in dict.fromkeys(frames.tolist()):
                 is_frame = frames == name
                 self._poses.setdefault(name, []).append((times_ns[is_frame], rows[is_frame]))
@@ -245,6 +246,6 @@ def time_column(times_ns: NDArray[np.int64]) -> rr.TimeColumn:
     return rr.TimeColumn(TIMELINE, duration=times_ns.astype("timedelta64[ns]"))
 
 
-def _join(parts: list[tuple[NDArray[np.int64], Floats]]) -> tuple[NDArray[np.int64], Floats]:
+def _concat(parts: list[tuple[NDArray[np.int64], Floats]]) -> tuple[NDArray[np.int64], Floats]:
     times_ns, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return times_ns, values

@@ -19,7 +19,7 @@ from rerun.chunk import Chunk
 
 from khep_twin.errors import LogError
 from khep_twin.log.attached import calibration_of, playpen_of
-from khep_twin.log.channels import PLANAR
+from khep_twin.log.channels import PLANAR_ROWS
 from khep_twin.log.decoding import DecodeError
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_file, read_series
@@ -39,8 +39,8 @@ from khep_twin.log.shadow_channels import (
     parse_state,
     parse_suspicions,
 )
-from khep_twin.log.shadow_track import planar
-from khep_twin.log.viewer.arena import RAY_LIMIT, in_frame, line_chunks, path_chunks, trail
+from khep_twin.log.shadow_track import planar_poses
+from khep_twin.log.viewer.arena import RAY_LIMIT, frame_chunk, line_chunks, trail_chunks, trail_path
 from khep_twin.log.viewer.collected import Collector, Floats, time_column
 
 RESIDUALS = {
@@ -78,19 +78,19 @@ _CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
 
 class Ghost:
-    """Additions for a shadow's log, which may come in batches; the parent log gives ground truth."""
+    """Additions for a shadow's log, batch by batch; its parent, the log it follows, gives ground truth."""
 
     def __init__(self, label: Label, source: Path) -> None:
         self._robot = label.robots[0]
         self._source = source
         body = playpen_of(label.attachments, source).robots[0].body
-        measured = calibration_of(label.attachments, self._robot, source)
-        if measured is None:
+        calibration = calibration_of(label.attachments, self._robot, source)
+        if calibration is None:
             raise LogError(f"{source}: no calibration; expected calibration/{self._robot}.toml")
         self._radius = body.radius
         self._sensor_positions = np.array(body.sensor_positions)
-        self._headings = np.radians(measured.heading_deg)
-        proximity = measured.proximity
+        self._headings = np.radians(calibration.heading_deg)
+        proximity = calibration.proximity
         self._gain = np.array(proximity.gain_counts_mm2)
         self._threshold = np.array(proximity.threshold_counts)
         self._offset = np.array(proximity.offset_mm)
@@ -100,17 +100,17 @@ class Ghost:
         self._named_faults = set[str]()
         self._truth = _read_truth(label, source)
 
-    def chunks(self, collected: Collector) -> Iterator[Chunk]:
+    def chunks(self, collector: Collector) -> Iterator[Chunk]:
         """Yield the additions of a batch."""
         if self._truth is not None:
             times_ns, poses = self._truth
             yield from self._outline(TRUTH, times_ns[::2], poses[::2])
             yield from self._path(TRUTH, times_ns, poses)
             self._truth = None
-        samples = collected.shadow()
-        self._states = [self._states[-1], *self._read(collected, STATE, parse_state)]
+        samples = collector.shadow()
+        self._states = [self._states[-1], *self._parse(collector, STATE, parse_state)]
         ends_ns = [] if samples is None else samples.times_ns[-1:].tolist()
-        yield from self._probabilities(self._read(collected, SUSPECTED, parse_suspicions), ends_ns)
+        yield from self._probabilities(self._parse(collector, SUSPECTED, parse_suspicions), ends_ns)
         if samples is None:
             return
         times_ns, residuals = samples.times_ns, samples.residuals
@@ -121,10 +121,10 @@ class Ghost:
                 scale = 1e3 if columns.start == TIMING else 1.0
                 values = rr.Scalars.columns(scalars=scale * residuals[is_measured, columns])
                 yield Chunk.from_columns(f"/{self._robot}/{name}", [times], values)
-        reckoned = planar(samples.reckoned)
+        reckoned = planar_poses(samples.reckoned)
         yield from self._path(RECKONED, times_ns, reckoned)
         stride = slice(None, None, max(1, len(times_ns) // PICTURES))
-        times_ns, poses = times_ns[stride], planar(samples.poses[stride])
+        times_ns, poses = times_ns[stride], planar_poses(samples.poses[stride])
         yield from self._outline(RECKONED, times_ns, reckoned[stride])
         yield from self._region(times_ns, poses, samples.poses[stride, 7:])
         yield from self._rays(times_ns, poses, samples.expected[stride], samples.measured[stride])
@@ -133,7 +133,7 @@ class Ghost:
 
     def _path(self, name: str, times_ns: NDArray[np.int64], poses: Floats) -> Iterator[Chunk]:
         points = np.column_stack([poses[:, :2], np.zeros(len(poses))])
-        yield from path_chunks(trail(name), times_ns, points, COLOURS[name], self._last_poses.get(name))
+        yield from trail_chunks(trail_path(name), times_ns, points, COLOURS[name], self._last_poses.get(name))
         if len(points):
             self._last_poses[name] = points[-1]
 
@@ -147,12 +147,12 @@ class Ghost:
             for height in (0.003, 0.03):
                 for shape in (self._radius * _CIRCLE, nose @ rotation):
                     strips.append(np.column_stack([np.add(shape, (x, y)), np.full(len(shape), height)]))
-        yield from _lines(f"/ghost/{name}", times_ns, strips, [COLOURS[name]] * 4, 0.0007)
+        yield from _line_chunks(f"/ghost/{name}", times_ns, strips, [COLOURS[name]] * 4, 0.0007)
 
-    def _read(self, collected: Collector, topic: str, read: Callable[[str], _T]) -> list[tuple[int, _T]]:
+    def _parse(self, collector: Collector, topic: str, read: Callable[[str], _T]) -> list[tuple[int, _T]]:
         """Return times [ns] and parsed content of a text channel."""
         lines: list[tuple[int, _T]] = []
-        for time_ns, text in collected.texts(topic):
+        for time_ns, text in collector.texts(topic):
             try:
                 lines.append((time_ns, read(text)))
             except DecodeError as error:
@@ -162,10 +162,10 @@ class Ghost:
     def _probabilities(
         self, changes: list[tuple[int, tuple[Suspicion, ...]]], ends_ns: list[int]
     ) -> Iterator[Chunk]:
-        """Yield the probability of each suspected fault at its changes, and at the end of the batch."""
+        """Yield the probability of each suspected fault at its changes, and at `ends_ns`, the batch's end."""
         curves: dict[str, list[tuple[int, float]]] = {}
-        last = [(end_ns, changes[-1][1] if changes else self._suspected) for end_ns in ends_ns]
-        for time_ns, suspected in [*changes, *last]:
+        end_values = [(end_ns, changes[-1][1] if changes else self._suspected) for end_ns in ends_ns]
+        for time_ns, suspected in [*changes, *end_values]:
             probabilities = {suspicion.name: suspicion.probability for suspicion in suspected}
             for name in {**{suspicion.name: 0.0 for suspicion in self._suspected}, **probabilities}:
                 curves.setdefault(name, []).append((time_ns, 100 * probabilities.get(name, 0.0)))
@@ -179,7 +179,7 @@ class Ghost:
                 yield Chunk.from_columns(path, [], style)
             yield Chunk.from_columns(path, [time_column(times_ns)], rr.Scalars.columns(scalars=values))
 
-    def _colours(self, times_ns: NDArray[np.int64]) -> list[Any]:
+    def _state_colours(self, times_ns: NDArray[np.int64]) -> list[Any]:
         """Return the colour of the state at each time."""
         changes_ns = [time_ns for time_ns, _ in self._states[1:]]
         rows = np.searchsorted(changes_ns, times_ns, side="right").tolist()
@@ -188,13 +188,13 @@ class Ghost:
     def _region(self, times_ns: NDArray[np.int64], poses: Floats, covariances: Floats) -> Iterator[Chunk]:
         """Yield the 95 % ellipse of the position, over the robot, in the colour of the state."""
         strips: list[Floats] = []
-        position_covariances = covariances.reshape(-1, 6, 6)[:, PLANAR[:2]][:, :, PLANAR[:2]]
+        position_covariances = covariances.reshape(-1, 6, 6)[:, PLANAR_ROWS[:2]][:, :, PLANAR_ROWS[:2]]
         for (x, y, _), covariance in zip(poses.tolist(), position_covariances, strict=True):
             values, vectors = np.linalg.eigh(covariance)
             edge = REGION_SIGMAS * _CIRCLE * np.sqrt(np.maximum(values, 0)) @ vectors.T + (x, y)
             strips.append(np.column_stack([edge, np.full(len(edge), _OVERLAY_HEIGHT)]))
-        lines = [strip.astype(np.float32) for strip in strips], self._colours(times_ns)
-        yield from line_chunks("/ghost/spread", "world", times_ns, *lines, 0.0008, 1)
+        lines = [strip.astype(np.float32) for strip in strips], self._state_colours(times_ns)
+        yield from line_chunks("/ghost/spread", "world", times_ns, *lines, radius=0.0008, n_lines=1)
 
     def _rays(
         self, times_ns: NDArray[np.int64], poses: Floats, expected: Floats, measured: Floats
@@ -211,7 +211,7 @@ class Ghost:
             end = start + distances * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
             ends = np.stack([start, end], axis=2).reshape(-1, 2, 2)
             strips = np.concatenate([ends, np.full((*ends.shape[:2], 1), _RAY_HEIGHT)], axis=2)
-            yield from _lines(f"/ghost/{name}", times_ns, list(strips), [COLOURS[name]] * 8, 0.0008)
+            yield from _line_chunks(f"/ghost/{name}", times_ns, list(strips), [COLOURS[name]] * 8, 0.0008)
 
     def _wall_distances(self, counts: Floats) -> Floats:
         """Return the distances of a facing white wall by readings [m], up to `RAY_LIMIT`; 0 if NaN."""
@@ -226,14 +226,14 @@ class Ghost:
         columns = rr.Points3D.columns(
             positions=points.reshape(-1, 3).astype(np.float32),
             radii=np.full(n * PARTICLES, 0.0009, np.float32),
-            colors=[colour for colour in self._colours(times_ns) for _ in range(PARTICLES)],
+            colors=[colour for colour in self._state_colours(times_ns) for _ in range(PARTICLES)],
         )
-        yield in_frame("/ghost/particles", "world")
+        yield frame_chunk("/ghost/particles", "world")
         times = [time_column(times_ns)]
         yield Chunk.from_columns("/ghost/particles", times, columns.partition([PARTICLES] * n))
 
 
-def _lines(
+def _line_chunks(
     path: str, times_ns: NDArray[np.int64], strips: list[Floats], colours: list[Any], radius: float
 ) -> Iterator[Chunk]:
     """Yield one line per colour at each time."""

@@ -12,11 +12,11 @@ import rerun.blueprint as rrb
 from khep_twin.log.attached import bodies_of, playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.shadow_channels import ALARMS, STATE, is_shadow
-from khep_twin.log.viewer.arena import EVENT_PATH, trail
+from khep_twin.log.viewer.arena import EVENT_PATH, trail_path
 from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.log.viewer.ghost import FAULT_PATH, RECKONED, RESIDUALS, TRUTH
 from khep_twin.log.viewer.khepera4 import CURVES
-from khep_twin.log.viewer.robot_panel import PanelGeometry, panel, robots_with_images, strip
+from khep_twin.log.viewer.robot_panel import PanelGeometry, panel_path, robots_with_images, strip_path
 from khep_twin.sensing.colours import ALL_SENSORS, COLD, SENSORS, WHEELS, Colour
 from khep_twin.units import BODIES, Body
 
@@ -67,23 +67,23 @@ def layout(logs: Sequence[ShownLog]) -> rrb.Blueprint:
 
 
 def _single_log(log: ShownLog) -> rrb.Container:
-    arena = _arena(log)
+    arena = _arena_views(log)
     below = rrb.Horizontal(
-        *(rrb.Tabs(*views) for views in (_panels(log), _strips(log), _transcripts(log)) if views)
+        *(rrb.Tabs(*views) for views in (_panel_views(log), _image_views(log), _text_views(log)) if views)
     )
     return rrb.Horizontal(
-        rrb.Vertical(*arena, below, row_shares=[2, 1] if arena else [1]), rrb.Tabs(*_curves(log))
+        rrb.Vertical(*arena, below, row_shares=[2, 1] if arena else [1]), rrb.Tabs(*_curve_views(log))
     )
 
 
 def _column(log: ShownLog) -> rrb.Container:
     """Return the column of one log of several, with the same rows for each log."""
-    arena = _arena(log)
-    rest = rrb.Tabs(*_curves(log), *_panels(log), *_strips(log), *_transcripts(log))
+    arena = _arena_views(log)
+    rest = rrb.Tabs(*_curve_views(log), *_panel_views(log), *_image_views(log), *_text_views(log))
     return rrb.Vertical(*arena, rest, row_shares=[2, 3] if arena else [1], name=log.name)
 
 
-def _arena(log: ShownLog) -> list[rrb.Spatial3DView]:
+def _arena_views(log: ShownLog) -> list[rrb.Spatial3DView]:
     """Return the arena view; none for a real robot, whose position is unknown."""
     if "playpen.toml" not in log.label.attachments:
         return []
@@ -91,7 +91,7 @@ def _arena(log: ShownLog) -> list[rrb.Spatial3DView]:
         timeline=TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
     )
     paths = (*log.label.robots, *((RECKONED, TRUTH) if is_shadow(log.label) else ()))
-    growing_paths = [f"{log.path}{path}" for path in (EVENT_PATH, *map(trail, paths))]
+    growing_paths = [f"{log.path}{path}" for path in (EVENT_PATH, *map(trail_path, paths))]
     frame = rrb.archetypes.SpatialInformation(target_frame=log.frame) if log.frame else None
     return [
         rrb.Spatial3DView(
@@ -99,12 +99,12 @@ def _arena(log: ShownLog) -> list[rrb.Spatial3DView]:
             name=log.name or "arena",
             contents=[
                 f"{log.path}/**",
-                *(f"- {log.path}{panel(robot)}/**" for robot in log.label.robots),
+                *(f"- {log.path}{panel_path(robot)}/**" for robot in log.label.robots),
                 *(f"- {log.path}/{robot}/vision/**" for robot in log.label.robots),
-                *(f"- {log.path}{strip(robot)}/**" for robot in log.label.robots),
+                *(f"- {log.path}{strip_path(robot)}/**" for robot in log.label.robots),
             ],
             overrides={path: past for path in growing_paths},
-            eye_controls=_eye(log.label),
+            eye_controls=_eye_controls(log.label),
             line_grid=False,
             spatial_information=frame,
             defaults=_SOLID,
@@ -112,22 +112,22 @@ def _arena(log: ShownLog) -> list[rrb.Spatial3DView]:
     ]
 
 
-def _strips(log: ShownLog) -> list[rrb.View]:
+def _image_views(log: ShownLog) -> list[rrb.View]:
     """Return the views of line images over time."""
     return [
-        rrb.Spatial2DView(origin=f"{log.path}{strip(robot)}", name=f"{robot}: line image")
+        rrb.Spatial2DView(origin=f"{log.path}{strip_path(robot)}", name=f"{robot}: line image")
         for robot in robots_with_images(log.label)
     ]
 
 
-def _panels(log: ShownLog) -> Sequence[rrb.View]:
+def _panel_views(log: ShownLog) -> Sequence[rrb.View]:
     if "playpen.toml" not in log.label.attachments:
         return []
     if is_shadow(log.label):
         return [_surroundings(log)]
     return [
         rrb.Spatial2DView(
-            origin=f"{log.path}{panel(robot)}",
+            origin=f"{log.path}{panel_path(robot)}",
             name=f"{robot} from above",
             visual_bounds=rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1]),
         )
@@ -158,7 +158,7 @@ def _surroundings(log: ShownLog) -> rrb.Spatial3DView:
     )
 
 
-def _transcripts(log: ShownLog) -> list[rrb.TextLogView]:
+def _text_views(log: ShownLog) -> list[rrb.TextLogView]:
     return [
         rrb.TextLogView(
             name="states, alarms and events" if is_shadow(log.label) else f"{robot}: serial line and events",
@@ -170,9 +170,9 @@ def _transcripts(log: ShownLog) -> list[rrb.TextLogView]:
     ]
 
 
-def _curves(log: ShownLog) -> list[rrb.Vertical]:
+def _curve_views(log: ShownLog) -> list[rrb.Vertical]:
     if is_shadow(log.label):
-        return _residuals(log, log.label.robots[0])
+        return _residual_views(log, log.label.robots[0])
     views: list[rrb.Vertical] = []
     for robot, body in _bodies(log).items():
         sensors = {name: ALL_SENSORS[name] for name in body.sensors}
@@ -193,9 +193,9 @@ def _curves(log: ShownLog) -> list[rrb.Vertical]:
     return views
 
 
-def _residuals(log: ShownLog, robot: str) -> list[rrb.Vertical]:
+def _residual_views(log: ShownLog, robot: str) -> list[rrb.Vertical]:
     """Return the curves of a shadow: suspected faults, residuals, and measured and expected proximity."""
-    names = (
+    titles = (
         "proximity: measured less expected [counts]",
         "light: measured less expected [counts]",
         "wheels: pulses beyond the expected ones",
@@ -203,7 +203,7 @@ def _residuals(log: ShownLog, robot: str) -> list[rrb.Vertical]:
     )
     curves = SENSORS, SENSORS, WHEELS, {"delay": COLD[1]}
     plots = [_plot(log, robot, FAULT_PATH, "suspected faults: probability [%]")]
-    plots += [_plot(log, robot, *arguments) for arguments in zip(RESIDUALS, names, curves, strict=True)]
+    plots += [_plot(log, robot, *arguments) for arguments in zip(RESIDUALS, titles, curves, strict=True)]
     proximity = [
         _plot(log, "shadow", name, f"{name} proximity [counts]", SENSORS) for name in ("measured", "expected")
     ]
@@ -214,7 +214,7 @@ def _residuals(log: ShownLog, robot: str) -> list[rrb.Vertical]:
 
 
 def _plot(
-    log: ShownLog, robot: str, topic: str, name: str, curves: _Curves | None = None, side: str = ""
+    log: ShownLog, robot: str, topic: str, title: str, curves: _Curves | None = None, side: str = ""
 ) -> rrb.TimeSeriesView:
     """Return a plot of a channel's curves with `side` in the name; by default of the entities below."""
     origin = f"{log.path}/{robot}/{topic}"
@@ -241,7 +241,7 @@ def _plot(
     return rrb.TimeSeriesView(
         origin=origin,
         contents=[origin if curves else f"{origin}/**", events],
-        name=name,
+        name=title,
         axis_x=rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
         axis_y=rrb.ScalarAxis(range=_RANGES[topic]) if topic in _RANGES else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
@@ -250,7 +250,7 @@ def _plot(
     )
 
 
-def _eye(label: Label) -> rrb.EyeControls3D:
+def _eye_controls(label: Label) -> rrb.EyeControls3D:
     """Return a view of the arena's centre from the front and above, at a distance that fits its size."""
     arena = playpen_of(label.attachments, "log").arena
     width, depth = arena.width_mm / 1000, arena.height_mm / 1000

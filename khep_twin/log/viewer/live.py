@@ -48,10 +48,10 @@ MAX_SPREAD_S = 0.5
 CPU_SHARE = 0.25
 """Maximum average load on one processor core; with many robots the steps become longer."""
 
-LAST_S = 60.0
+CURVE_LENGTH_S = 60.0
 """Length of the curves of an unfinished run [s]."""
 
-_TEXTS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
+_TEXT_SCHEMAS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
 _HIDDEN = re.compile("|".join(HIDDEN_TOPICS))
 _LOG_TIMEOUT_S = 10.0
 """Longest wait for the log of a run that is started together with the viewer (assumed) [s]."""
@@ -120,7 +120,7 @@ def follow(
             start_s, cpu_s = time.monotonic(), time.process_time()
             messages, first_entries = first_entries or log.read_new(), ()
             if label is None and (label := log.label()) is not None:
-                recording.send_blueprint(layout([ShownLog(label, last_s=LAST_S)]))
+                recording.send_blueprint(layout([ShownLog(label, last_s=CURVE_LENGTH_S)]))
                 recording.send_recording_name(f"{escape_surrogates(log.path.stem)}, live")
                 rr.send_chunks(static_chunks(label), recording=recording)
             if messages and label is not None:
@@ -152,17 +152,17 @@ def _wait_for_log(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
 
 
 class Translator:
-    """Translator of a log's messages to rerun's chunks by rerun's reader, which reads files of a folder."""
+    """Translator of messages of the log `source` to rerun's chunks, by a file in `folder` for rerun."""
 
     def __init__(self, folder: Path, source: Path) -> None:
         self._source = source
         self._batch_path = folder / "piece.mcap"
-        self._slots: dict[str, int] = {}
-        self._described: set[str] = set()
+        self._last_intervals: dict[str, int] = {}
+        self._sent_paths: set[str] = set()
         self._additions: Additions | None = None
 
     def translate(self, messages: Sequence[Entry], label: Label) -> tuple[list[Chunk], list[Chunk]]:
-        """Return the static chunks, and the chunks with times."""
+        """Return the chunks of messages of the log with this label: static ones, and ones with times."""
         by_topic = self._thin(messages)
         if not by_topic:
             return [], []
@@ -177,11 +177,11 @@ class Translator:
         chunks = list(collector.collect(self._batch_path, self._source))
         timed = [chunk for chunk in chunks if not chunk.is_static]
         # Each batch describes its channels; the first description is enough.
-        static = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]
-        self._described |= {chunk.entity_path for chunk in static}
+        static = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._sent_paths]
+        self._sent_paths |= {chunk.entity_path for chunk in static}
         if self._additions is None:
             self._additions = Additions(label, self._source)
-        additions = list(self._additions.chunks(collector, lambda samples: samples))
+        additions = list(self._additions.chunks(collector, thin=lambda samples: samples))
         static += [chunk for chunk in additions if chunk.is_static]
         timed += [chunk for chunk in additions if not chunk.is_static]
         return static, timed
@@ -192,11 +192,11 @@ class Translator:
         for message in messages:
             if _HIDDEN.search(message.topic):
                 continue
-            if message.schema not in _TEXTS:
-                slot = message.time_ns // SAMPLE_NS
-                if self._slots.get(message.topic) == slot:
+            if message.schema not in _TEXT_SCHEMAS:
+                interval_index = message.time_ns // SAMPLE_NS
+                if self._last_intervals.get(message.topic) == interval_index:
                     continue
-                self._slots[message.topic] = slot
+                self._last_intervals[message.topic] = interval_index
             by_topic[message.topic].append(message)
         return by_topic
 

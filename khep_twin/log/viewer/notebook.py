@@ -17,10 +17,10 @@ from rerun import notebook
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.log.entries import Entry, Label, make_label
-from khep_twin.log.output import messages_of
+from khep_twin.log.output import split_rows
 from khep_twin.log.recorder import LiveRecorder
 from khep_twin.log.viewer.layout import ShownLog, layout
-from khep_twin.log.viewer.live import LAST_S, Translator
+from khep_twin.log.viewer.live import CURVE_LENGTH_S, Translator
 from khep_twin.log.viewer.replay import static_chunks
 from khep_twin.world import World
 
@@ -50,7 +50,7 @@ class RerunWriter:
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
         """Send the layout and the static chunks."""
         self._label = make_label(_NAME, facts, self._attachments)
-        self._recording.send_blueprint(layout([ShownLog(self._label, last_s=LAST_S)]))
+        self._recording.send_blueprint(layout([ShownLog(self._label, last_s=CURVE_LENGTH_S)]))
         rr.send_chunks(static_chunks(self._label), recording=self._recording)
 
     def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
@@ -67,7 +67,7 @@ class RerunWriter:
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Add messages of one size, one per row."""
-        self.add_lines(channel, times_ns.tolist(), messages_of(messages))
+        self.add_lines(channel, times_ns.tolist(), split_rows(messages))
 
     def flush(self) -> None:
         """Send the added messages; of samples, 25 per simulated second."""

@@ -23,7 +23,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import resolve
 from khep_twin.files.drawings import write_drawing
 from khep_twin.log.viewer.collected import TIMELINE
-from khep_twin.signals import clear_at_end, undisturbed
+from khep_twin.signals import block_signals, register_cleanup
 
 if TYPE_CHECKING:
     import rerun.experimental as rx
@@ -41,7 +41,7 @@ _OPENING_TIMEOUT_S = 30.0
 """Longest wait for the viewer to open a recording (assumed) [s]."""
 
 _SETTLING_S = 1.0
-"""Time after that until its pictures are stable [s]."""
+"""Time after opening a recording until the pictures are stable [s]."""
 
 _WIDTH = 1600
 """Width of a still [pixels]."""
@@ -65,10 +65,10 @@ class Viewer:
         LogError: In `is_running` and the methods that wait: the viewer failed, or does not listen.
     """
 
-    def __init__(self, subject: str, process: "subprocess.Popen[bytes]", log: IO[bytes], port: int) -> None:
-        self._subject = subject
+    def __init__(self, name: str, process: "subprocess.Popen[bytes]", output: IO[bytes], port: int) -> None:
+        self._log_name = name
         self._process = process
-        self._log = log
+        self._output = output
         self.address = f"rerun+http://{LOCALHOST}:{port}/proxy"
 
     def is_closed(self) -> bool:
@@ -79,11 +79,10 @@ class Viewer:
         """Return whether the viewer is running; raise its error."""
         code = self._process.poll()
         if code:
-            self._log.seek(0)
-            lines = self._log.read().decode("utf-8", "replace").strip().splitlines()
-            reason = lines[-1] if lines else f"code {code}"
-            reason = reason.removeprefix("Error: ")
-            raise LogError(f"{self._subject}: rerun's viewer failed: {reason}; {_options(self._subject)}")
+            self._output.seek(0)
+            lines = self._output.read().decode("utf-8", "replace").strip().splitlines()
+            log, reason = self._log_name, (lines[-1] if lines else f"code {code}").removeprefix("Error: ")
+            raise LogError(f"{log}: rerun's viewer failed: {reason}; {_alternatives(log)}")
         return code is None
 
     def wait(self, stop: Callable[[], bool]) -> None:
@@ -91,7 +90,7 @@ class Viewer:
         while not stop() and self.is_running():
             time.sleep(_POLL_INTERVAL_S)
 
-    def wait_for(self, port: int, stop: Callable[[], bool]) -> None:
+    def wait_for_port(self, port: int, stop: Callable[[], bool]) -> None:
         """Wait until the viewer listens at a port, or `stop` returns True."""
         deadline = time.monotonic() + _START_TIMEOUT_S
         while not stop() and self.is_running():
@@ -99,19 +98,19 @@ class Viewer:
                 return
             if time.monotonic() > deadline:
                 raise LogError(
-                    f"{self._subject}: rerun's viewer does not listen after {_START_TIMEOUT_S:.0f} s"
+                    f"{self._log_name}: rerun's viewer does not listen after {_START_TIMEOUT_S:.0f} s"
                 )
             time.sleep(_POLL_INTERVAL_S)
 
 
 @contextmanager
 def open_viewer(
-    subject: str, web: Web | None, recording: Path | None = None, stop: Callable[[], bool] = lambda: False
+    log_name: str, web: Web | None, recording: Path | None = None, stop: Callable[[], bool] = lambda: False
 ) -> Generator[Viewer, None, None]:
     """Open the viewer for a recording, or for data sent later, and terminate it on exit.
 
     Args:
-        subject: Name of the viewed log in messages.
+        log_name: Name of the viewed log in messages.
         web: Settings of the viewer in a browser; None opens a window.
         recording: File of a rerun recording; None for data that is sent.
         stop: Function called repeatedly that returns whether to stop.
@@ -120,28 +119,28 @@ def open_viewer(
         LogError: There is no screen, or the viewer does not start.
     """
     if web is None and not _has_screen():
-        raise LogError(f"{subject}: there is no screen to open a window on; {_options(subject)}")
-    port, page = free_ports(2)
+        raise LogError(f"{log_name}: there is no screen to open a window on; {_alternatives(log_name)}")
+    port, web_port = free_ports(2)
     command = [sys.executable, "-m", "rerun", *([] if recording is None else [str(recording)])]
     command += ["--bind", LOCALHOST, "--port", str(port), "--server-memory-limit", "50%"]
-    command += ["--expect-data-soon"] if web is None else ["--serve-web", "--web-viewer-port", str(page)]
+    command += ["--expect-data-soon"] if web is None else ["--serve-web", "--web-viewer-port", str(web_port)]
     # The output goes to a file: a full pipe would block the viewer.
     with tempfile.TemporaryFile() as output:
-        with undisturbed():
+        with block_signals():
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
             )
-            unregister = clear_at_end(partial(end_process, process))
-        viewer = Viewer(subject, process, output, port)
+            unregister = register_cleanup(partial(end_process, process))
+        viewer = Viewer(log_name, process, output, port)
         try:
             if web is not None:
-                viewer.wait_for(page, stop)
-                address = f"http://{LOCALHOST}:{page}/?url={quote(viewer.address, safe='')}"
+                viewer.wait_for_port(web_port, stop)
+                address = f"http://{LOCALHOST}:{web_port}/?url={quote(viewer.address, safe='')}"
                 web.notify(address)
                 if web.browser and _has_screen():  # a browser in a terminal cannot show it
                     webbrowser.open(address)
             elif recording is None:
-                viewer.wait_for(port, stop)
+                viewer.wait_for_port(port, stop)
             yield viewer
         finally:
             end_process(process)
@@ -174,8 +173,8 @@ def _has_screen() -> bool:
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _options(subject: str) -> str:
-    stem = Path(subject).stem
+def _alternatives(log_name: str) -> str:
+    stem = Path(log_name).stem
     return (
         f"expected --web, for a browser, --png {stem}.png, for a picture, or --save {stem}.rrd, for a "
         "recording to open elsewhere"
@@ -203,7 +202,7 @@ def write_still(recording: Path, at_s: float, target: Path, replace: bool) -> No
             hide_welcome_screen=True,
         )
         try:
-            _show(viewer, recording, at_s)
+            _open_at(viewer, recording, at_s)
             picture = viewer.take_screenshot(max_size=_WIDTH)
         finally:
             with suppress(Exception):  # it may have exited
@@ -216,7 +215,7 @@ def write_still(recording: Path, at_s: float, target: Path, replace: bool) -> No
     write_drawing(target, picture, replace)
 
 
-def _show(viewer: "rx.ViewerClient", recording: Path, at_s: float) -> None:
+def _open_at(viewer: "rx.ViewerClient", recording: Path, at_s: float) -> None:
     """Open a recording and wait until a time is shown."""
     viewer.open(str(resolve(recording)))
     deadline = time.monotonic() + _OPENING_TIMEOUT_S

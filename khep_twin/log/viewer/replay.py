@@ -27,7 +27,7 @@ from khep_twin.log.attached import bodies_of, compile_shapes, playpen_of
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.reader import Label, read_end_ns, read_message_batches
 from khep_twin.log.shadow_channels import is_shadow
-from khep_twin.log.viewer.arena import TRAIL_COLOUR, FloorLight, Rays, event_chunks, path_chunks, trail
+from khep_twin.log.viewer.arena import TRAIL_COLOUR, FloorLight, Rays, event_chunks, trail_chunks, trail_path
 from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
 from khep_twin.log.viewer.ghost import Ghost
 from khep_twin.log.viewer.khepera4 import arena_chunks
@@ -42,7 +42,7 @@ from khep_twin.log.viewer.robot_panel import (
 )
 from khep_twin.log.viewer.thinning import LogCopy, thinning_interval_ns
 
-Bar = Callable[[], AbstractContextManager[Progress]]
+ProgressBar = Callable[[], AbstractContextManager[Progress]]
 """Function that returns a context in which progress is shown."""
 
 HIDDEN_TOPICS = ["/host_events$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
@@ -51,7 +51,7 @@ HIDDEN_TOPICS = ["/host_events$", "^/state$", "/registers$", "^/scene$", "^/chan
 PICTURES = 10_000
 """Maximum number of pictures of bars, rays and strips of a run; a longer run has less than ten per second."""
 
-_FRAMES = ("Transform3D:child_frame", "Transform3D:parent_frame", "CoordinateFrame:frame")
+_FRAME_COLUMNS = ("Transform3D:child_frame", "Transform3D:parent_frame", "CoordinateFrame:frame")
 
 
 def view(
@@ -59,7 +59,7 @@ def view(
     save: Path | None = None,
     web: Web | None = None,
     stop: Callable[[], bool] = lambda: False,
-    bar: Bar = nullcontext,
+    bar: ProgressBar = nullcontext,
     replace: bool = True,
 ) -> None:
     """Show logs in rerun's viewer until its window is closed, or save them as one rerun recording.
@@ -86,7 +86,7 @@ def view_still(
     paths: Sequence[Path],
     target: Path,
     at_s: float | None = None,
-    bar: Bar = nullcontext,
+    bar: ProgressBar = nullcontext,
     replace: bool = True,
 ) -> None:
     """Write a PNG still of logs, from left to right, at a simulated time [s], without a screen.
@@ -102,7 +102,7 @@ def view_still(
 
 
 def static_chunks(label: Label) -> list[Chunk]:
-    """Return the static chunks to add to those of a log."""
+    """Return the static chunks to add to those of a log: the outlines of its robots' panels."""
     panels = "playpen.toml" in label.attachments and not is_shadow(label)
     bodies = bodies_of(label.attachments, label.robots, "log") if panels else {}
     return [chunk for robot, body in bodies.items() for chunk in outline_chunks(robot, body)]
@@ -123,10 +123,10 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     return distinct
 
 
-def _check_and_copy(path: Path, copy: Path, progress: Progress) -> Label:
+def _check_and_copy(path: Path, copy_path: Path, progress: Progress) -> Label:
     """Check a log and copy its shown parts; return its label."""
     label, has_poses = None, False
-    with copy.open("xb") as file:
+    with copy_path.open("xb") as file:
         writer = LogCopy(file, thinning_interval_ns(read_end_ns(path)), HIDDEN_TOPICS)
         for recording, messages in read_message_batches(path, progress):
             label = recording.label
@@ -142,7 +142,7 @@ def _check_and_copy(path: Path, copy: Path, progress: Progress) -> Label:
 
 
 @contextmanager
-def _temporary_recording(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
+def _temporary_recording(paths: Sequence[Path], bar: ProgressBar) -> Generator[Path, None, None]:
     """Provide a temporary recording."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         recording = Path(folder) / f"{escape_surrogates(paths[0].stem)}.rrd"
@@ -150,7 +150,7 @@ def _temporary_recording(paths: Sequence[Path], bar: Bar) -> Generator[Path, Non
         yield recording
 
 
-def _save(paths: Sequence[Path], save: Path, bar: Bar, replace: bool = True) -> None:
+def _save(paths: Sequence[Path], save: Path, bar: ProgressBar, replace: bool = True) -> None:
     if save.is_dir() or any(is_same(save, path) for path in paths):
         kind = "a directory" if save.is_dir() else "the log itself"
         raise LogError(f"{save}: this is {kind}; expected the name of a file, such as {paths[0].stem}.rrd")
@@ -158,23 +158,23 @@ def _save(paths: Sequence[Path], save: Path, bar: Bar, replace: bool = True) -> 
     count = 2 * len(paths)
     try:
         with bar() as progress, tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-            shares = [_share_of(progress, number, count) for number in range(count)]
+            parts = [_partial_progress(progress, number, count) for number in range(count)]
             copies = [Path(folder) / f"{number}.mcap" for number in range(len(paths))]
-            labels = [_check_and_copy(*arguments) for arguments in zip(paths, copies, shares, strict=False)]
-            recording = _recording(paths, copies, labels, shares[len(paths) :])
+            labels = [_check_and_copy(*row) for row in zip(paths, copies, parts, strict=False)]
+            recording = _encode_recording(paths, copies, labels, parts[len(paths) :])
         with part_file(save, replace) as file:
             file.write(recording)
     except OSError as error:
         raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
 
 
-def _share_of(progress: Progress, number: int, count: int) -> Progress:
+def _partial_progress(progress: Progress, index: int, count: int) -> Progress:
     """Return a function that takes the progress of one of `count` parts."""
-    return None if progress is None else lambda share: progress((number + share) / count)
+    return None if progress is None else lambda share: progress((index + share) / count)
 
 
-def _recording(
-    paths: Sequence[Path], copies: Sequence[Path], labels: Sequence[Label], shares: Sequence[Progress]
+def _encode_recording(
+    paths: Sequence[Path], copies: Sequence[Path], labels: Sequence[Label], parts: Sequence[Progress]
 ) -> bytes:
     """Return the logs and their layout as a rerun file; in memory, as rerun may wait for a full disk."""
     names = distinct_names(paths)
@@ -183,7 +183,7 @@ def _recording(
         stream = recording.binary_stream()
         if len(paths) == 1:
             recording.send_blueprint(layout([ShownLog(labels[0], end_ns=read_end_ns(paths[0]))]))
-            rr.send_chunks(_chunks(paths[0], copies[0], labels[0], shares[0]), recording=recording)
+            rr.send_chunks(_chunks(paths[0], copies[0], labels[0], parts[0]), recording=recording)
         else:
             end_ns = max(map(read_end_ns, paths))
             logs = [
@@ -191,7 +191,7 @@ def _recording(
                 for label, name in zip(labels, names, strict=True)
             ]
             recording.send_blueprint(layout(logs))
-            for path, copy, log, progress in zip(paths, copies, logs, shares, strict=True):
+            for path, copy, log, progress in zip(paths, copies, logs, parts, strict=True):
                 rr.send_chunks(_relocate(_chunks(path, copy, log.label, progress), log), recording=recording)
         recording.send_recording_name(title)
         # Read once: each read ends the file.
@@ -207,16 +207,16 @@ def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> Generat
             progress(min(times_of(chunk.to_record_batch()).max(initial=0) / end_ns, 1.0))
     yield from static_chunks(label)
     additions = Additions(label, path, max(ROW_INTERVAL_NS, end_ns // PICTURES))
-    yield from additions.chunks(collector, _thin)
+    yield from additions.chunks(collector, thin=_thin_samples)
 
 
-def _thin(samples: Samples) -> Samples:
-    """Return the samples with a picture."""
+def _thin_samples(samples: Samples) -> Samples:
+    """Return the samples of which the robot's panel is drawn."""
     return samples.thin(max(SAMPLES_PER_PICTURE, len(samples.times_ns) // PICTURES))
 
 
 class Additions:
-    """Chunks added to those of a log, which may come in batches; `interval_ns` is that of strip rows [ns]."""
+    """Chunks added to those of a log, batch by batch; `interval_ns` is the time per row of line images."""
 
     def __init__(self, label: Label, source: Path, interval_ns: int = ROW_INTERVAL_NS) -> None:
         self._label = label
@@ -229,7 +229,7 @@ class Additions:
         self._ghost = Ghost(label, source) if is_shadow(label) else None
 
     def chunks(self, collector: Collector, thin: Callable[[Samples], Samples]) -> Iterator[Chunk]:
-        """Yield the chunks of a batch; `thin` returns the samples with a picture."""
+        """Yield the chunks of a batch; `thin` returns those samples of which the robot's panel is drawn."""
         poses = collector.poses()
         yield from event_chunks(self._label, collector, poses, self._last_poses)
         if poses is not None and self._rays is None:
@@ -239,16 +239,16 @@ class Additions:
             if (images := collector.images(robot)) is not None:
                 yield from self._strips.chunks(robot, *images)
             if (samples := collector.samples(robot)) is not None:
-                pictured = thin(samples)
-                yield from panel_chunks(robot, pictured, self._bodies[robot])
+                shown_samples = thin(samples)
+                yield from panel_chunks(robot, shown_samples, self._bodies[robot])
                 if poses is not None and self._rays is not None:
-                    yield from self._rays.chunks(robot, pictured, poses)
-                    if pictured.extra_channels:
-                        yield from arena_chunks(robot, pictured, self._rays.led_positions(robot))
+                    yield from self._rays.chunks(robot, shown_samples, poses)
+                    if shown_samples.extra_channels:
+                        yield from arena_chunks(robot, shown_samples, self._rays.led_positions(robot))
             if poses is not None and (base_poses := poses.bodies.get(f"{robot}/base")) is not None:
-                previous_pose = self._last_poses.get(robot)
+                previous = self._last_poses.get(robot)
                 points = base_poses[:, :3]
-                yield from path_chunks(trail(robot), poses.times_ns, points, TRAIL_COLOUR, previous_pose)
+                yield from trail_chunks(trail_path(robot), poses.times_ns, points, TRAIL_COLOUR, previous)
                 self._last_poses[robot] = base_poses[-1]
         if self._light is not None:
             yield from self._light.chunks(collector)
@@ -262,7 +262,7 @@ def _relocate(chunks: Iterable[Chunk], log: ShownLog) -> Generator[Chunk, None, 
         if chunk.entity_path == "/__mcap_properties":
             continue  # for a recording of one log
         batch: Any = chunk.to_record_batch()
-        for name in set(_FRAMES) & set(batch.schema.names):
+        for name in set(_FRAME_COLUMNS) & set(batch.schema.names):
             index = batch.schema.get_field_index(name)
             rows = [
                 row and [f"{log.name}/{frame}" for frame in row] for row in batch.column(index).to_pylist()

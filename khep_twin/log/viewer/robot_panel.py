@@ -50,7 +50,7 @@ ROW_INTERVAL_NS = 100_000_000
 
 
 class PanelGeometry:
-    """Geometry of the panel of a robot; the bars of ground sensors form a row in front of the axle.
+    """Geometry of a robot's panel. A bar starts at its foot; those of ground sensors are before the axle.
 
     Attributes:
         scale: Size relative to a Khepera.
@@ -77,23 +77,23 @@ class PanelGeometry:
         self.bounds = (-x, x), (float(y[0]), float(y[1]))
 
 
-def panel(robot: str) -> str:
+def panel_path(robot: str) -> str:
     """Return the entity path of a robot's panel."""
     return f"/{robot}/khepbase"
 
 
-def panel_chunks(robot: str, track: Samples, body: Body) -> list[Chunk]:
+def panel_chunks(robot: str, samples: Samples, body: Body) -> list[Chunk]:
     """Return the bars of one robot's panel."""
-    path, geometry, bars = panel(robot), PanelGeometry(body), bars_of(body)
-    times = time_column(track.times_ns)
+    path, geometry, bars = panel_path(robot), PanelGeometry(body), bars_of(body)
+    times = time_column(samples.times_ns)
     return [
         Chunk.from_columns(
-            f"{path}/{name}", [times], _bars(_fractions(bars[name], values), at, colour, geometry.scale)
+            f"{path}/{name}", [times], _bars(_fractions(bars[name], values), feet, colour, geometry.scale)
         )
-        for name, values, at, colour in (
-            ("proximity", track.proximity, geometry.feet, _PROXIMITY),
-            ("light", track.ambient, geometry.light_feet, _LIGHT),
-            ("speed", track.speed[:, :2], geometry.wheels, _SPEED),
+        for name, values, feet, colour in (
+            ("proximity", samples.proximity, geometry.feet, _PROXIMITY),
+            ("light", samples.ambient, geometry.light_feet, _LIGHT),
+            ("speed", samples.speed[:, :2], geometry.wheels, _SPEED),
         )
     ]
 
@@ -101,7 +101,7 @@ def panel_chunks(robot: str, track: Samples, body: Body) -> list[Chunk]:
 def outline_chunks(robot: str, body: Body) -> list[Chunk]:
     """Return the static parts of one robot's panel."""
     geometry = PanelGeometry(body)
-    scale, half, bar = geometry.scale, geometry.scale * _HALF_WIDTH, geometry.scale * _BAR_LENGTH
+    scale, half_width, length = geometry.scale, geometry.scale * _HALF_WIDTH, geometry.scale * _BAR_LENGTH
     wheels = [
         _box(side * body.wheel_base / 2, 0.0, body.wheel_width / 2, body.wheel_radius) for side in (-1, 1)
     ]
@@ -110,8 +110,8 @@ def outline_chunks(robot: str, body: Body) -> list[Chunk]:
     strips = [_circle(body.radius), *wheels, nose]
     lines = rr.LineStrips2D.columns(strips=strips, colors=[_OUTLINE] * len(strips))
     feet = np.vstack((geometry.feet, geometry.light_feet))
-    frames = [_box(x, y - bar / 2, half, bar / 2) for x, y in feet]
-    frames += [_box(x, y, half, bar) for x, y in geometry.wheels]  # a wheel's bar extends in both directions
+    frames = [_box(x, y - length / 2, half_width, length / 2) for x, y in feet]
+    frames += [_box(x, y, half_width, length) for x, y in geometry.wheels]  # both ways
     radii = [_FRAME_RADIUS * scale] * len(frames)
     full = rr.LineStrips2D.columns(strips=frames, colors=[_FRAME] * len(frames), radii=radii)
     entries, bars = {"proximity": _PROXIMITY, "light": _LIGHT, "speed": _SPEED}, bars_of(body)
@@ -123,15 +123,15 @@ def outline_chunks(robot: str, body: Body) -> list[Chunk]:
         radii=[0.001 * scale] * len(entries),
     )
     return [
-        Chunk.from_columns(f"{panel(robot)}/outline", [], lines.partition([len(strips)])),
-        Chunk.from_columns(f"{panel(robot)}/full", [], full.partition([len(frames)])),
-        Chunk.from_columns(f"{panel(robot)}/legend", [], legend.partition([len(entries)])),
+        Chunk.from_columns(f"{panel_path(robot)}/outline", [], lines.partition([len(strips)])),
+        Chunk.from_columns(f"{panel_path(robot)}/full", [], full.partition([len(frames)])),
+        Chunk.from_columns(f"{panel_path(robot)}/legend", [], legend.partition([len(entries)])),
     ]
 
 
 def _fractions(bar: Bar, values: Floats) -> Floats:
-    parts: Floats = np.vectorize(bar.filled, otypes=[np.float64])(values)
-    return parts
+    """Return the filled fraction of a bar by value, -1 to 1."""
+    return np.vectorize(bar.filled_part, otypes=[np.float64])(values)
 
 
 def _bars(values: Floats, feet: Floats, colour: tuple[int, int, int], scale: float = 1.0) -> Any:
@@ -166,7 +166,7 @@ def _box(x: float, y: float, half_width: float, half_height: float) -> Floats:
     return np.array([x, y]) + corners * (half_width, half_height)
 
 
-def strip(robot: str) -> str:
+def strip_path(robot: str) -> str:
     """Return the entity path of a robot's strip."""
     return f"/{robot}/vision_strip"
 
@@ -187,19 +187,19 @@ class Strips:
 
     def __init__(self, interval_ns: int = ROW_INTERVAL_NS) -> None:
         self._interval_ns = interval_ns
-        self._last: dict[str, tuple[int, Floats]] = {}
+        self._last_rows: dict[str, tuple[int, Floats]] = {}
 
     def chunks(self, robot: str, times_ns: NDArray[np.int64], images: Floats) -> list[Chunk]:
         """Return a picture of the last rows for each new row; `images` are greys of 0 to 255 (n, pixels)."""
-        last_slot, previous_rows = self._last.get(robot, (-1, np.zeros((ROWS, images.shape[1]))))
-        slots = times_ns // self._interval_ns
-        first = np.diff(slots, prepend=last_slot) > 0
-        times_ns, images = times_ns[first], images[first]
+        last_interval, previous_rows = self._last_rows.get(robot, (-1, np.zeros((ROWS, images.shape[1]))))
+        intervals = times_ns // self._interval_ns
+        is_first = np.diff(intervals, prepend=last_interval) > 0
+        times_ns, images = times_ns[is_first], images[is_first]
         if not len(times_ns):
             return []
         width = images.shape[1]
         rows = np.concatenate((previous_rows, images)).astype(np.uint8)
-        self._last[robot] = int(slots[-1]), rows[-ROWS:].astype(np.float64)
+        self._last_rows[robot] = int(intervals[-1]), rows[-ROWS:].astype(np.float64)
         pictures = np.lib.stride_tricks.sliding_window_view(rows, ROWS, axis=0)[1:].transpose(0, 2, 1)
         image_format = rr.components.ImageFormat(
             width=width, height=ROWS, color_model=rr.ColorModel.L, channel_datatype=rr.ChannelDatatype.U8
@@ -207,4 +207,4 @@ class Strips:
         columns = rr.Image.columns(
             buffer=[picture.tobytes() for picture in pictures], format=[image_format] * len(pictures)
         )
-        return [Chunk.from_columns(strip(robot), [time_column(times_ns)], columns)]
+        return [Chunk.from_columns(strip_path(robot), [time_column(times_ns)], columns)]

@@ -39,21 +39,21 @@ def thinning_interval_ns(end_ns: int) -> int:
 
 @dataclass(slots=True)
 class _Channel:
-    """Channel of the copy, with the first `n_times` distinct times of each interval; all for 0."""
+    """Channel of the copy, with messages of the first `n_times` distinct times per interval; 0: of all."""
 
-    number: int
+    channel_id: int
     n_times: int
-    slot: int = -1
+    interval_index: int = -1
     time_ns: int = -1
-    rank: int = 0
+    n_interval_times: int = 0
 
     def accepts(self, time_ns: int, interval_ns: int) -> bool:
-        if time_ns // interval_ns != self.slot:
-            self.slot, self.rank = time_ns // interval_ns, 1
+        if time_ns // interval_ns != self.interval_index:
+            self.interval_index, self.n_interval_times = time_ns // interval_ns, 1
         elif time_ns != self.time_ns:
-            self.rank += 1
+            self.n_interval_times += 1
         self.time_ns = time_ns
-        return not self.n_times or self.rank <= self.n_times
+        return not self.n_times or self.n_interval_times <= self.n_times
 
 
 class LogCopy:
@@ -83,7 +83,7 @@ class LogCopy:
             if self._interval_ns:
                 messages = [entry for entry in messages if channel.accepts(entry.time_ns, self._interval_ns)]
             self._writer.add_lines(
-                channel.number, [entry.time_ns for entry in messages], [entry.data for entry in messages]
+                channel.channel_id, [entry.time_ns for entry in messages], [entry.data for entry in messages]
             )
 
     def finish(self, label: Label) -> None:
@@ -94,7 +94,7 @@ class LogCopy:
         self._writer.finish()
 
     def _channel(self, first: Entry) -> _Channel | None:
-        """Define the channel of a message; None if it is not shown."""
+        """Define the channel of a topic by its first message; None if it is not shown."""
         if first.definition is None or self._hidden.search(first.topic):
             return None
         n_times = 0 if first.topic in _UNTHINNED else (_N_LINES if first.schema.endswith("/Log") else 1)

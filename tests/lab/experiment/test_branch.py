@@ -12,7 +12,7 @@ from checks.branches import check, content_before, messages
 from khep_twin.errors import KhepTwinError, LogError, PlaypenError
 from khep_twin.host import Khepera
 from khep_twin.interventions.switching import switch
-from khep_twin.lab.experiment.branch import BranchPlan, branch, calibrations
+from khep_twin.lab.experiment.branch import BranchPlan, branch, calibration_texts
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_label, read_log
@@ -111,13 +111,13 @@ def test_what_is_put_elsewhere_is_there_and_all_else_goes_on(parent: Path) -> No
     resumed = resume_run(parent, AT_NS)
     world = resumed.twin.world
     x, y, heading = world.robots[0].pose
-    speed = world.data.qvel[world.robots[0].indices.wheel_speeds[0]]
+    speed = world.data.qvel[world.robots[0].indices.wheel_dofs[0]]
     resumed.change(BranchPoint(AT_NS, edits=("block.9.x_mm=500", "block.9.y_mm=350")))
     moved = resumed.twin.world
     moved.advance_to(AT_NS + 5_000_000)
     assert moved.data.body("block8").xpos[:2] == pytest.approx([0.5, 0.35], abs=1e-4)
     assert moved.robots[0].pose == pytest.approx((x, y, heading), abs=2e-3)
-    assert moved.data.qvel[moved.robots[0].indices.wheel_speeds[0]] == pytest.approx(speed, rel=0.2)
+    assert moved.data.qvel[moved.robots[0].indices.wheel_dofs[0]] == pytest.approx(speed, rel=0.2)
 
 
 def test_a_lamp_that_is_edited_stays_switched_off_and_things_outside_stay_there(parent: Path) -> None:
@@ -195,8 +195,8 @@ def test_a_moment_outside_the_run_and_a_damaged_snapshot_are_one_line(parent: Pa
 
 
 def test_a_calibration_is_for_the_robots_on_the_line(parent: Path) -> None:
-    assert list(calibrations(parent, "khepera1-manual", None)) == ["khepera0"]
-    assert calibrations(parent, "khepera1-manual", 3) == {}
+    assert list(calibration_texts(parent, "khepera1-manual", None)) == ["khepera0"]
+    assert calibration_texts(parent, "khepera1-manual", 3) == {}
 
 
 def test_a_host_goes_on_from_a_log_and_its_log_is_a_branch(parent: Path, tmp_path: Path) -> None:

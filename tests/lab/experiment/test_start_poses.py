@@ -7,7 +7,7 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.lab.experiment.start_poses import (
     StartPose,
-    numbers,
+    parse_numbers,
     starts,
     with_lighting,
     without_nearest_lamp,
@@ -120,5 +120,5 @@ def test_the_nearest_lamp_goes_first() -> None:
 
 
 def test_numbers_are_as_many_as_wanted_and_finite() -> None:
-    assert numbers("1,-2.5", 2) == [1, -2.5]
-    assert [numbers(text, 2) for text in ("1", "1,2,3", "1,inf", "a,b", "")] == [None] * 5
+    assert parse_numbers("1,-2.5", 2) == [1, -2.5]
+    assert [parse_numbers(text, 2) for text in ("1", "1,2,3", "1,inf", "a,b", "")] == [None] * 5

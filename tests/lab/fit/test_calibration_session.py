@@ -15,7 +15,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.fit.fit_inputs import fit_inputs
 from khep_twin.lab.fit.motor_fit import read_drive
 from khep_twin.lab.fit.placement import Ruler
-from khep_twin.lab.fit.session import TESTS, CalibrationSession
+from khep_twin.lab.fit.session import WORDS_FILE, CalibrationSession
 from khep_twin.lab.fit.session_people import PersonAtTerminal, SimulatedPerson
 from khep_twin.lab.fit.session_steps import Step, record, steps
 
@@ -61,13 +61,13 @@ def test_a_session_goes_on_after_the_last_step_that_was_done(tmp_path: Path) -> 
         # The motors are stopped, and no partial recording exists.
         robot.sleep(0.5)
         assert robot.speed() == (0, 0)
-        assert sorted(path.name for path in folder.iterdir()) == ["straight.mcap", TESTS]
+        assert sorted(path.name for path in folder.iterdir()) == ["straight.mcap", WORDS_FILE]
         assert any("done before: straight.mcap=" in line for line in lines)
         third = CalibrationSession(folder)
         assert third.run([STRAIGHT, DUTY], robot, simulated(robot), lines.append, never)
     assert (folder / "straight.mcap").read_bytes() == before
-    assert (folder / TESTS).read_text().splitlines() == third.words
-    inputs = fit_inputs(third.paths)
+    assert (folder / WORDS_FILE).read_text().splitlines() == third.words
+    inputs = fit_inputs(third.words_with_folder)
     assert (len(inputs.wheels), len(inputs.motors)) == (1, 1)
     assert inputs.wheels[0].distance == pytest.approx(0.6, abs=0.001)
 
@@ -76,7 +76,7 @@ def test_a_recording_that_is_asked_to_stop_leaves_no_file(tmp_path: Path) -> Non
     with bench() as robot:
         for step in (STRAIGHT, DUTY, WALL):
             stops = iter([False] * 10)
-            assert not record(robot, step, tmp_path / step.file, lambda stops=stops: next(stops, True))
+            assert not record(robot, step, tmp_path / step.file_name, lambda stops=stops: next(stops, True))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -150,7 +150,7 @@ def test_a_place_is_confirmed_corrected_or_skipped(
 ) -> None:
     person, lines = answering(*answers)
     assert person.place(step) == expected
-    assert lines[0] == step.text
+    assert lines[0] == step.instruction
     assert sum("expected Enter" in line for line in lines) == len(answers) - 1
 
 
@@ -188,7 +188,7 @@ def test_a_person_who_has_put_everything_up_is_not_waited_for() -> None:
     ],
 )
 def test_words_without_a_recording_are_refused(tmp_path: Path, text: str, message: str) -> None:
-    (tmp_path / TESTS).write_text(text)
+    (tmp_path / WORDS_FILE).write_text(text)
     with pytest.raises(FitError, match=message):
         CalibrationSession(tmp_path)
 
@@ -216,8 +216,8 @@ def test_objects_that_no_one_has_are_refused(make: Callable[[], object]) -> None
 
 def test_every_step_has_a_file_and_a_word_of_its_own() -> None:
     session_steps = steps([6.0, 12.0], 27.0, 2.0, 15.0)
-    assert len({step.file for step in session_steps}) == len(session_steps) == 10
-    assert [step.word(12.5) for step in session_steps if step.kind in ("cylinder", "lamp")][::3] == [
+    assert len({step.file_name for step in session_steps}) == len(session_steps) == 10
+    assert [step.make_word(12.5) for step in session_steps if step.kind in ("cylinder", "lamp")][::3] == [
         "cylinder-6.csv=cylinder:27mm@12.5mm",
         "lamp-60.csv=lamp:2W:15mm@12.5mm",
     ]
@@ -225,7 +225,7 @@ def test_every_step_has_a_file_and_a_word_of_its_own() -> None:
 
 
 def test_a_session_takes_no_folder_of_others(tmp_path: Path) -> None:
-    (tmp_path / STRAIGHT.file).write_text("a year's work")
+    (tmp_path / STRAIGHT.file_name).write_text("a year's work")
     with pytest.raises(FitError, match=r"holds straight.mcap and no tests.txt; expected another folder"):
         CalibrationSession(tmp_path)
     with bench() as robot:

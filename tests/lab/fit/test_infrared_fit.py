@@ -11,7 +11,7 @@ from scenes import arena, hosted
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
-from khep_twin.lab.fit.infrared_fit import apply_fit, fit_infrared, levels
+from khep_twin.lab.fit.infrared_fit import apply_fit, fit_infrared, mean_counts
 from khep_twin.lab.fit.least_squares import expected_readings
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Placement, Readings, Ruler
 from khep_twin.sensing import calibration
@@ -78,7 +78,7 @@ def bench(distances_mm: list[float], moved: Misplacement = IN_PLACE) -> list[Rea
     """Computed readings of the hidden robot without noise, in front of misplaced walls."""
     bearings = np.radians(np.arange(-180, 180, 4.0))
     tests = [readings(distance_mm, bearings, np.empty(0)) for distance_mm in distances_mm]
-    counts = [np.clip(levels(test.placement, hidden_calibration(), moved), 0, 1023) for test in tests]
+    counts = [np.clip(mean_counts(test.placement, hidden_calibration(), moved), 0, 1023) for test in tests]
     return [replace(test, counts=readings) for test, readings in zip(tests, counts, strict=True)]
 
 

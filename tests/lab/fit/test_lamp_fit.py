@@ -10,12 +10,12 @@ from scenes import arena, robot, table
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts, fit_lamps
+from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Readings, Ruler
 from khep_twin.sensing import calibration
 from khep_twin.units import SENSOR_HEIGHT
 from khep_twin.world import World
-from studies.lamp_fits import FAR, SET_UP_BEARING, residuals, readings, sampled_lamp
+from studies.lamp_fits import FAR, SET_UP_BEARING, readings, residuals, sampled_lamp
 
 KHEPERA1 = calibration.read("khepera1")[0]
 SENSORS = range(8)
@@ -36,8 +36,8 @@ def turned(distance: float, power: float = 2.0) -> Readings:
     return readings(np.full(180, distance), SET_UP_BEARING + BEARINGS, np.zeros((180, 8)), power)
 
 
-def lamp(distance: float) -> LampTable:
-    return LampTable.of(turned(distance))
+def lamp(distance: float) -> LampPositions:
+    return LampPositions.of(turned(distance))
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -71,7 +71,7 @@ def read_in_scene(forward: float, left: float, height: float) -> np.ndarray:
     "position", [(0.2, 0.0, 0.0016), (0.1, 0.15, 0.05), (-0.07, 0.02, 0.03), (0.0, -0.5, 0.2)]
 )
 def test_the_law_for_many_positions_gives_what_the_scene_gives(position: tuple[float, float, float]) -> None:
-    table = LampTable(np.array([position]), 2.0)
+    table = LampPositions(np.array([position]), 2.0)
     expected = [ambient_counts(table, sensor, KHEPERA1.ambient)[0] for sensor in SENSORS]
     # The wheels may hide a lamp behind the robot from a sensor that sees it only by its diffuse part.
     np.testing.assert_allclose(read_in_scene(*position), expected, atol=1.5)
@@ -96,7 +96,7 @@ def recorded(*distances: float, seed: int = 1, moved: Misplacement = IN_PLACE) -
         test = turned(distance)
         for sensor in SENSORS:
             test.counts[:, sensor] = np.round(
-                ambient_counts(LampTable.of(test, moved), sensor, HIDDEN)
+                ambient_counts(LampPositions.of(test, moved), sensor, HIDDEN)
                 + 5 * rng.standard_normal(len(BEARINGS))
             )
         tests.append(test)

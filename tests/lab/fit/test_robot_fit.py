@@ -14,7 +14,7 @@ from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.host import Khepera
 from khep_twin.lab.fit.fit_inputs import SensorData, fit_inputs
-from khep_twin.lab.fit.lamp_fit import LampTable
+from khep_twin.lab.fit.lamp_fit import LampPositions
 from khep_twin.lab.fit.motor_fit import read_drive
 from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels
 from khep_twin.lab.sensor_test.sensor_files import save
@@ -234,7 +234,7 @@ def test_a_robot_that_turns_left_has_the_object_on_its_right() -> None:
         distances, bearings = data.readings(KHEPERA1.wheels).placement.object_positions()
         np.testing.assert_allclose(distances, 0.02, atol=1e-6)
         np.testing.assert_allclose(bearings, [0, -math.pi / 2], atol=2e-3)
-    lamp = LampTable.of(SensorData("lamp", run, 0.1, power=2.0).readings(KHEPERA1.wheels))
+    lamp = LampPositions.of(SensorData("lamp", run, 0.1, power=2.0).readings(KHEPERA1.wheels))
     np.testing.assert_allclose(lamp.positions[1], [0, -0.1375, 0.0016], atol=4e-4)
 
 

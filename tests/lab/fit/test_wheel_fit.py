@@ -8,7 +8,7 @@ from command_line import good
 from test_robot_fit import Bench
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels, read_pulses, residual
+from khep_twin.lab.fit.wheel_fit import Drive, drive_residual, fit_wheels, read_pulses
 from khep_twin.sensing import calibration
 
 
@@ -30,7 +30,7 @@ def test_hidden_wheels_are_found_an_unused_drive_is_met_and_a_twin_can_use_the_c
     assert fit.radius == pytest.approx(7.83e-3, rel=0.002)
     assert fit.base == pytest.approx(53.4e-3, rel=0.005)
     assert abs(fit.radius - 7.83e-3) < fit.radius_interval + 7.83e-3 * 0.001
-    left = residual(Drive("other", *read_pulses(arc), distance=other), fit.radius, fit.base)
+    left = drive_residual(Drive("other", *read_pulses(arc), distance=other), fit.radius, fit.base)
     assert abs(left) < 0.002
     words = [f"{straight}={distance * 1000:.0f}mm", f"{spin}={turned / 2 / math.pi:.3f}turns"]
     assert "not used for the fit" in good("fit", *words, "--check", words[0], "-o", target)

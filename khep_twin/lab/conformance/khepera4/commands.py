@@ -17,7 +17,6 @@ TOO_NEAR_CM, NOTHING_CM, DISABLED_CM = 0, 1000, 2000
 
 _ROUND_S = 0.3
 """Time in which every ultrasonic sensor measures more than twice [s]."""
-
 _BATTERY = (r"\d+", r"-?\d+", r"-?\d+", r"\d+", r"-?\d+\.\d", r"\d{1,3}", "[01]", r"\d{1,3}")
 """Values of V, by kind."""
 

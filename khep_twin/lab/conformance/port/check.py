@@ -29,7 +29,6 @@ _NUMBER = re.compile("-?(0|[1-9][0-9]*)")
 
 _FIRST_BYTE = 0.010
 """Longest wait for a reply's first byte after the transmission of the command [s] (hosts tolerate it)."""
-
 _REAL_TIME_SLACK = 0.02
 """Tolerance for delays by the operating system's scheduler [s]."""
 

@@ -16,13 +16,7 @@ from khep_twin.host import Khepera, Khepera4
 from khep_twin.lab.conformance.khepera4 import catalogue as khepera4
 from khep_twin.lab.conformance.model import RobotModel
 from khep_twin.lab.conformance.port import catalogue as khepera
-from khep_twin.lab.conformance.port.check import (
-    Check,
-    CheckedPort,
-    Deviation,
-    NotPossibleError,
-    is_driving,
-)
+from khep_twin.lab.conformance.port.check import Check, CheckedPort, Deviation, NotPossibleError, is_driving
 
 
 @dataclass(frozen=True, slots=True)

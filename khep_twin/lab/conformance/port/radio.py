@@ -20,7 +20,6 @@ NOBODY = 255
 
 _PAUSE = 0.05
 """Pause between two reads of the status [s]."""
-
 _MAX_READS = 20
 """Largest number of messages that may wait to be read."""
 

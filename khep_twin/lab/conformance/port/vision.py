@@ -22,10 +22,8 @@ SECTION = "K213"
 _SLOWEST = len(K213_PERIODS_MS) - 1
 _SCAN = 1.1
 """Longest time until an image with automatic exposure is ready [s] (assumed: scans of up to a second)."""
-
 _TURN_PULSES = 34
 """Pulses of each wheel for a turn by 6 degrees, 10 pixels, on the spot."""
-
 _CONTRAST = 60
 """Smallest difference of brightest and darkest pixel by which a turn is detected [greys] (assumed)."""
 

@@ -1,7 +1,8 @@
 """Serial line of a robot in a log: its exchanges, each with the expected reply of the firmware.
 
-The log is of a twin, or of a relay at a real robot. Only the serial data with its times, and the description
-of the robot in the label, are used. `board_model` runs the firmware.
+The log is of a twin, or of a relay, a program that passes and logs the bytes between a host and a real robot.
+Only the serial data with its times, and the description of the robot in the log's label, are used.
+`board_model` runs the firmware.
 """
 
 import re
@@ -48,7 +49,7 @@ class RecordedLine:
         rom: Name of the ROM: that of the twin, or the best match of the replies.
         mode: Running mode; None if unknown.
         turrets: Numbers of the turrets; None if unknown.
-        changes_ns: Times at which the user moved a robot, a lamp or a sensor's conversion [ns].
+        changes_ns: Times of a user's changes: robots moved, lamps set, conversions replaced, or notes [ns].
         steps: Exchanges in order of their commands.
     """
 
@@ -86,17 +87,17 @@ def recorded_lines(path: Path) -> list[RecordedLine]:
         events[name] = [event for _, piece in pieces for _, event in piece]
     all_events = [event for robot_events in events.values() for event in robot_events]
     changes_ns = sorted(event.at_ns for event in all_events if event.kind > HostEventKind.LINE_SETTINGS)
-    notes = [line for _, line in decode_messages(path, "/events", messages, read_line)]
+    event_lines = [line for _, line in decode_messages(path, "/events", messages, read_line)]
     lines: list[RecordedLine] = []
     for index, name in enumerate(label.robots):
         transcript = [line for _, line in decode_messages(path, f"/{name}/serial", messages, read_line)]
         if not transcript:
             continue
         robot = robots[index]
-        if "seed" in label.metadata:
+        if "seed" in label.metadata:  # a twin; a relay has no seed
             exchanges = _twin_exchanges(transcript, events[name])
         else:
-            exchanges = _relay_exchanges(transcript, events[name], _bauds(label, notes))
+            exchanges = _relay_exchanges(transcript, events[name], _bauds(label, event_lines))
         moves = (event for event in events[name] if event.kind == HostEventKind.MOVE_ROBOT)
         resets_ns = [event.at_ns for event in moves if len(event.data) > 24]
         lines.append(_make_line(name, label, robot, exchanges, changes_ns, resets_ns))
@@ -106,6 +107,7 @@ def recorded_lines(path: Path) -> list[RecordedLine]:
 
 
 def _known_robots(label: Label, path: Path) -> list[KnownRobot]:
+    """Return each robot by the log's playpen: ROM, running mode and turrets."""
     if "playpen.toml" not in label.attachments:
         return [KnownRobot()] * len(label.robots)
     from khep_twin.log.attached import playpen_of
@@ -151,13 +153,13 @@ def _is_next_host(time_ns: int, line: bytes, left_ns: int, unfinished: bytes) ->
     return left_ns < time_ns or (left_ns == time_ns and unfinished != b"" and line.startswith(unfinished))
 
 
-def _bauds(label: Label, notes: Sequence[TextLine]) -> list[tuple[int, int]]:
+def _bauds(label: Label, event_lines: Sequence[TextLine]) -> list[tuple[int, int]]:
     """Return the baud rates of a relay's line with their start times [ns]; none if they are not known."""
     text = label.metadata.get("baud", "")
     if not re.fullmatch("[1-9][0-9]{2,6}", text) or "://" in label.metadata.get("relay", "://"):
         return []
     changes = [
-        (note.time_ns, int(match[1])) for note in notes if (match := _SET_SPEED.search(note.text)) is not None
+        (line.time_ns, int(match[1])) for line in event_lines if (match := _SET_SPEED.search(line.text))
     ]
     return [(0, int(text)), *changes]
 
@@ -175,12 +177,12 @@ def _relay_exchanges(
     pieces += [
         (line.time_ns, False, unescape(line.text) + b"\n") for line in transcript if line.name == "robot"
     ]
-    speeds, line = deque(bauds), SerialLine(0)
+    pending_bauds, line = deque(bauds), SerialLine(0)
     dialogue, exchanges = Dialogue(), list[tuple[Exchange, int]]()
     arrivals: dict[int, list[int]] = defaultdict(list)
     for time_ns, to_robot, data in sorted(pieces, key=lambda piece: piece[0]):
-        while speeds and speeds[0][0] <= time_ns:
-            line.baud = speeds.popleft()[1]
+        while pending_bauds and pending_bauds[0][0] <= time_ns:
+            line.baud = pending_bauds.popleft()[1]
         dialogue.byte_ns = line.byte_ns
         if to_robot:
             arrived_ns = line.send(data, time_ns)

@@ -33,9 +33,9 @@ _RANGES = {
 
 _INTEGER = re.compile(rb"-?(0|[1-9][0-9]*)")
 _END = b"\r\n"
-_REFUSED = b"z,"
+_REFUSAL_START = b"z,"
 
-_COUNTS = {"E": 2, "H": 2, "K": 6, "N": N_SENSORS, "O": N_SENSORS}
+_N_VALUES = {"E": 2, "H": 2, "K": 6, "N": N_SENSORS, "O": N_SENSORS}
 """Number of values of each reply."""
 
 Reading = tuple[RecordedStep, tuple[int, ...]]
@@ -46,7 +46,7 @@ def read_values(line: RecordedLine, letters: str) -> Iterator[Reading]:
     """Yield the steps of some commands whose replies have the right number of values."""
     for step in line.steps:
         values = step.exchange.values if step.exchange.letter in letters else None
-        if values is not None and len(values) == _COUNTS[step.exchange.letter]:
+        if values is not None and len(values) == _N_VALUES[step.exchange.letter]:
             yield step, values
 
 
@@ -79,26 +79,26 @@ def answers(line: RecordedLine) -> Verdict:
 @check("the robot sends nothing unsolicited", "3.2")
 def unasked_lines(line: RecordedLine) -> Verdict:
     findings: list[Finding] = []
-    last, lines = b"", 0
+    last_command, n_lines = b"", 0
     for step in line.steps:
         exchange = step.exchange
-        lines += exchange.reply is not None
+        n_lines += exchange.reply is not None
         if exchange.command:
-            last = exchange.command
+            last_command = exchange.command
         elif not exchange.output_of and not step.restarts:
-            note = ", an echo of the command" if exchange.reply == last else ""
+            note = ", an echo of the command" if exchange.reply == last_command else ""
             findings.append(
                 finding(step, f"{step.reply_text[4:].replace('reply', 'line', 1)}{note}", "silence")
             )
-    return Verdict(lines, findings)
+    return Verdict(n_lines, findings)
 
 
 @check("a reply starts with its command's letter", "A")
 def letters(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep) -> Finding | None:
         letter = step.exchange.letter.lower()
-        head = (step.exchange.reply or b"").partition(b",")[0]
-        return None if head == letter.encode() else wrong_reply(step, f"{letter!r} first")
+        reply_letter = (step.exchange.reply or b"").partition(b",")[0]
+        return None if reply_letter == letter.encode() else wrong_reply(step, f"{letter!r} first")
 
     return judge((step for step, _ in accepted_steps(line)), deviation)
 
@@ -133,8 +133,8 @@ def refusals(line: RecordedLine) -> Verdict:
         reply = step.exchange.reply or b""
         return wrong_reply(step, escape(step.expected[:-2])) if is_error(reply) else None
 
-    valid = (step for step in _with_replies(line, Command) if not is_error(step.expected))
-    return judge(valid, deviation)
+    valid_steps = (step for step in _with_replies(line, Command) if not is_error(step.expected))
+    return judge(valid_steps, deviation)
 
 
 def check_exact(step: RecordedStep) -> Finding | None:
@@ -152,15 +152,17 @@ def wrong_parameters(line: RecordedLine) -> Verdict:
 
 @check("an unknown word is answered with Command not found", "3.2")
 def unknown_words(line: RecordedLine) -> Verdict:
-    unknown = (step for step in line.steps if step.exchange.reply is not None and step.request is not None)
-    return judge((step for step in unknown if step.expected == COMMAND_NOT_FOUND), check_exact)
+    answered_steps = (
+        step for step in line.steps if step.exchange.reply is not None and step.request is not None
+    )
+    return judge((step for step in answered_steps if step.expected == COMMAND_NOT_FOUND), check_exact)
 
 
 @check("an LED, channel or address that does not exist is refused", "A")
 def missing_devices(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep) -> Finding | None:
         reply = step.exchange.reply or b""
-        return None if reply.startswith(_REFUSED) else wrong_reply(step, "a line that starts with 'z,'")
+        return None if reply.startswith(_REFUSAL_START) else wrong_reply(step, "a line that starts with 'z,'")
 
     return judge((step for step in _with_replies(line, Command) if is_error(step.expected)), deviation)
 
@@ -173,7 +175,7 @@ def turrets(line: RecordedLine) -> Verdict:
         letter = request.message[:1].lower()
         match = re.fullmatch(rb"t,%d,%b(,-?[0-9]+)*" % (request.turret, re.escape(letter)), reply)
         if line.turrets is None:
-            if match or reply.startswith(_REFUSED):
+            if match or reply.startswith(_REFUSAL_START):
                 return None
             return wrong_reply(step, f"'t,{request.turret},{escape(letter)}…' or 'z,…'")
         if request.turret == RADIO_NUMBER and letter == b"s" and reply == BUSY[: -len(_END)]:

@@ -12,22 +12,17 @@ from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording.replies import Reading, read_values
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS, STEP_NS
 
-_READINGS = 200
+_N_READINGS = 200
 """Number of equal consecutive readings of a stuck sensor while others change (assumed)."""
-
 _LIVELY_SHARE = 0.2
 """Smallest share of readings that differ from the previous one, of a sensor that changes (assumed)."""
-
 _MIN_CHANGING = 4
 """Smallest number of other sensors that change."""
-
 _MIN_DISTINCT = 50
 """Smallest number of distinct readings of a sensor that was near objects (assumed)."""
-
-_DARK = 10
+_FREE_COUNTS = 10
 """Proximity below which no object is near [counts] (assumed)."""
-
-_FAR_PULSES = 1000
+_MIN_TRAVEL_PULSES = 1000
 """Travel of a wheel in which the readings of a robot change [pulses] (assumed)."""
 
 
@@ -46,8 +41,8 @@ def one_scan(line: RecordedLine) -> Verdict:
                     n_checked += 1
                     n_changed = sum(new != old for old, new in zip(previous[1], values, strict=True))
                     if n_changed > n_converted:
-                        took_ms = (until_ns - from_ns) / 1e6
-                        observation = f"{step.reply_text}, {n_changed} values changed in {took_ms:.1f} ms"
+                        duration_ms = (until_ns - from_ns) / 1e6
+                        observation = f"{step.reply_text}, {n_changed} values changed in {duration_ms:.1f} ms"
                         findings.append(finding(step, observation, f"at most {n_converted}"))
             previous = step, values
     return Verdict(n_checked, findings)
@@ -58,17 +53,17 @@ def stuck_sensors(line: RecordedLine) -> Verdict:
     n_checked, findings = 0, list[Finding]()
     for letter, name in (("N", "proximity"), ("O", "ambient light")):
         readings = list(read_values(line, letter)) if line.noisy else []
-        n_checked += len(readings) // _READINGS
-        if len(readings) < _READINGS:
+        n_checked += len(readings) // _N_READINGS
+        if len(readings) < _N_READINGS:
             continue
         values: NDArray[np.int64] = np.array([counts for _, counts in readings], np.int64)
         changes = np.diff(values, axis=0) != 0
         for sensor in range(N_SENSORS):
             span = (0, len(readings)) if _is_dead(values, sensor) else _find_span(values, changes, sensor)
             if span is not None:
-                first, last = span
-                text = f"{values[first, sensor]} of sensor {sensor}, {name}, in {last - first} readings"
-                findings.append(finding(readings[first][0], text, "changing values, as of the other sensors"))
+                start, stop = span
+                text = f"{values[start, sensor]} of sensor {sensor}, {name}, in {stop - start} readings"
+                findings.append(finding(readings[start][0], text, "changing values, as of the other sensors"))
     return Verdict(n_checked, findings)
 
 
@@ -77,7 +72,7 @@ def _find_span(values: NDArray[np.int64], changes: NDArray[np.bool_], sensor: in
     indices: list[int] = np.flatnonzero(changes[:, sensor]).tolist()
     ends = [0, *(index + 1 for index in indices), len(values)]
     for first, last in pairwise(ends):
-        if last - first < _READINGS or not 0 < values[first, sensor] < COUNTS_LIMIT:
+        if last - first < _N_READINGS or not 0 < values[first, sensor] < COUNTS_LIMIT:
             continue
         if np.count_nonzero(changes[first : last - 1].mean(axis=0) > _LIVELY_SHARE) >= _MIN_CHANGING:
             return first, last
@@ -86,7 +81,7 @@ def _find_span(values: NDArray[np.int64], changes: NDArray[np.bool_], sensor: in
 
 def _is_dead(values: NDArray[np.int64], sensor: int) -> bool:
     """Return whether a sensor is always at a limit of its range, while the others have many readings."""
-    if len(values) < 3 * _READINGS or values[0, sensor] not in (0, COUNTS_LIMIT):
+    if len(values) < 3 * _N_READINGS or values[0, sensor] not in (0, COUNTS_LIMIT):
         return False
     n_distinct = [len(np.unique(values[:, other])) for other in range(N_SENSORS)]
     return n_distinct.pop(sensor) == 1 and min(n_distinct) >= _MIN_DISTINCT
@@ -95,8 +90,8 @@ def _is_dead(values: NDArray[np.int64], sensor: int) -> bool:
 def _windows(line: RecordedLine, letter: str) -> Iterator[tuple[list[RecordedStep], NDArray[np.int64]]]:
     """Yield windows of readings, each with its steps and values (readings, sensors)."""
     readings = list(read_values(line, letter)) if line.noisy else []
-    for start in range(0, len(readings) - _READINGS + 1, _READINGS):
-        window = readings[start : start + _READINGS]
+    for start in range(0, len(readings) - _N_READINGS + 1, _N_READINGS):
+        window = readings[start : start + _N_READINGS]
         yield [step for step, _ in window], np.array([values for _, values in window], np.int64)
 
 
@@ -107,7 +102,7 @@ def frozen_readings(line: RecordedLine) -> Verdict:
     for letter in "NO":
         for steps, values in _windows(line, letter):
             travel = _travel_between(distances, steps[0].arrived_ns, steps[-1].arrived_ns)
-            if travel < _FAR_PULSES or (letter == "N" and values.max() <= _DARK):
+            if travel < _MIN_TRAVEL_PULSES or (letter == "N" and values.max() <= _FREE_COUNTS):
                 continue
             n_checked += 1
             if not np.diff(values, axis=0).any():

@@ -13,12 +13,10 @@ from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording.replies import MAX_SPEED, Reading, read_values
 from khep_twin.lab.conformance.recording.wheels import SIDES
 
-_PUSHED = 10
+_MAX_PUSH_PULSES = 10
 """Largest distance by which a wheel on its target may be off between two statuses [pulses] (assumed)."""
-
 _SLOW_ACCELERATION = 16
 """Smallest acceleration of J for an arrival within a second [pulses/256 per (10 ms)^2]."""
-
 _RECENT_NS = NS_PER_S // 2
 """Largest age of the last counter of a wheel on its target [ns] (assumed)."""
 
@@ -93,29 +91,29 @@ def counters_on_target(line: RecordedLine) -> Verdict:
                 continue
             n_checked += 1
             target = _target_in_counts(first[0], step, last[0], wheel)
-            if target is not None and abs(wrap(values[wheel] - target)) > _PUSHED:
+            if target is not None and abs(wrap(values[wheel] - target)) > _MAX_PUSH_PULSES:
                 findings.append(finding(step, f"{step.reply_text}, {side} wheel", f"{target}, its target"))
     return Verdict(n_checked, findings)
 
 
 def _between_status(line: RecordedLine) -> Iterator[tuple[Reading, Reading, Reading]]:
     """Yield each reply to H between two replies to K without a motor command, with these replies."""
-    last: Reading | None = None
+    last_status: Reading | None = None
     counters: list[Reading] = []
     changes = list(line.changes_ns)
     for step in line.steps:
         values, letter = step.exchange.values, step.exchange.letter
-        moved = bool(changes) and changes[0] <= step.exchange.sent_ns
+        is_moved = bool(changes) and changes[0] <= step.exchange.sent_ns
         while changes and changes[0] <= step.exchange.sent_ns:
             changes.pop(0)
-        if moved or step.restarts or letter in ("", *SETPOINT_COMMANDS):
-            last, counters = None, []
+        if is_moved or step.restarts or letter in ("", *SETPOINT_COMMANDS):
+            last_status, counters = None, []
         elif letter == "H" and values is not None and len(values) == 2:
             counters.append((step, values))
         elif letter == "K" and values is not None and len(values) == 6:
-            if last is not None:
-                yield from ((last, counter, (step, values)) for counter in counters)
-            last, counters = (step, values), []
+            if last_status is not None:
+                yield from ((last_status, counter, (step, values)) for counter in counters)
+            last_status, counters = (step, values), []
 
 
 def _target_in_counts(first: RecordedStep, step: RecordedStep, last: RecordedStep, wheel: int) -> int | None:
@@ -130,7 +128,7 @@ def arrival_in_time(line: RecordedLine) -> Verdict:
     """Check the status of wheels whose counters have been on the target for a second."""
     n_checked, findings = 0, list[Finding]()
     for wheel, side in enumerate(SIDES):
-        on_target: list[RecordedStep] = []
+        on_target_steps: list[RecordedStep] = []
         for previous, step in pairwise(line.steps):
             motion, values, letter = step.motion, step.exchange.values, step.exchange.letter
             is_positioning = motion is not None and motion.modes[wheel] == Mode.POSITION
@@ -140,16 +138,16 @@ def arrival_in_time(line: RecordedLine) -> Verdict:
                 or letter in ("", *SETPOINT_COMMANDS)
                 or previous.motion != motion
             ):
-                on_target = []
+                on_target_steps = []
             elif letter == "H" and values is not None and len(values) == 2:
                 is_near = motion.targets is not None and (
                     abs(wrap(values[wheel] - motion.targets[wheel])) <= TARGET_TOLERANCE_PULSES
                 )
-                on_target = [*on_target, step] if is_near else []
-            elif letter == "K" and values is not None and len(values) == 6 and len(on_target) > 1:
+                on_target_steps = [*on_target_steps, step] if is_near else []
+            elif letter == "K" and values is not None and len(values) == 6 and len(on_target_steps) > 1:
                 speed, acceleration = motion.profile
-                is_long = on_target[-1].arrived_ns - on_target[0].arrived_ns > NS_PER_S
-                is_recent = step.arrived_ns - on_target[-1].arrived_ns < _RECENT_NS
+                is_long = on_target_steps[-1].arrived_ns - on_target_steps[0].arrived_ns > NS_PER_S
+                is_recent = step.arrived_ns - on_target_steps[-1].arrived_ns < _RECENT_NS
                 if not is_long or not is_recent or speed < 1 or acceleration < _SLOW_ACCELERATION:
                     continue
                 n_checked += 1

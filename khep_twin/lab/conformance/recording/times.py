@@ -10,9 +10,8 @@ from khep_twin.lab.conformance.recording.board_model import RecordedStep
 from khep_twin.lab.conformance.recording.check import Finding, Verdict, check, finding, judge
 from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
 
-_SHORTEST = 10 / 11
+_MIN_BYTE_RATIO = 10 / 11
 """Time of a byte with one stop bit, relative to that with two."""
-
 _WALL_CLOCK_NS = 3_000_000
 """Error of a relay's times, which are those of its reads and writes (assumed) [ns]."""
 
@@ -24,7 +23,7 @@ _LATE_SHARE = 0.05
 """Largest share of a command's late replies due to the relay's computer (assumed)."""
 
 
-def _timed(line: RecordedLine) -> Iterator[RecordedStep]:
+def _one_line_steps(line: RecordedLine) -> Iterator[RecordedStep]:
     """Yield the steps whose reply is one line, at a known baud rate."""
     for step in line.steps:
         is_command = isinstance(step.request, (Command, Malformed, TurretMessage))
@@ -38,29 +37,29 @@ def too_early(line: RecordedLine) -> Verdict:
 
     def deviation(step: RecordedStep) -> Finding | None:
         length = len(step.exchange.reply or b"") + 2
-        min_ns = (step.arrived_ns - step.exchange.sent_ns + length * step.byte_ns) * _SHORTEST
-        took_ns = step.exchange.reply_ns - step.exchange.sent_ns
-        if took_ns + slack_ns >= int(min_ns):
+        min_ns = (step.arrived_ns - step.exchange.sent_ns + length * step.byte_ns) * _MIN_BYTE_RATIO
+        duration_ns = step.exchange.reply_ns - step.exchange.sent_ns
+        if duration_ns + slack_ns >= int(min_ns):
             return None
         return finding(
-            step, f"{step.reply_text} after {took_ns / 1e6:.1f} ms", f"at least {min_ns / 1e6:.1f} ms"
+            step, f"{step.reply_text} after {duration_ns / 1e6:.1f} ms", f"at least {min_ns / 1e6:.1f} ms"
         )
 
-    return judge(_timed(line), deviation)
+    return judge(_one_line_steps(line), deviation)
 
 
 @check("replies start within 10 ms, through a relay within 30 ms", "3.2")
 def too_late(line: RecordedLine) -> Verdict:
-    limit_ns, busy_ns = FIRST_BYTE_NS[line.simulated], 0
+    limit_ns, previous_end_ns = FIRST_BYTE_NS[line.simulated], 0
     waits: dict[str, list[tuple[int, RecordedStep]]] = defaultdict(list)
-    timed = {id(step) for step in _timed(line)}
+    timed = {id(step) for step in _one_line_steps(line)}
     # A reply or banner starts only after the previous one.
     for step in sorted(line.steps, key=lambda step: step.exchange.reply_ns):
         length = len(step.exchange.reply or b"") + 2
         if id(step) in timed and not step.exchange.abandoned:
-            wait_ns = step.exchange.reply_ns - max(step.arrived_ns, busy_ns) - length * step.byte_ns
+            wait_ns = step.exchange.reply_ns - max(step.arrived_ns, previous_end_ns) - length * step.byte_ns
             waits[step.exchange.letter].append((wait_ns, step))
-        busy_ns = step.exchange.reply_ns
+        previous_end_ns = step.exchange.reply_ns
     findings, expected = list[Finding](), f"at most {limit_ns / 1e6:.0f} ms"
     for letter_waits in waits.values():
         late_findings = [

@@ -24,25 +24,19 @@ from khep_twin.lab.conformance.recording.replies import MAX_SPEED, read_values
 from khep_twin.units import TICK_NS
 
 SIDES = ("left", "right")
-_SLOWEST = 3
+_MIN_SPEED = 3
 """Slowest speed that is compared, as E has whole pulses/10 ms."""
-
-_DISTANCE = 2000
+_COMPARED_PULSES = 2000
 """Distance over which counters and speeds are compared [pulses], 160 mm."""
-
 _LARGEST_DEVIATION = 0.5
 """Largest deviation, as a share of the distance (assumed; there are collisions in between)."""
-
 _SETTLED_NS = NS_PER_S // 2
 """Settling time of the speed after a change of D [ns] (docs/protocol.md: 120 ms on the floor)."""
-
-_STEADY = 0.2
+_MAX_VARIATION = 0.2
 """Largest variation of the speeds around a distance, as a share of them (assumed)."""
-
-_LONGEST_NS = NS_PER_S // 5
+_MAX_GAP_NS = NS_PER_S // 5
 """Longest time between two counters over which speeds may be interpolated [ns] (assumed)."""
-
-_UNSURE_NS = 30_000_000
+_MAX_ERROR_NS = 30_000_000
 """Largest uncertainty of the time of a value in comparisons over distances [ns]."""
 
 
@@ -82,7 +76,7 @@ def _counter_intervals(line: RecordedLine) -> Iterator[tuple[_Counter, RecordedS
             start = _Counter(values, step.arrived_ns, step.read_ns, "H")
 
 
-def _jumps(line: RecordedLine, source: str, expected: str) -> Verdict:
+def _check_jumps(line: RecordedLine, source: str, expected: str) -> Verdict:
     """Return the verdict over counters; more change than a wheel can turn is a finding."""
     n_checked, findings = 0, list[Finding]()
     for start, step, values in _counter_intervals(line):
@@ -99,17 +93,17 @@ def _jumps(line: RecordedLine, source: str, expected: str) -> Verdict:
 
 @check("counters change no faster than a wheel can turn", "A, command H")
 def counters_without_jumps(line: RecordedLine) -> Verdict:
-    return _jumps(line, "H", "after")
+    return _check_jumps(line, "H", "after")
 
 
 @check("G sets the counters", "A, command G")
 def set_counters(line: RecordedLine) -> Verdict:
-    return _jumps(line, "G", "after G")
+    return _check_jumps(line, "G", "after G")
 
 
 @check("a restart sets the counters to 0", "3.2.1, tool restart")
 def counters_after_restart(line: RecordedLine) -> Verdict:
-    return _jumps(line, "restart", "")
+    return _check_jumps(line, "restart", "")
 
 
 # Distances -----------------------------------------------------------------------------------------------
@@ -117,7 +111,7 @@ def counters_after_restart(line: RecordedLine) -> Verdict:
 
 @dataclass(slots=True)
 class _Distances:
-    """Distances of one wheel by two measures, whose sums are compared after each `_DISTANCE`.
+    """Distances of one wheel by two measures, whose sums are compared after each `_COMPARED_PULSES`.
 
     Attributes:
         wheel: Name of the wheel.
@@ -131,7 +125,7 @@ class _Distances:
     n_checked: int = 0
     findings: list[Finding] = field(default_factory=list[Finding])
     _expected: float = 0.0
-    _sum: float = 0.0
+    _measured: float = 0.0
     _first_step: RecordedStep | None = None
 
     def add(self, step: RecordedStep, expected: float, distance: float) -> None:
@@ -139,25 +133,25 @@ class _Distances:
         self._first_step = self._first_step or step
         self.n_checked += 1
         self._expected += abs(expected)
-        self._sum += distance if expected > 0 else -distance
-        if self._expected < _DISTANCE:
+        self._measured += distance if expected > 0 else -distance
+        if self._expected < _COMPARED_PULSES:
             return
-        if abs(self._sum - self._expected) > _LARGEST_DEVIATION * self._expected:
-            text = f"{self.measure} of the {self.wheel} wheel {self._sum:+.0f} pulses from here on"
+        if abs(self._measured - self._expected) > _LARGEST_DEVIATION * self._expected:
+            text = f"{self.measure} of the {self.wheel} wheel {self._measured:+.0f} pulses from here on"
             expected_text = f"about {self._expected:+.0f} by {self.reference}"
             self.findings.append(finding(self._first_step, text, expected_text))
-        self._expected = self._sum = 0.0
+        self._expected = self._measured = 0.0
         self._first_step = None
 
 
 def _is_precise(step: RecordedStep) -> bool:
     """Return whether the time of a value is known precisely enough."""
-    return step.read_ns - step.arrived_ns < _UNSURE_NS
+    return step.read_ns - step.arrived_ns < _MAX_ERROR_NS
 
 
 def _is_distance(start: _Counter, step: RecordedStep) -> bool:
     """Return whether two counters differ by the wheel's motion alone, at times known precisely enough."""
-    return start.source == "H" and start.until_ns - start.from_ns < _UNSURE_NS and _is_precise(step)
+    return start.source == "H" and start.until_ns - start.from_ns < _MAX_ERROR_NS and _is_precise(step)
 
 
 def _combine(distances: list[_Distances]) -> Verdict:
@@ -175,20 +169,20 @@ def counters_by_measured_speeds(line: RecordedLine) -> Verdict:
     columns: NDArray[np.float64] = np.array(speeds, np.float64).T
     times_ns, wheel_speeds = columns[0], columns[1:]
     for start, step, values in _counter_intervals(line):
-        first, last = np.searchsorted(times_ns, [start.from_ns, step.arrived_ns]).tolist()
-        if not _is_distance(start, step) or not 0 < first or last >= len(times_ns):
+        first_row, end_row = np.searchsorted(times_ns, [start.from_ns, step.arrived_ns]).tolist()
+        if not _is_distance(start, step) or not 0 < first_row or end_row >= len(times_ns):
             continue
-        if times_ns[last] - times_ns[first - 1] > _LONGEST_NS:
+        if times_ns[end_row] - times_ns[first_row - 1] > _MAX_GAP_NS:
             continue
-        inside_ns: list[float] = times_ns[first:last].tolist()
+        inside_ns: list[float] = times_ns[first_row:end_row].tolist()
         ends_ns: NDArray[np.float64] = np.array([start.from_ns, *inside_ns, step.arrived_ns])
         for wheel, distance in enumerate(distances):
-            speeds_around = wheel_speeds[wheel][first - 1 : last + 1]
+            speeds_around = wheel_speeds[wheel][first_row - 1 : end_row + 1]
             min_speed = float(np.abs(speeds_around).min())
-            if min_speed >= _SLOWEST and np.ptp(speeds_around) <= max(_STEADY * min_speed, 2):
-                between = np.interp(ends_ns, times_ns, wheel_speeds[wheel])
-                by_speeds = float(np.trapezoid(between, ends_ns / TICK_NS))
-                distance.add(step, by_speeds, wrap(values[wheel] - start.values[wheel]))
+            if min_speed >= _MIN_SPEED and np.ptp(speeds_around) <= max(_MAX_VARIATION * min_speed, 2):
+                speeds_between = np.interp(ends_ns, times_ns, wheel_speeds[wheel])
+                speed_distance = float(np.trapezoid(speeds_between, ends_ns / TICK_NS))
+                distance.add(step, speed_distance, wrap(values[wheel] - start.values[wheel]))
     return _combine(distances)
 
 
@@ -217,7 +211,7 @@ def counters_by_setpoints(line: RecordedLine) -> Verdict:
         if not _is_distance(start, step) or start.from_ns < since_ns + _SETTLED_NS:
             continue
         for wheel, distance in enumerate(distances):
-            if abs(speeds[wheel]) >= _SLOWEST:
+            if abs(speeds[wheel]) >= _MIN_SPEED:
                 ticks = (step.arrived_ns - start.from_ns) / TICK_NS
                 distance.add(step, speeds[wheel] * ticks, wrap(values[wheel] - start.values[wheel]))
     return _combine(distances)
@@ -231,7 +225,7 @@ def speeds_by_setpoints(line: RecordedLine) -> Verdict:
         if values is None or len(values) != 2 or step.arrived_ns < since_ns + _SETTLED_NS:
             continue
         for wheel, distance in enumerate(distances):
-            if abs(speeds[wheel]) >= _SLOWEST:
+            if abs(speeds[wheel]) >= _MIN_SPEED:
                 # Ten readings at a speed of 20 make one comparison.
                 distance.add(step, 10 * speeds[wheel], 10 * values[wheel])
     return _combine(distances)
