@@ -1,7 +1,7 @@
 """State of a process's shutdown by a signal, and the thread that watches it.
 
-The main thread handles the signals. A second thread measures the time of the shutdown, interrupts the main
-thread when it is over, and finally ends the process. A section is code under `signals.stopping`, which
+The main thread handles the signals. A second thread limits the time of the shutdown: it interrupts the
+main thread after `INTERRUPTION_S`, and ends the process `EXIT_S` later. A section is code under `signals.stopping`, which
 finishes normally after a first signal.
 
     running --signal--> noticed --NOTICE_S--> announced --INTERRUPTION_S--> interrupted --EXIT_S--> ended

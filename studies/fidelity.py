@@ -47,7 +47,7 @@ _INTRODUCTIONS = {
     "Odometry": """
         Deviations of the motion at constant speeds, and of the share of robots that return home by odometry.
         100 robots of the same make drive for 30 s (`python -m studies home-test`).""",
-    "Supply": "Root-mean-square error of the voltage, and deviation of the mean current.",
+    "Supply": "Root-mean-square error of cell voltage, and deviation of mean current, against measurements.",
     "Behaviour": """
         The same controllers run from the same poses in the twin and in a world whose sensors are read from
         the tables (`python -m studies behaviour`). The figures are root-mean-square deviations without

@@ -53,7 +53,7 @@ MUTANTS: dict[str, Mutant] = {
             relay.Device,
             read=_read_from_any,
             unsent=PropertyMock(return_value=0),
-            _checked=lambda device: nullcontext(),
+            _converted_failures=lambda device: nullcontext(),
         ),
     ),
     "replies to the relay's own questions reach hosts": Mutant(

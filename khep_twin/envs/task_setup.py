@@ -300,7 +300,7 @@ def _check_delay(delay: tuple[float, float], line: LineTimes, period_ns: int) ->
 
 
 def with_robots(playpen: Playpen, count: int) -> Playpen:
-    """Return the playpen with `count` copies of its first_robot robot, not yet placed.
+    """Return the playpen with `count` copies of its first robot, all at that robot's start pose.
 
     Raises:
         PlaypenError: The playpen has no robot.

@@ -197,7 +197,7 @@ def relay(
         reply = dialogue.read()
         on_bytes(False, reply)
         host_output = polls.filter_replies(reply) if polls is not None and reply else reply
-        received = port.receive(_CHUNK if has_room else 0, has_room and not pending and dialogue.is_answered)
+        received = port.receive(_CHUNK if has_room else 0, has_room and not pending and dialogue.is_quiet)
         for notice in received.notices:
             report(notice)
         if received.hosts_left:
@@ -262,7 +262,7 @@ class _Dialogue:
                 self._n_due = max(self._n_due - n_replies, 0)
                 self._extend_deadline(self._last_read_s)
             self._last_traffic_s = max(self._last_traffic_s, time.monotonic())
-        elif self._n_due and self.is_answered:
+        elif self._n_due and self.is_quiet:
             self._n_due = 0  # lost replies
         return reply
 
@@ -272,7 +272,7 @@ class _Dialogue:
         if last_byte and last_byte not in b"\r\n":
             pending += _INVALIDATION
         # Only the first line of a reply of several lines was due.
-        if pending or self._n_due or not self.is_answered:
+        if pending or self._n_due or not self.is_quiet:
             self.is_draining = True
             self._extend_deadline(self._last_read_s)
         return pending
@@ -283,8 +283,8 @@ class _Dialogue:
         self._deadline_s = max(self._deadline_s, since_s + _STARTUP_S)
 
     @property
-    def is_answered(self) -> bool:
-        """True if all commands are answered or replies are lost, by the silence before the last read."""
+    def is_quiet(self) -> bool:
+        """True if the line was silent before the last read for so long that no reply is expected."""
         if self._device.unsent:
             self._last_traffic_s = max(self._last_traffic_s, time.monotonic())
         is_expecting = self._n_due or self._replies.partial
@@ -293,11 +293,11 @@ class _Dialogue:
     @property
     def is_idle(self) -> bool:
         """True if no command is unfinished or awaits its reply."""
-        return not self.is_draining and not self._n_due and not self._commands.partial and self.is_answered
+        return not self.is_draining and not self._n_due and not self._commands.partial and self.is_quiet
 
     def check_draining(self, pending: bytes) -> bool:
         """Return whether replies to an earlier host may still arrive; `pending` are its unsent bytes."""
-        if self.is_draining and not pending and (self.is_answered or self._last_read_s > self._deadline_s):
+        if self.is_draining and not pending and (self.is_quiet or self._last_read_s > self._deadline_s):
             self.is_draining = False
             self._n_due = 0
         return self.is_draining

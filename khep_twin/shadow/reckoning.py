@@ -59,7 +59,7 @@ class Reckoning:
         self._planes.advance_to(time_ns)
 
     def execute(self, time_ns: int, late_ns: int, exchange: Exchange) -> Iterator[Action]:
-        """Execute a command; yield its actions for twins with other wheels.
+        """Execute a command; yield the actions by which particles with other wheels execute it.
 
         Args:
             time_ns: Earliest time at which the robot has executed it [ns].

@@ -107,7 +107,7 @@ class Unexpected(Placed):
         return "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Add a cylinder in front of one sensor of each robot."""
+        """Add a cylinder in front of a random sensor of each particle."""
         twins, count = particles.twins, len(particles)
         x, y, heading = twins.poses.T
         mounts = twins.robots["mounts"][0, rng.integers(N_SENSORS, size=count)]

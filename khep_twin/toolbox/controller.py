@@ -50,7 +50,7 @@ class ToolboxController(LoopingController):
     def loop(
         self, robot: Khepera, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]
     ) -> int | None:
-        """Call the function for one run."""
+        """Call the function for one run; return its number of cycles, None if the series was stopped."""
         function: Callable[..., object] = self.function
         run = _Run(robot, function.__code__, end_cycle, stop)
         run.listener = robot.listen(run.on_reply)

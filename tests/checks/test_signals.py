@@ -90,7 +90,7 @@ def script(text: str) -> list[str]:
     """A command that does as its text says, with signals handled."""
     head = """
         import os, signal, sys, time
-        from khep_twin.signals import handle_signals, first_signal, clear_at_end, stopping, undisturbed
+        from khep_twin.signals import handle_signals, first_signal, register_cleanup, stopping, block_signals
         def here():
             print("here", flush=True)
     """
@@ -150,7 +150,7 @@ def test_what_does_not_end_is_ended_without_a_second_signal(tmp_path: Path) -> N
     text = """
         clear = lambda: open("cleared", "w").close()
         with handle_signals(), stopping("waiting for nothing"):
-            clear_at_end(clear)
+            register_cleanup(clear)
             here()
             while True:
                 try:
@@ -220,8 +220,8 @@ def test_a_module_is_imported_whole_before_it_is_interrupted(tmp_path: Path) -> 
 def test_what_is_not_to_be_disturbed_is_done_before_it_is_interrupted(tmp_path: Path) -> None:
     text = """
         try:
-            with handle_signals(), undisturbed():
-                with undisturbed():
+            with handle_signals(), block_signals():
+                with block_signals():
                     here()
                     while not first_signal():
                         time.sleep(0.01)

@@ -43,7 +43,7 @@ def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
         scene.advance_to(scene.time_ns + 130_000_000)
         for robot in (0, 1):
             body: Any = scene.robots[robot].turret_bodies["k213"]
-            camera, eye = camera_of(scene, robot), eye_of(scene.data, body._eye)
+            camera, eye = camera_of(scene, robot), eye_of(scene.data, body._eye_camera)
             plain, compiled = np.zeros(64, np.int64), np.zeros(64, np.int64)
             arguments = body._context.lamps, 300.0, 50 * (step % 3), body._context.key, step
             light = camera.take(eye, plain, *arguments, noisy=noise)

@@ -67,7 +67,7 @@ class Placement:
         distance: Distance from the robot's edge to the object's nearest point at the start [m], or a distance
             for each pose (n,).
         radius: Radius of the cylinder or the bulb, 0 for a wall [m].
-        turning: Fastest turn of the robot [rad/s].
+        turn_rate: Fastest turn of the robot [rad/s].
     """
 
     poses: Floats

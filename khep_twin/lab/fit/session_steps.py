@@ -173,7 +173,7 @@ def _drive_measured(robot: Khepera, step: Step, stop: Callable[[], bool]) -> Non
 
 
 def _drive_duties(robot: Khepera, stop: Callable[[], bool]) -> None:
-    """Drive with each duty of `DUTIES` by command P, and poll the speeds."""
+    """Drive with each duty of `DUTIES` by command P, and request the speeds repeatedly."""
     for duty in DUTIES:
         robot.set_duty(duty, duty)
         end = robot.time + _DUTY_S

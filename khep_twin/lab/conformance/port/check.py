@@ -47,7 +47,7 @@ class Check:
 
     Attributes:
         name: Tested statement.
-        section: Section of the manual.
+        section: Source of the statement: a section of the manual, "simulators" or "assumed".
         moves: Motion of the robot during the check; empty if it stands still.
         body: Function that runs the check.
         turret: Number of the checked turret; None for the robot itself.
