@@ -36,11 +36,9 @@ class TimeSource(Protocol):
 
     def advance_to(self, time_ns: int) -> None:
         """Return when simulated time has reached `time_ns` [ns]."""
-        ...
 
     def attend(self) -> None:
         """Handle other pending events before the program's next bytes."""
-        ...
 
 
 class Pacer:

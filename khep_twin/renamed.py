@@ -9,11 +9,7 @@ Target = TypeVar("Target", bound=Callable[..., object])
 
 
 def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
-    """Return a decorator by which a function or class also accepts the old names of its arguments.
-
-    Args:
-        **new_names: Each argument's new name, by its old one.
-    """
+    """Return a decorator by which a function or class also accepts old names of arguments (old=new)."""
 
     def decorate(target: Target) -> Target:
         owner: Any = target
@@ -21,10 +17,9 @@ def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
 
         @functools.wraps(function)
         def call(*args: object, **kwargs: object) -> object:
-            for old, new in new_names.items():
-                if old in kwargs:
-                    _warn(old, new)
-                    kwargs[new] = kwargs.pop(old)
+            for old in new_names.keys() & kwargs.keys():
+                _warn(old, new_names[old])
+                kwargs[new_names[old]] = kwargs.pop(old)
             return function(*args, **kwargs)
 
         if isinstance(target, type):
@@ -45,5 +40,4 @@ def renamed_attribute(old: str, new: str) -> Any:
 
 
 def _warn(old: str, new: str) -> None:
-    message = f"{old!r} is an old name and will be removed; expected {new!r}"
-    warnings.warn(message, DeprecationWarning, stacklevel=3)
+    warnings.warn(f"{old!r} is an old name and will be removed; expected {new!r}", DeprecationWarning, 3)

@@ -22,7 +22,6 @@ class WorldContext(TurretWorld, LineWorld, Protocol):
 
     def on_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
-        ...
 
 
 class RobotSettings(NamedTuple):

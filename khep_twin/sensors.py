@@ -33,7 +33,7 @@ _RANGE = 1.5
 
 
 def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> Proximity:
-    """Return the numbers of a robot's proximity in a scene."""
+    """Return the parameters of a robot's proximity sensors in a scene."""
     proximity = calibration.proximity
     # The robot's own body is not seen; its turrets are.
     geoms = [geom for geom in visible_geoms(model) if model.geom_bodyid[geom] != robot.base]

@@ -27,11 +27,9 @@ class SteppedWorld(Protocol):
 
     def sample(self) -> None:
         """Let the observers sample the world."""
-        ...
 
     def on_event(self, robot: int | None, text: str) -> None:
         """Send an event to the observers."""
-        ...
 
 
 class Stepper:

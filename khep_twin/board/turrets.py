@@ -45,11 +45,9 @@ class Turret(Protocol):
 
     def tick(self) -> None:
         """Run one control period of 10 ms."""
-        ...
 
     def reset(self) -> None:
         """Set the registers to their reset values."""
-        ...
 
 
 class TurretContext(Protocol):
@@ -116,11 +114,9 @@ class TurretBody(Protocol):
 
     def sense(self) -> None:
         """Store the readings of the turret's converters in the registers; before each control period."""
-        ...
 
     def drive(self) -> None:
         """Drive the turret's motors from the registers; after each control period."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ class EpisodeOptions:
         start: Start x, y [mm] and heading [deg], or one for each robot; None for the playpen's.
         lamps: Lamps that replace those of the playpen.
         genes: Genome of the controller (n_genes,), or of each robot's (n_robots, n_genes).
-        home: Home x, y, radius [mm] and duration of a charge [s], for the metric "homing".
+        home: Home x, y, radius [mm] and time for which a full battery lasts [s], for the metric "homing".
         line: Line between controller and robot, as a speed [baud] or a `MeasuredCycle`; None for exchanges
             that take no time.
 

@@ -52,7 +52,7 @@ def initial_sums(n_robots: int, home: Sequence[float] | NDArray[np.float64]) -> 
 
     Args:
         n_robots: Number of robots.
-        home: Home x, y, radius [m] and duration of the charge [s] (4,); radius 0 for none.
+        home: Home x, y, radius [m] and time for which a full battery lasts [s] (4,); radius 0 for none.
     """
     sums = np.zeros((n_robots, N_SUMS))
     sums[:, CHARGE] = home[3]

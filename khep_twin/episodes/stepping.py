@@ -58,7 +58,7 @@ class Controllers(NamedTuple):
         memory: Memories between control periods (n_robots, n_memory).
         neurons: Buffer for the values of a network's neurons.
         speeds: Buffer for the speeds of a function (2,) [pulses/10 ms].
-        home: Home x, y and radius [m], and duration of the charge [s] (4,); radius 0 for none.
+        home: Home x, y and radius [m], and time for which a full battery lasts [s] (4,); radius 0 for none.
         sums: Sums over the episode, see `metrics` (n_robots, N_SUMS).
         line: Times of the line, see `line.line_times`.
         events: Events of the robots' lines (n_robots, N_EVENT).

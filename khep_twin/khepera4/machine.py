@@ -24,7 +24,6 @@ class MachineTime(Protocol):
 
     def advance_to(self, time_ns: int) -> None:
         """Advance to a time [ns], not before the present."""
-        ...
 
 
 class Machine:

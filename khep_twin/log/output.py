@@ -21,11 +21,9 @@ class Writer(Protocol):
 
     def attach(self, name: str, text: str) -> None:
         """Add a text by name."""
-        ...
 
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
         """Add a table of facts by name."""
-        ...
 
     def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
         """Return the ID of a topic's channel, which is created at its first use."""
@@ -33,19 +31,15 @@ class Writer(Protocol):
 
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Add messages of different sizes at non-decreasing times."""
-        ...
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Add messages of one size, one per row, at non-decreasing times (n,) [ns]."""
-        ...
 
     def flush(self) -> None:
         """Write or send the added messages."""
-        ...
 
     def finish(self) -> None:
         """Write or send the rest, at the end of the run."""
-        ...
 
 
 def split_rows(rows: NDArray[np.void]) -> list[bytes]:

@@ -16,7 +16,6 @@ class LineSink(Protocol):
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
         """Add lines of one robot."""
-        ...
 
 
 class Transcript:

@@ -47,7 +47,6 @@ class HostPort(Protocol):
 
     def set_baud(self, baud: int) -> None:
         """Set the baud rate of the robot's line, which applies to a host that sets none."""
-        ...
 
     def descriptors(self, has_room: bool) -> Sequence[int]:
         """Return the descriptors that are readable when a host connects, leaves or, if `has_room`, writes."""
@@ -68,11 +67,9 @@ class HostPort(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send to the host."""
-        ...
 
     def close(self) -> None:
         """Close the port."""
-        ...
 
 
 _MAX_TOKENS = 10

@@ -60,15 +60,12 @@ class LineListener(Protocol):
 
     def on_bytes(self, to_robot: bool, data: bytes) -> None:
         """Handle bytes that cross the line now."""
-        ...
 
     def on_event(self, text: str) -> None:
         """Handle an event of the line."""
-        ...
 
     def flush(self) -> None:
         """Write all buffered records; called twice a second."""
-        ...
 
 
 class Device:

@@ -169,7 +169,6 @@ class Flushable(Protocol):
 
     def flush(self) -> None:
         """Write all buffered records."""
-        ...
 
 
 class PeriodicFlush:

@@ -230,7 +230,7 @@ class Diagnosis:
             self._faults.raise_alarm(group, time_ns)
 
     def _confirm(self, group: AmbiguityGroup, alarm: Alarm, time_ns: int) -> None:
-        """Name the fault of the leading alarm if one is certain, or settle the fault after a delay."""
+        """Replace an alarm with several names by the certain fault's, or settle the fault after a delay."""
         if self._faults.rename(group):
             self.ended += (replace(alarm, ended_ns=time_ns),)
         elif time_ns - alarm.raised_ns > THRESHOLDS.settle_delay_ns:

@@ -93,7 +93,7 @@ class MujocoForms:
         self._data = data
         self._shared = shared
         self._calibrations = [calibration.read(entry.calibration)[0] for entry in self._playpen.robots]
-        self._sampled = self._calibrations
+        self._run_calibrations = self._calibrations
         self._calibrated: CalibratedRobots | None = None
         self._fingerprint = ""
         self._initial_fields: dict[str, Floats] = {
@@ -125,7 +125,7 @@ class MujocoForms:
     def fingerprint(self) -> str:
         """Hash of the scene with its current robots, in hexadecimal digits."""
         if not self._fingerprint:
-            self._fingerprint = fingerprint(self.model, self._timing, self._sampled)
+            self._fingerprint = fingerprint(self.model, self._timing, self._run_calibrations)
         return self._fingerprint
 
     def plain(self) -> MujocoScene:
@@ -153,13 +153,13 @@ class MujocoForms:
                 self._plain = None
                 self._arrays = None
             self._calibrated = CalibratedRobots(self.model, self.indices)
-        self._sampled = self._calibrations
+        self._run_calibrations = self._calibrations
         if make_rng is not None:
-            self._sampled = [
+            self._run_calibrations = [
                 calibration.vary(measured, make_rng(number))
                 for number, measured in enumerate(self._calibrations)
             ]
-        self._calibrated.set_calibrations(None if make_rng is None else self._sampled, self._data)
+        self._calibrated.set_calibrations(None if make_rng is None else self._run_calibrations, self._data)
 
     @property
     def n_robots(self) -> int:
@@ -178,13 +178,15 @@ class MujocoForms:
             indices = self.indices[number]
             joints = *indices.wheel_qpos, *indices.wheel_dofs, *indices.motors, indices.pose
             states.append(
-                robot_state(self.model, indices, joints, self._sampled[number], self._playpen.robots[number])
+                robot_state(
+                    self.model, indices, joints, self._run_calibrations[number], self._playpen.robots[number]
+                )
             )
         return states
 
     def calibration_of(self, number: int) -> Calibration:
         """Return the calibration of a robot in this run."""
-        return self._sampled[number]
+        return self._run_calibrations[number]
 
     def describe_error(self, reason: int) -> str:
         """Return why the physics cannot continue."""

@@ -33,7 +33,6 @@ class Job(Protocol):
 
     def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         """Do the job and report its progress, until it is done or `stop` returns True."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,7 @@ class RobotActor(SessionActor):
             self._poll(robot)
 
     def _poll(self, robot: Khepera) -> None:
-        """Read the sensors and send a picture."""
+        """Read the sensors and publish the robot's state to the page."""
         self.output.flush()
         proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
         self._poll_time = robot.time

@@ -67,7 +67,7 @@ def start_substep(plane: Plane, cosine: float, sine: float) -> int:
 
 @compilable
 def end_substep(plane: Plane, cosine: float, sine: float) -> bool:
-    """End a substep: rotate the velocities back to the world's frame and integrate; return if an obstacle moves."""
+    """End a substep: rotate velocities back to the world, integrate; return whether an obstacle moves."""
     bodies, obstacles, h, any_moves = plane.bodies, plane.obstacles, plane.robot.substep, False
     for body in range(len(bodies)):
         _rotate_velocity(plane, body, cosine, sine)

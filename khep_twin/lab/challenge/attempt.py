@@ -3,8 +3,8 @@
     python -m khep_twin.lab.challenge.attempt JSON    # the process itself; JSON has its settings
 
 An `Attempt` always has the file's score, or one line with the reason for its absence. The process may read
-files and use the network: it protects a table from mistakes, not a machine from malice. Its parent is a
-`keeper`, so that a file that kills its parent does not end the table's process.
+files and use the network: it protects a table of scores from mistakes, not a machine from malice. Its parent
+is a `keeper`, so that a file that kills its parent does not end the process of the table.
 """
 
 import json

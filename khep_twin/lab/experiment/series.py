@@ -52,7 +52,6 @@ class RobotSource(Protocol):
 
     def hold(self) -> None:
         """Stop the motors of the running robot, from another thread."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
