@@ -1,7 +1,7 @@
 """State of a process's shutdown by a signal, and the thread that watches it.
 
-The main thread handles the signals. A second thread interrupts it after `INTERRUPTION_S`, and ends the process
-`EXIT_S` later. A section is code under `stopping`, which finishes normally after a first signal.
+The main thread handles the signals. A second thread interrupts it after `INTERRUPTION_S`, and ends the
+process `EXIT_S` later. A section is code under `stopping`, which finishes normally after a first signal.
 
     running --signal--> noticed --NOTICE_S--> announced --INTERRUPTION_S--> interrupted --EXIT_S--> ended
                            |                      |
