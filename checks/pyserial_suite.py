@@ -5,7 +5,7 @@
 The scripts come from pyserial's source archive, whose hash is pinned. They expect a plug that joins TX with
 RX, RTS with CTS and DTR with DSR. `khep-twin serve --relay` to a terminal that echoes its input takes the
 place of that plug for the data wires.
-Tests that no pseudo-terminal can pass are listed in EXPECTED_FAILURES. Any other failure is an error, and so
+Tests that no pseudo-terminal can pass are listed in EXPECTED_FAILURES. Each other failure is an error, and so
 is a success of a listed test.
 """
 
