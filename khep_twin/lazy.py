@@ -28,10 +28,8 @@ def names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]
         if name not in imports:
             raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=module)
         source, attribute = imports[name]
-        if source == package:
-            value = import_module(f"{source}.{attribute}")
-        else:
-            value = getattr(import_module(source), attribute)
+        path = f"{source}.{attribute}"
+        value = import_module(path) if source == package else getattr(import_module(source), attribute)
         setattr(module, name, value)
         return value
 

@@ -54,7 +54,10 @@ class PlaypenTables(TomlTable):
     @property
     def objects(self) -> dict[str, tuple[Block | Cylinder, ...]]:
         """Objects that stand on the floor, by the name of their table."""
-        return {"block": self.blocks, "cylinder": self.cylinders}
+        return {
+            "block": self.blocks,
+            "cylinder": self.cylinders,
+        }
 
     @property
     def turret_settings(self) -> Mapping[str, Mapping[str, float]]:
