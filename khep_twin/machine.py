@@ -27,7 +27,6 @@ with suppress(ImportError):
 _LOCKED_BYTE = 1 << 40
 """Locked byte of a file on systems that lock bytes; other processes may use the bytes before it."""
 
-
 _forks: list[int] = []
 """Process ids of the forks that led to this process since this module was imported."""
 if sys.platform != "win32":

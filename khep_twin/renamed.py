@@ -17,9 +17,12 @@ def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
 
         @functools.wraps(function)
         def call(*args: object, **kwargs: object) -> object:
-            for old in new_names.keys() & kwargs.keys():
-                _warn(old, new_names[old])
-                kwargs[new_names[old]] = kwargs.pop(old)
+            for old in filter(kwargs.__contains__, new_names):
+                new = new_names[old]
+                _warn(old, new)
+                if new in kwargs:
+                    raise TypeError(f"{old!r} and {new!r} are one argument; expected {new!r} alone")
+                kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
 
         if isinstance(target, type):

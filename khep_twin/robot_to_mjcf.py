@@ -33,7 +33,6 @@ _TYRE_SOLIMP = [0.002, 0.002, 0.0005, 0.5, 2]
 """Impedance of the tyres, which makes them springs with dampers. MuJoCo's friction lifts a contact that slips
 at a speed by impedance x friction x speed x time constant: a stiff one leaves the floor, again and again."""
 
-
 _SPRING_SOLIMP = [0.5, 0.5, 0.001, 0.5, 2]
 """Impedance of supports on springs, at which MuJoCo's stiffness is that of the spring over the moved mass."""
 

@@ -134,7 +134,6 @@ class Sensor(IntEnum):
 SENSOR_LABELS = tuple(sensor.label for sensor in Sensor)
 """Names of the sensors for readers, in the order of the replies."""
 
-
 SENSOR_POSITIONS = (
     (0.010, 0.024),
     (0.019, 0.017),
@@ -149,7 +148,6 @@ SENSOR_POSITIONS = (
 
 SENSOR_HEIGHT = 0.0134
 """Height of the sensors above the ground [m] (manual, side view)."""
-
 
 IDLE_CURRENT = 0.2364
 """Current of the robot with its motors at rest [A]: 180 mAh that last 45 minutes (manual, 2.3) are 240 mA, of

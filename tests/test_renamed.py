@@ -32,3 +32,11 @@ def test_a_dataclass_accepts_and_has_the_old_name() -> None:
         port = Port(what="robot")  # type: ignore[call-arg]
     with pytest.warns(DeprecationWarning, match="'what'"):
         assert port.what == port.kind == "robot"
+
+
+def test_both_names_of_an_argument_are_an_error() -> None:
+    with (
+        pytest.warns(DeprecationWarning, match="'what'"),
+        pytest.raises(TypeError, match="'what' and 'kind' are one argument; expected 'kind' alone"),
+    ):
+        describe(what="robot", kind="twin")  # type: ignore[call-arg]
