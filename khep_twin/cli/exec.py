@@ -106,7 +106,14 @@ def execute(
         watch = live_view.open_viewers(stack, playpen, viewer=viewer, real_time=clock is ProgramClock.REAL)
         watch(twin)
         end_ns = None if seconds is None else to_ns(seconds)
-        codes = run_programs(robot_programs, simulated=clock is ProgramClock.SIMULATED, until_ns=end_ns)
+        codes = run_programs(
+            robot_programs,
+            simulated=clock is ProgramClock.SIMULATED,
+            until_ns=end_ns,
+            on_wall_clock=lambda: notify(
+                "all threads wait for another program or a key; meanwhile the wall clock counts"
+            ),
+        )
         if extra_s:
             twin.world.advance(extra_s)
         is_cut_off = end_ns is not None and twin.world.time_ns >= end_ns

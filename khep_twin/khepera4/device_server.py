@@ -9,9 +9,10 @@ failure), a length, a 64-bit value and its content. All are little-endian:
     2 GPIO_SET   pin; its value, 32 bits
     3 GPIO_GET   pin; the value is its level
     4 NOW        the value is the simulated time [ns]
-    5 SLEEP      0 and a duration, or 1 and an end time [ns], `NEVER_NS` for none; then a futex address whose
-                 WAKE also ends it, 0 for none, and the number of its last WAKE, 64 bits each. The value is
-                 the remaining time [ns], below 0 if it took longer; the result is 1 after a WAKE
+    5 SLEEP      0 and a duration, or 1 and an end time [ns], `NEVER_NS` for none; 2 is added if it also waits
+                 for another program. Then a futex address whose WAKE also ends it, 0 for none, and the number
+                 of its last WAKE, 64 bits each. The value is the remaining time [ns], below 0 if it took
+                 longer; the result is 1 after a WAKE
     6 HELLO      number of the thread in the kernel
     7 CANCEL     ends the SLEEP of its connection, unless that has its reply; no further reply
     8 WAKE       threads to wake, 0 for all; futex address and number of this WAKE, 64 bits each; no reply
@@ -49,6 +50,7 @@ _SLEEP, _WAKE = struct.Struct("<qQQ"), struct.Struct("<QQ")
 Request = IntEnum("Request", "TRANSFER GPIO_SET GPIO_GET NOW SLEEP HELLO CANCEL WAKE")
 """Kinds of requests, from 1."""
 
+_ABSOLUTE, _EXTERNAL = 1, 2  # in the number of a SLEEP
 _CONTENT_SIZES = {Request.SLEEP: _SLEEP.size, Request.WAKE: _WAKE.size}
 
 
@@ -59,10 +61,15 @@ class DeviceServer:
         machines: Machines, which share one time.
         paths: Path of each machine's socket, which must not exist.
         clock: Function that returns real time [ns]; None for simulated time.
+        on_wall_clock: Function that is called when simulated time first passes with the wall clock.
     """
 
     def __init__(
-        self, machines: Sequence[Machine], paths: Sequence[Path], clock: Callable[[], int] | None = None
+        self,
+        machines: Sequence[Machine],
+        paths: Sequence[Path],
+        clock: Callable[[], int] | None = None,
+        on_wall_clock: Callable[[], None] = lambda: None,
     ) -> None:
         self._machines = machines
         self._clock = clock
@@ -75,7 +82,9 @@ class DeviceServer:
             self._listeners[listener] = index
             self._selector.register(listener, selectors.EVENT_READ)
         self._connections: dict[socket.socket, ThreadConnection] = {}
-        self._scheduler = Scheduler(machines[0], self._connections.values(), clock, self._poll, self._reply)
+        self._scheduler = Scheduler(
+            machines[0], self._connections.values(), clock, self._poll, self._reply, on_wall_clock
+        )
 
     def close(self) -> None:
         """Close all sockets."""
@@ -100,6 +109,8 @@ class DeviceServer:
     def _poll(self, timeout: float) -> bool:
         """Receive requests until a time-out [s]; return whether anything arrived."""
         events = self._selector.select(timeout)
+        if events:
+            self._scheduler.pass_wall_time()  # before requests that are due at once
         for key, _ in events:
             ready_socket = key.fileobj
             if not isinstance(ready_socket, socket.socket):
@@ -135,13 +146,15 @@ class DeviceServer:
         if kind == Request.HELLO:
             connection.thread = number
         connection.kind, connection.number, connection.content = kind, number, content
-        connection.is_pending = kind != 0
+        connection.is_pending = True
         connection.is_sleeping = kind == Request.SLEEP
+        connection.is_external = False
         connection.due_ns = now_ns
         connection.ticket = 0
         if connection.is_sleeping:
             sleep_ns, futex_address, last_wake = _SLEEP.unpack(content)
-            end_ns = sleep_ns if number else now_ns + sleep_ns
+            connection.is_external = bool(number & _EXTERNAL)
+            end_ns = sleep_ns if number & _ABSOLUTE else now_ns + sleep_ns
             self._scheduler.sleep(connection, end_ns, futex_address, last_wake)
         return True
 

@@ -19,7 +19,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
@@ -60,7 +60,11 @@ class RobotProgram(NamedTuple):
 
 
 def run_programs(
-    programs: Sequence[RobotProgram], *, simulated: bool = True, until_ns: int | None = None
+    programs: Sequence[RobotProgram],
+    *,
+    simulated: bool = True,
+    until_ns: int | None = None,
+    on_wall_clock: Callable[[], None] = lambda: None,
 ) -> list[int]:
     """Run programs, each on its machine; return their exit codes.
 
@@ -72,6 +76,8 @@ def run_programs(
         programs: Programs, on machines that share one time.
         simulated: Whether their time is simulated; otherwise it is the time of this computer.
         until_ns: Time at which running programs get SIGTERM, and SIGKILL `TERMINATE_S` later [ns].
+        on_wall_clock: Function that is called when simulated time first passes with the wall clock: all threads
+            wait for another program or a key.
 
     Raises:
         KhepTwinError: A program cannot be started, or there is no C compiler.
@@ -88,7 +94,7 @@ def run_programs(
         machines = [program.machine for program in programs]
         offset_ns = machines[0].time_ns - time.monotonic_ns()
         clock = None if simulated else lambda: time.monotonic_ns() + offset_ns
-        server = stack.enter_context(contextlib.closing(DeviceServer(machines, paths, clock)))
+        server = stack.enter_context(contextlib.closing(DeviceServer(machines, paths, clock, on_wall_clock)))
         if simulated:
             stack.enter_context(_pin_to_one_processor())
         processes: list[subprocess.Popen[bytes]] = []
@@ -97,7 +103,8 @@ def run_programs(
             link = path.with_suffix(".so")
             link.symlink_to(library)
             environment = {
-                "LD_PRELOAD": ":".join(filter(None, (str(link), os.environ.get("LD_PRELOAD")))),
+                # Behind the user's libraries: a sanitizer's must come first.
+                "LD_PRELOAD": ":".join(filter(None, (os.environ.get("LD_PRELOAD"), str(link)))),
                 "KHEP_TWIN_SOCKET": str(path),
                 "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
                 "KHEP_TWIN_ETC": str(_write_configuration(path.with_suffix(".etc"), program.robot_id)),

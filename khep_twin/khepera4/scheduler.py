@@ -16,15 +16,18 @@ is a word of a program's memory on which threads wait for each other; they queue
     clock     | a request for the time takes `TIME_REQUEST_NS`        | a loop until some time ends
     patience  | a thread computes for `PATIENCE_S` while requests are | the others continue: time passes as
               | pending                                               | fast as it computes, not deterministic
-    external  | all wait without a time-out for `EXTERNAL_WAIT_S`     | they wait for a key or the network:
-              |                                                       | time passes with the wall clock
-    busy      | a thread computes and none requests, for `BUSY_S`     | it may never end: time passes with the
-              |                                                       | wall clock
+    external  | all wait, and the first is due never, or waits for a  | they wait for a key or the network:
+              | socket until a time-out                               | time passes with the wall clock
+    begin     | the external rule applies once such waits of more     | a wait for the kernel, which is short,
+              | than `SHORT_WAIT_S` have lasted `EXTERNAL_WAIT_S`     | does not count
+    busy      | a thread computes or writes, and none requests, for   | it may never end: time passes with the
+              | `BUSY_S`                                              | wall clock
 """
 
 import os
 import socket
 import sys
+import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from operator import attrgetter
@@ -38,11 +41,17 @@ TIME_REQUEST_NS = 10_000
 PATIENCE_S = 0.05
 """Processor time for which threads may compute while requests are pending [s] (assumed)."""
 
-EXTERNAL_WAIT_S = 0.2
-"""Time of the wall clock for which all threads wait without a time-out [s] (assumed)."""
+SHORT_WAIT_S = 0.001
+"""Time of the wall clock for which all threads may wait for the kernel [s] (assumed)."""
+
+EXTERNAL_WAIT_S = 0.02
+"""Time of the wall clock in external waits, in all, from which they count [s] (assumed)."""
 
 BUSY_S = 10.0
-"""Time of the wall clock for which threads compute without a request [s] (assumed)."""
+"""Time of the wall clock for which threads compute or write without a request [s] (assumed)."""
+
+MAX_STEP_S = 1.0
+"""Longest time of the wall clock that passes at once [s]: it may include a stop of the twin (Ctrl-Z)."""
 
 NEVER_NS = (1 << 63) - 1
 """End of a wait without a time-out [ns]."""
@@ -50,8 +59,8 @@ NEVER_NS = (1 << 63) - 1
 STRIDE_NS = 1_000_000_000
 """Longest advance of simulated time before the programs are polled again: they may have ended [ns]."""
 
-_POLL_S = 0.02
-"""Time of the wall clock between two polls while no request is due [s]."""
+_MIN_POLL_S, _POLL_S = 0.0002, 0.02
+"""Time of the wall clock between two polls while no request is due [s]: the second after a long wait."""
 
 
 @dataclass(slots=True)
@@ -64,6 +73,7 @@ class ThreadConnection:
     Attributes:
         is_pending: Whether a request is open, a SLEEP included.
         is_sleeping: Whether that is a SLEEP.
+        is_external: Whether that also waits for another program, and so takes time of the wall clock.
         end_ns: End of the SLEEP [ns].
         futex: Process and address of its futex; address 0 for none.
         ticket: Rank in the queue of all futex waits; 0 for other requests.
@@ -80,6 +90,7 @@ class ThreadConnection:
     content: bytes = b""
     is_pending: bool = False
     is_sleeping: bool = False
+    is_external: bool = False
     end_ns: int = 0
     futex: tuple[int, int] = (0, 0)
     ticket: int = 0
@@ -97,6 +108,7 @@ class Scheduler:
         clock: Function that returns real time [ns]; None for simulated time.
         poll: Function that receives requests until a time-out [s], and returns whether any arrived.
         reply: Function that replies on a connection.
+        on_wall_clock: Function that is called when time first passes with the wall clock.
     """
 
     machine: Machine
@@ -104,8 +116,12 @@ class Scheduler:
     clock: Callable[[], int] | None
     poll: Callable[[float], bool]
     reply: Callable[[ThreadConnection], None]
+    on_wall_clock: Callable[[], None]
 
     def __post_init__(self) -> None:
+        self._wall_wait: tuple[bool, int] | None = None  # whether it is external, and its limit [ns]
+        self._wait_start_s = self._counted_s = 0.0  # its start, and until when it was counted [s]
+        self._external_s = 0.0  # total of external waits before they count
         self._last_ticket = 0
         self._last_wakes: dict[tuple[int, int], int] = {}  # last WAKE of each process and futex address
 
@@ -113,24 +129,22 @@ class Scheduler:
         """Serve requests until a function returns True, or until a time [ns]."""
         assert sys.platform == "linux"
         start_ns, start_cpu_ns = 0, -1  # of a computation; -1 while all wait
-        n_idle, waited = 0, True  # polls without a request that is due, and the threads' state at the last
         while self.machine.time_ns < end_ns and not should_stop():
             pending = [connection for connection in self.connections if connection.is_pending]
-            due_ns = min((connection.due_ns for connection in pending), default=NEVER_NS)
-            if due_ns == NEVER_NS:
-                if self.poll(_POLL_S):
-                    n_idle = 0
-                elif self.clock is not None:
-                    self.machine.advance_to(self.clock())
-                else:
-                    all_wait = self._all_wait(watch, pending)
-                    n_idle = n_idle + 1 if all_wait == waited else 0
-                    waited = all_wait
-                    if n_idle * _POLL_S > (EXTERNAL_WAIT_S if all_wait else BUSY_S):
-                        self.machine.advance_to(self.machine.time_ns + round(_POLL_S * 1e9))
+            due = min(pending, key=attrgetter("due_ns", "ticket", "robot", "thread"), default=None)
+            if due is not None and due.due_ns == NEVER_NS:
+                due = None
+            if self.clock is not None:
+                if not self.poll(0.0 if due else _POLL_S):
+                    self._serve(due, end_ns) if due else self.machine.advance_to(self.clock())
                 continue
-            n_idle = 0
-            if self.clock is not None or self._all_wait(watch, pending):
+            all_wait = self._all_wait(watch, pending)
+            if due is None or (all_wait and due.is_external and due.due_ns > self.machine.time_ns):
+                is_external = all_wait and (due is not None or watch.is_external())
+                self._wait(is_external, end_ns if due is None else min(due.due_ns, end_ns))
+                continue
+            self._wall_wait = None
+            if all_wait:
                 if self.poll(0.0):
                     continue
                 start_cpu_ns = -1
@@ -138,12 +152,34 @@ class Scheduler:
                 if start_cpu_ns < 0:
                     start_ns, start_cpu_ns = self.machine.time_ns, watch.cpu_ns()
                 spent_ns = watch.cpu_ns() - start_cpu_ns
-                if spent_ns < PATIENCE_S * 1e9 or due_ns > start_ns + spent_ns:
+                if spent_ns < PATIENCE_S * 1e9 or due.due_ns > start_ns + spent_ns:
                     self.poll(0.0001)
                     continue
-            self._serve_next(pending, end_ns)
+            self._serve(due, end_ns)
             os.sched_yield()  # to the thread with the reply, which mostly sends its next request
             self.poll(0.0)
+
+    def pass_wall_time(self) -> None:
+        """Advance by the time of the wall clock since the last call, if all threads wait for it."""
+        if self._wall_wait is None:
+            return
+        is_external, limit_ns = self._wall_wait
+        now_s = time.monotonic()
+        elapsed_s = now_s - self._counted_s
+        if not is_external and now_s - self._wait_start_s < BUSY_S:
+            self._counted_s = now_s
+            return
+        if is_external and self._external_s < EXTERNAL_WAIT_S:
+            if elapsed_s < SHORT_WAIT_S:
+                return
+            self._external_s = elapsed_s = self._external_s + elapsed_s
+            if elapsed_s < EXTERNAL_WAIT_S:
+                self._counted_s = now_s
+                return
+            self.on_wall_clock()
+        self._counted_s = now_s
+        step_ns = round(min(elapsed_s, MAX_STEP_S) * 1e9)
+        self.machine.advance_to(min(self.machine.time_ns + step_ns, limit_ns))
 
     def sleep(self, connection: ThreadConnection, end_ns: int, futex_address: int, last_wake: int) -> None:
         """Queue a wait until a time [ns], or until a WAKE of a futex after the last that its thread knows."""
@@ -170,11 +206,22 @@ class Scheduler:
         blocked = {connection.thread for connection in pending if not connection.is_sleeping}
         return watch.all_wait(threads, blocked, len(self.connections))
 
-    def _serve_next(self, pending: Collection[ThreadConnection], end_ns: int) -> None:
-        """Reply to the request whose turn it is, or advance by one stride towards its due time."""
-        next_connection = min(pending, key=attrgetter("due_ns", "ticket", "robot", "thread"))
+    def _wait(self, is_external: bool, limit_ns: int) -> None:
+        """Poll while no request is served; the wall clock counts by the rules external and busy."""
+        now_s = time.monotonic()
+        if self._wall_wait is None or self._wall_wait[0] != is_external:
+            self._wait_start_s = self._counted_s = now_s
+        self._wall_wait = is_external, limit_ns
+        timeout_s = min(max(_MIN_POLL_S, (now_s - self._wait_start_s) / 4), _POLL_S)
+        if is_external:
+            timeout_s = min(timeout_s, max(limit_ns - self.machine.time_ns, 0) / 1e9)
+        if not self.poll(timeout_s):
+            self.pass_wall_time()
+
+    def _serve(self, connection: ThreadConnection, end_ns: int) -> None:
+        """Reply to a request, or advance by one stride towards its due time."""
         next_ns = min(self.machine.time_ns + STRIDE_NS, end_ns)
-        if self.clock is None and next_connection.due_ns > next_ns:
+        if self.clock is None and connection.due_ns > next_ns:
             self.machine.advance_to(next_ns)
         else:
-            self.reply(next_connection)
+            self.reply(connection)

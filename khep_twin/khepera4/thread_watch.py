@@ -1,8 +1,8 @@
 """Detection of waiting threads of the robots' programs, by the Linux kernel's files in /proc.
 
-A thread waits if /proc/PROCESS/task/THREAD/stat reports a sleep (S), a stop (T) or its end (Z, X). It may
-wait for a lock, another thread, a key or any other system call. A second file changes whenever the thread
-runs: two equal readings of it for all threads prove that all waited simultaneously in between.
+A thread waits if /proc/PROCESS/task/THREAD/stat reports a sleep (S), a stop (T, or t by a debugger) or its
+end (Z, X). It may wait for a lock, another thread, a key or any other system call. A second file changes whenever
+the thread runs: two equal readings of it for all threads prove that all waited simultaneously in between.
 """
 
 import contextlib
@@ -15,6 +15,10 @@ from pathlib import Path
 
 ThreadId = tuple[int, int]
 """Numbers of a process and of one of its threads."""
+
+_LIVE_STATES = b"S", b"T", b"t"
+_WRITE_CALLS = {1, 4, 20, 64, 66, 146}
+"""Numbers of `write` and `writev`: 1 and 20 on x86-64, 64 and 66 on ARM of 64 bits, 4 and 146 of 32 bits."""
 
 
 class ThreadWatch:
@@ -61,6 +65,17 @@ class ThreadWatch:
             run_counts.append(run_count)
         return run_counts == [self._read_run_count(thread) for thread in watched_threads]
 
+    def is_external(self) -> bool:
+        """Return whether waiting threads wait for input: one has not ended, and none waits to write."""
+        is_live = False
+        for thread in [*self._files]:
+            state = self._read_state(thread)
+            is_live |= state in _LIVE_STATES
+            call = _read_file(Path("/proc/{}/task/{}/syscall".format(*thread))).partition(b" ")[0]
+            if state == b"S" and call.isdigit() and int(call) in _WRITE_CALLS:
+                return False
+        return is_live
+
     def cpu_ns(self) -> int:
         """Return the processor time of all processes [ns]."""
         assert sys.platform == "linux"
@@ -103,13 +118,22 @@ class ThreadWatch:
     def _read_run_count(self, thread: ThreadId) -> bytes | None:
         """Return the counters of a waiting thread's runs; None for a running thread."""
         assert sys.platform == "linux"
-        state_file, run_file = self._files[thread]
         try:
-            stat = os.pread(state_file, 4096, 0)
-            start = stat.rfind(b")") + 2  # behind the program's name
-            return os.pread(run_file, 4096, 0) if stat[start : start + 1] in b"SZXT" else None
+            if self._read_state(thread) not in b"SZXTt":
+                return None
+            return os.pread(self._files[thread][1], 4096, 0)
         except OSError:
             return b""
+
+    def _read_state(self, thread: ThreadId) -> bytes:
+        """Return the letter of a thread's state, empty after its end."""
+        assert sys.platform == "linux"
+        try:
+            stat = os.pread(self._files[thread][0], 4096, 0)
+        except OSError:
+            return b""
+        start = stat.rfind(b")") + 2  # behind the program's name
+        return stat[start : start + 1]
 
 
 def _read_file(path: Path) -> bytes:

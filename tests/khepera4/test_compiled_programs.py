@@ -6,7 +6,7 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -18,33 +18,12 @@ from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
 
-pytestmark = pytest.mark.skipif(
-    sys.platform != "linux" or shutil.which("cc") is None, reason="there is no Linux with a C compiler"
-)
-
-FOLDER = Path(__file__).parent / "programs"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def separate_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep the preload library of the tests out of the user's cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of the compiled programs."""
-    folder = tmp_path_factory.mktemp("programs")
-    for source in FOLDER.glob("*.c"):
-        subprocess.run(["cc", "-o", folder / source.stem, source, "-lpthread"], check=True)
-    strict = ["cc", "-O2", "-D_FORTIFY_SOURCE=2", "-w"]
-    for name in ("limits", "paths"):
-        subprocess.run(
-            [*strict, "-o", folder / f"{name}-strict", FOLDER / f"{name}.c", "-lpthread"], check=True
-        )
-    return folder
+pytestmark = [
+    pytest.mark.skipif(
+        sys.platform != "linux" or shutil.which("cc") is None, reason="there is no Linux with a C compiler"
+    ),
+    pytest.mark.usefixtures("separate_cache"),
+]
 
 
 def run_program(

@@ -1,5 +1,16 @@
-/* Parts of the preload library: `shim.c` has the devices, `shim_time.c` the clock, and `shim_locks.c` the
-   locks of threads. A futex address is that of a lock on which threads wait; "fd" is a file descriptor. */
+/* Parts of the preload library. A futex address is that of a word on which threads wait; "fd" is a file
+   descriptor.
+
+       file              | functions that it replaces
+       ------------------|--------------------------------------------------------------------
+       shim.c            | threads and processes; requests to the twin
+       shim_paths.c      | open, stat and other functions of a path
+       shim_devices.c    | read, write, ioctl
+       shim_time.c       | clocks, sleeps, waits for descriptors
+       shim_timers.c     | timers
+       shim_locks.c      | waits of threads for each other
+       shim_system.c     | syscall
+       shim_wide.c       | 64-bit times of 32-bit programs */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -9,14 +20,15 @@
 #include <signal.h>
 #include <stdint.h>
 #include <stdlib.h>
+#include <sys/time.h>
 #include <time.h>
 #include <unistd.h>
 
-enum kind { NOTHING, I2C, GPIO, PWM, CONNECTION, TIMER };
+enum node { NOTHING, I2C, GPIO, PWM };
 enum request { TRANSFER = 1, GPIO_SET, GPIO_GET, NOW, SLEEP, HELLO, CANCEL, WAKE };
-enum sleep { RELATIVE, ABSOLUTE };
+enum sleep { RELATIVE, ABSOLUTE, EXTERNAL };
 
-#define MAX_FDS 4096
+#define BILLION 1000000000LL
 #define NEVER INT64_MAX
 #define HIDDEN __attribute__((visibility("hidden")))
 
@@ -27,12 +39,11 @@ enum sleep { RELATIVE, ABSOLUTE };
         function ? function : (function = (__typeof__(&name))dlsym(RTLD_NEXT, #name));                       \
     })
 
-extern HIDDEN unsigned char kinds[MAX_FDS]; /* by file descriptor */
 extern HIDDEN int simulated;
 
-static inline enum kind kind_of_fd(int fd) {
-    return fd >= 0 && fd < MAX_FDS ? kinds[fd] : NOTHING;
-}
+/* A file descriptor of this library. The program may close it, and its number may become another file's, so
+   the kernel's number of the file is compared before each use. */
+struct private { int fd; uint64_t inode; };
 
 /* Return a result as the C library does: -1 and an error number if it is below 0. */
 static inline int c_result(int result) {
@@ -50,11 +61,37 @@ HIDDEN int exchange(enum request, uint32_t number, const void *content, uint32_t
 HIDDEN int wait_until(enum sleep, struct limit, struct pollfd *fds, nfds_t count, const sigset_t *mask,
                       int64_t *left);
 HIDDEN void wake(uint32_t count, uint64_t futex_address, uint64_t number);
-HIDDEN int move_fd(int fd);
 HIDDEN void say_hello(void);
 HIDDEN void wait_turn(void);
-HIDDEN void forget_timers(void);
-HIDDEN void forget_timer_of(int fd);
-HIDDEN void forget_locks(void);
+HIDDEN struct private protect(int fd);
+HIDDEN int is_open(struct private);
+HIDDEN uint64_t socket_inode(int fd);
+
+/* Copy as the kernel does: return 0, or -1 and EFAULT for an address that the program cannot access. */
+HIDDEN int copy_in(void *target, const void *source, size_t size);
+HIDDEN int copy_out(void *target, const void *source, size_t size);
+
+HIDDEN enum node node_of_fd(int fd, int *slave);
+HIDDEN enum node node_of_path(const char *path);
+HIDDEN int open_node(enum node node, int flags);
+HIDDEN void mark_node(int fd, enum node node, int slave);
+
 HIDDEN int64_t now(void);
+HIDDEN int64_t to_ns(int64_t seconds, int64_t ns);
 HIDDEN int64_t since_start(const struct timespec *time);
+HIDDEN int wait_to_receive(int fd, int flags);
+
+HIDDEN void forget_timers(void);
+HIDDEN int is_timer(int fd);
+HIDDEN ssize_t read_timer(int fd, void *content, size_t size);
+
+HIDDEN void forget_locks(void);
+HIDDEN void notify(const void *address, uint32_t count);
+HIDDEN uint64_t add_waiter(const void *address);
+HIDDEN void remove_waiter(const void *address);
+HIDDEN long call_futex(uint32_t *word, int operation, uint32_t value, const struct timespec *limit,
+                       uint32_t *other_word, uint32_t other_value);
+
+static inline struct timespec time_of(int64_t ns) { return (struct timespec){ns / BILLION, ns % BILLION}; }
+static inline struct timeval us_of(int64_t ns) { return (struct timeval){ns / BILLION, ns % BILLION / 1000}; }
+static inline int64_t ns_of(const struct timespec *time) { return to_ns(time->tv_sec, time->tv_nsec); }

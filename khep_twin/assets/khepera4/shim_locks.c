@@ -1,4 +1,4 @@
-/* Mutexes, conditions and semaphores with a simulated clock.
+/* Waits of threads for each other with a simulated clock: mutexes, conditions, semaphores, futexes.
 
    A thread that finds a lock taken waits at the twin for a WAKE of its futex address, that of the lock; the
    thread that releases it sends the WAKE. So the twin orders the waiters, and not the kernel: runs repeat. */
@@ -6,8 +6,14 @@
 #include "shim.h"
 
 #include <fcntl.h>
+#include <limits.h>
 #include <semaphore.h>
 #include <stdarg.h>
+#include <stdio.h>
+#include <sys/syscall.h>
+#include <threads.h>
+
+#include <linux/futex.h>
 
 #define RETRY_NS 1000000 /* period of retries if another process can release the lock */
 #define N_FUTEXES 1024
@@ -23,25 +29,25 @@ void forget_locks(void) {
         futexes[i].waiting = 0;
 }
 
-static void notify(const void *address, uint32_t count) {
+void notify(const void *address, uint32_t count) {
     __atomic_thread_fence(__ATOMIC_SEQ_CST);
     if (futex_of(address)->waiting)
         wake(count, (uintptr_t)address, __atomic_add_fetch(&futex_of(address)->wakes, 1, __ATOMIC_SEQ_CST));
 }
 
-static uint64_t add_waiter(const void *address) {
+uint64_t add_waiter(const void *address) {
     __atomic_add_fetch(&futex_of(address)->waiting, 1, __ATOMIC_SEQ_CST);
     return __atomic_load_n(&futex_of(address)->wakes, __ATOMIC_SEQ_CST);
 }
 
-static void remove_waiter(const void *address) {
+void remove_waiter(const void *address) {
     __atomic_sub_fetch(&futex_of(address)->waiting, 1, __ATOMIC_SEQ_CST);
 }
 
 /* Wait for a WAKE later than a known one; return 0 after the time-out, 1 after a WAKE, or minus EINTR. */
-static int wait_futex(const void *address, uint64_t last_wake, int64_t stop_ns) {
+static int wait_futex(const void *address, uint64_t last_wake, int64_t stop_ns, int is_shared) {
     struct limit limit = {stop_ns, (uintptr_t)address, last_wake};
-    int64_t retry_ns = has_shared_locks ? now() + RETRY_NS : NEVER;
+    int64_t retry_ns = is_shared ? now() + RETRY_NS : NEVER;
     if (retry_ns < stop_ns)
         limit.ns = retry_ns;
     int result = wait_until(ABSOLUTE, limit, NULL, 0, NULL, NULL);
@@ -70,7 +76,7 @@ static int acquire(try_function *try_lock, void *address, const struct timespec 
             return EINVAL;
         uint64_t last_wake = add_waiter(address);
         if ((error = try_lock(address)) == EBUSY) {
-            result = wait_futex(address, last_wake, end_ns(limit));
+            result = wait_futex(address, last_wake, end_ns(limit), has_shared_locks);
             error = result == -EINTR && interruptible && !restarts() ? EINTR : try_lock(address);
         }
         remove_waiter(address);
@@ -117,6 +123,14 @@ int pthread_rwlock_timedrdlock(RWLOCK, DEADLINE) {
 int pthread_rwlock_timedwrlock(RWLOCK, DEADLINE) {
     return simulated ? acquire(try_write, rwlock, limit, 0) : REAL(pthread_rwlock_timedwrlock)(rwlock, limit);
 }
+int pthread_rwlock_clockrdlock(RWLOCK, CLOCK, DEADLINE) {
+    return simulated ? pthread_rwlock_timedrdlock(rwlock, limit)
+                     : REAL(pthread_rwlock_clockrdlock)(rwlock, clock, limit);
+}
+int pthread_rwlock_clockwrlock(RWLOCK, CLOCK, DEADLINE) {
+    return simulated ? pthread_rwlock_timedwrlock(rwlock, limit)
+                     : REAL(pthread_rwlock_clockwrlock)(rwlock, clock, limit);
+}
 int sem_wait(SEM) { return simulated ? c_result(-acquire(try_token, sem, NULL, 1)) : REAL(sem_wait)(sem); }
 int sem_timedwait(SEM, DEADLINE) {
     return simulated ? c_result(-acquire(try_token, sem, limit, 1)) : REAL(sem_timedwait)(sem, limit);
@@ -147,7 +161,7 @@ static int wait_for_condition(pthread_cond_t *condition, MUTEX, DEADLINE) {
         return error;
     }
     pthread_cleanup_push(relock, mutex);
-    result = wait_futex(condition, last_wake, end_ns(limit));
+    result = wait_futex(condition, last_wake, end_ns(limit), has_shared_locks);
     remove_waiter(condition);
     pthread_cleanup_pop(0);
     error = pthread_mutex_lock(mutex);
@@ -205,18 +219,104 @@ SHARED(mutex)
 SHARED(cond)
 SHARED(rwlock)
 
-#if __WORDSIZE == 32
+/* C11 threads: their objects are those of POSIX in the C library. */
 
-#define WIDE const struct wide *limit
-#define NARROW &(struct timespec){limit->seconds, limit->rest}
-
-int __pthread_cond_timedwait64(pthread_cond_t *condition, MUTEX, WIDE) {
-    return pthread_cond_timedwait(condition, mutex, NARROW);
+static int c11_result(int error) {
+    switch (error) {
+    case 0:
+        return thrd_success;
+    case ETIMEDOUT:
+        return thrd_timedout;
+    case ENOMEM:
+        return thrd_nomem;
+    default:
+        return error == EBUSY ? thrd_busy : thrd_error;
+    }
 }
-int __pthread_cond_clockwait64(pthread_cond_t *condition, MUTEX, CLOCK, WIDE) {
-    return pthread_cond_clockwait(condition, mutex, clock, NARROW);
-}
-int __pthread_mutex_timedlock64(MUTEX, WIDE) { return pthread_mutex_timedlock(mutex, NARROW); }
-int __sem_timedwait64(SEM, WIDE) { return sem_timedwait(sem, NARROW); }
 
-#endif
+#define MTX ((pthread_mutex_t *)mutex)
+#define CND ((pthread_cond_t *)condition)
+
+int mtx_lock(mtx_t *mutex) { return c11_result(pthread_mutex_lock(MTX)); }
+int mtx_timedlock(mtx_t *mutex, DEADLINE) { return c11_result(pthread_mutex_timedlock(MTX, limit)); }
+int mtx_unlock(mtx_t *mutex) { return c11_result(pthread_mutex_unlock(MTX)); }
+int cnd_wait(cnd_t *condition, mtx_t *mutex) { return c11_result(pthread_cond_wait(CND, MTX)); }
+int cnd_timedwait(cnd_t *condition, mtx_t *mutex, DEADLINE) {
+    return c11_result(pthread_cond_timedwait(CND, MTX, limit));
+}
+int cnd_signal(cnd_t *condition) { return c11_result(pthread_cond_signal(CND)); }
+int cnd_broadcast(cnd_t *condition) { return c11_result(pthread_cond_broadcast(CND)); }
+
+struct c11_start { thrd_start_t routine; void *argument; };
+
+static void *run_c11_thread(void *argument) {
+    struct c11_start start = *(struct c11_start *)argument;
+    free(argument);
+    return (void *)(intptr_t)start.routine(start.argument);
+}
+
+int thrd_create(thrd_t *thread, thrd_start_t routine, void *argument) {
+    struct c11_start *start = malloc(sizeof *start);
+    if (!start)
+        return thrd_nomem;
+    *start = (struct c11_start){routine, argument};
+    int error = pthread_create(thread, NULL, run_c11_thread, start);
+    if (error)
+        free(start);
+    return error == EAGAIN ? thrd_nomem : c11_result(error);
+}
+
+/* Futexes, by `syscall` ---------------------------------------------------------------------------------- */
+
+/* True if an address is in memory that processes share. */
+static int is_shared_memory(const void *address) {
+    FILE *file = fopen("/proc/self/maps", "re");
+    char line[512], mode[5] = "";
+    unsigned long start, end;
+    int is_shared = 0;
+    while (file && fgets(line, sizeof line, file))
+        if (sscanf(line, "%lx-%lx %4s", &start, &end, mode) == 3 && (uintptr_t)address >= start &&
+            (uintptr_t)address < end)
+            is_shared = mode[3] == 's';
+    if (file)
+        fclose(file);
+    return is_shared;
+}
+
+static long wait_word(uint32_t *word, int operation, uint32_t value, const struct timespec *limit) {
+    struct timespec time;
+    uint32_t current;
+    int64_t stop_ns = NEVER;
+    int is_shared = !(operation & FUTEX_PRIVATE_FLAG) && is_shared_memory(word);
+    if (copy_in(&current, word, sizeof current) || (limit && copy_in(&time, limit, sizeof time)))
+        return -1;
+    if (limit && (time.tv_sec < 0 || time.tv_nsec < 0 || time.tv_nsec >= BILLION))
+        return c_result(-EINVAL);
+    if (limit) /* FUTEX_WAIT has a duration, FUTEX_WAIT_BITSET an end */
+        stop_ns = (operation & FUTEX_CMD_MASK) == FUTEX_WAIT ? now() + ns_of(&time) : since_start(&time);
+    uint64_t last_wake = add_waiter(word);
+    int result = -EAGAIN;
+    if (__atomic_load_n(word, __ATOMIC_SEQ_CST) == value) {
+        result = wait_futex(word, last_wake, stop_ns, is_shared);
+        result = result > 0 ? 0 : result ? result : -ETIMEDOUT;
+    }
+    remove_waiter(word);
+    return c_result(result);
+}
+
+/* FUTEX_REQUEUE wakes all waiters, as a wait may end without a WAKE; others also run in the kernel. */
+long call_futex(uint32_t *word, int operation, uint32_t value, const struct timespec *limit,
+                uint32_t *other_word, uint32_t other_value) {
+    int command = operation & FUTEX_CMD_MASK, n_waiting = futex_of(word)->waiting;
+    if (command == FUTEX_WAIT || command == FUTEX_WAIT_BITSET)
+        return wait_word(word, operation, value, limit);
+    long result = REAL(syscall)(SYS_futex, word, operation, value, limit, other_word, other_value);
+    if (result < 0 || command == FUTEX_FD || (command == FUTEX_WAKE && !value))
+        return result;
+    int is_wake = command == FUTEX_WAKE || command == FUTEX_WAKE_BITSET;
+    notify(word, is_wake && value < INT_MAX ? value : 0);
+    if (command == FUTEX_WAKE_OP)
+        notify(other_word, 0);
+    uint32_t n_woken = is_wake && value < (uint32_t)n_waiting ? value : (uint32_t)n_waiting;
+    return result > (long)n_woken ? result : (long)n_woken;
+}

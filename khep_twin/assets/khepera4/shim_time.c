@@ -1,21 +1,23 @@
-/* The simulated clock of the preload library: functions that return the time, wait, or set a timer.
+/* The simulated clock of the preload library: functions that return the time or wait.
 
    Times are those of the twin [ns], from 0. CLOCK_REALTIME starts at `FIRST_DAY`, all other clocks at 0. */
 
 #include "shim.h"
 
-#include <limits.h>
+#include <aio.h>
+#include <mqueue.h>
+#include <stdio.h>
 #include <string.h>
 #include <sys/epoll.h>
-#include <sys/eventfd.h>
 #include <sys/select.h>
-#include <sys/syscall.h>
-#include <sys/time.h>
+#include <sys/sem.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/timeb.h>
-#include <sys/timerfd.h>
 #include <sys/times.h>
+#include <termios.h>
+#include <threads.h>
 
-#define BILLION 1000000000LL
 #define FIRST_DAY (1767225600 * BILLION) /* 2026-01-01, 0:00 UTC */
 
 int64_t now(void) {
@@ -24,10 +26,9 @@ int64_t now(void) {
     return value;
 }
 
-static int64_t to_ns(int64_t seconds, int64_t ns) {
+int64_t to_ns(int64_t seconds, int64_t ns) {
     return seconds > NEVER / 2 / BILLION ? NEVER / 2 : seconds * BILLION + ns;
 }
-static int64_t ns_of(const struct timespec *time) { return to_ns(time->tv_sec, time->tv_nsec); }
 static int64_t ns_of_us(const struct timeval *time) { return to_ns(time->tv_sec, time->tv_usec * 1000LL); }
 
 /* Convert a time of any clock to the twin's: clocks that start at 0 never reach the first day. */
@@ -35,9 +36,6 @@ int64_t since_start(const struct timespec *time) {
     int64_t ns = ns_of(time);
     return ns >= FIRST_DAY ? ns - FIRST_DAY : ns;
 }
-
-static struct timespec time_of(int64_t ns) { return (struct timespec){ns / BILLION, ns % BILLION}; }
-static struct timeval us_of(int64_t ns) { return (struct timeval){ns / BILLION, ns % BILLION / 1000}; }
 
 /* Clocks ------------------------------------------------------------------------------------------------- */
 
@@ -127,14 +125,49 @@ unsigned int sleep(unsigned int seconds) {
 
 /* Return 0 or an error number. */
 static int sleep_for(enum sleep kind, const struct timespec *requested, struct timespec *left) {
+    struct timespec time;
     int64_t remaining = 0;
-    if (requested->tv_sec < 0 || requested->tv_nsec < 0 || requested->tv_nsec >= BILLION)
+    if (copy_in(&time, requested, sizeof time))
+        return EFAULT;
+    if (time.tv_sec < 0 || time.tv_nsec < 0 || time.tv_nsec >= BILLION)
         return EINVAL;
-    struct limit limit = {kind == ABSOLUTE ? since_start(requested) : ns_of(requested)};
+    struct limit limit = {kind == ABSOLUTE ? since_start(&time) : ns_of(&time)};
     int error = -wait_until(kind, limit, NULL, 0, NULL, &remaining);
-    if (error && left && kind == RELATIVE)
-        *left = time_of(remaining > 0 ? remaining : 0);
+    time = time_of(remaining > 0 ? remaining : 0);
+    if (error && left && kind == RELATIVE && copy_out(left, &time, sizeof time))
+        return EFAULT;
     return error;
+}
+
+/* True if a file descriptor leads to another program: a socket, unless its peer is this process or its parent,
+   or a terminal that does not control this program. A wait for it then takes time of the wall clock. */
+static int leads_outside(int fd) {
+    struct ucred peer = {0};
+    socklen_t size = sizeof peer;
+    int domain;
+    if (isatty(fd))
+        return tcgetsid(fd) < 0;
+    if (getsockopt(fd, SOL_SOCKET, SO_DOMAIN, &domain, &(socklen_t){sizeof domain}))
+        return 0;
+    return domain != AF_UNIX || (!getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) && peer.pid > 0 &&
+                                 peer.pid != getpid() && peer.pid != getppid());
+}
+
+/* True if a file descriptor leads to another program, or is an epoll instance with such a member, by the
+   kernel's list of them. */
+static int is_external(int fd) {
+    char path[64], line[256];
+    struct stat status;
+    int member, external = leads_outside(fd);
+    if (external || REAL(fstat)(fd, &status) || status.st_mode & S_IFMT)
+        return external; /* an epoll instance has no type */
+    snprintf(path, sizeof path, "/proc/self/fdinfo/%d", fd);
+    FILE *file = REAL(fopen)(path, "re");
+    while (file && fgets(line, sizeof line, file))
+        external |= sscanf(line, "tfd: %d", &member) == 1 && leads_outside(member);
+    if (file)
+        fclose(file);
+    return external;
 }
 
 int nanosleep(const struct timespec *requested, struct timespec *left) {
@@ -152,6 +185,7 @@ int clock_nanosleep(clockid_t clock, int flags, const struct timespec *requested
 /* Return the number of ready descriptors, or minus an error number; a time-out below 0 is none. */
 static int poll_for(struct pollfd *fds, nfds_t count, int64_t ns, const sigset_t *mask, int64_t *left) {
     struct timespec no_wait = {0, 0};
+    int external = 0;
     *left = ns > 0 ? ns : 0;
     int n_ready = REAL(ppoll)(fds, count, &no_wait, mask);
     if (n_ready)
@@ -160,13 +194,27 @@ static int poll_for(struct pollfd *fds, nfds_t count, int64_t ns, const sigset_t
         now(); /* poll with time-out 0 takes time, so that a polling loop ends */
         return 0;
     }
-    enum sleep kind = ns < 0 ? ABSOLUTE : RELATIVE;
+    for (nfds_t i = 0; ns > 0 && i < count && !external; i++)
+        external = fds[i].fd < 0 ? 0 : is_external(fds[i].fd);
+    enum sleep kind = (ns < 0 ? ABSOLUTE : RELATIVE) | (external ? EXTERNAL : 0);
     int error = wait_until(kind, (struct limit){ns < 0 ? NEVER : ns}, fds, count, mask, left);
     n_ready = REAL(ppoll)(fds, count, &no_wait, NULL);
     return n_ready ? n_ready : error;
 }
 
-static int64_t limit_of(const struct timespec *limit) { return limit ? ns_of(limit) : -1; }
+/* Convert a time-out to ns, -1 for none; return 0, or -1 and an error number. */
+static int read_limit(const struct timespec *limit, int64_t *ns) {
+    struct timespec time;
+    *ns = -1;
+    if (!limit)
+        return 0;
+    if (copy_in(&time, limit, sizeof time))
+        return -1;
+    if (time.tv_sec < 0 || time.tv_nsec < 0 || time.tv_nsec >= BILLION)
+        return c_result(-EINVAL);
+    *ns = ns_of(&time);
+    return 0;
+}
 
 int poll(struct pollfd *fds, nfds_t count, int ms) {
     int64_t left;
@@ -175,10 +223,10 @@ int poll(struct pollfd *fds, nfds_t count, int ms) {
 }
 
 int ppoll(struct pollfd *fds, nfds_t count, const struct timespec *limit, const sigset_t *mask) {
-    int64_t left;
+    int64_t left, ns;
     if (!simulated)
         return REAL(ppoll)(fds, count, limit, mask);
-    return c_result(poll_for(fds, count, limit_of(limit), mask, &left));
+    return read_limit(limit, &ns) ? -1 : c_result(poll_for(fds, count, ns, mask, &left));
 }
 
 int __poll_chk(struct pollfd *fds, nfds_t count, int ms, size_t size) { return poll(fds, count, ms); }
@@ -192,14 +240,18 @@ int __ppoll_chk(struct pollfd *fds, nfds_t count, const struct timespec *limit, 
 static int select_for(int count, fd_set *sets[3], int64_t ns, const sigset_t *mask, int64_t *left) {
     static const short requested_events[] = {POLLIN, POLLOUT, POLLPRI};
     static const short ready_events[] = {POLLIN | POLLHUP | POLLERR, POLLOUT | POLLERR, POLLPRI};
+    fd_set copies[3];
     if (count < 0 || count > FD_SETSIZE)
         return -EINVAL;
+    for (int k = 0; k < 3; k++)
+        if (sets[k] && copy_in(&copies[k], sets[k], (count + 7) / 8))
+            return -EFAULT;
     struct pollfd fds[FD_SETSIZE];
     int n_fds = 0, n_ready = 0;
     for (int i = 0; i < count; i++) {
         short events = 0;
         for (int k = 0; k < 3; k++)
-            events |= sets[k] && FD_ISSET(i, sets[k]) ? requested_events[k] : 0;
+            events |= sets[k] && FD_ISSET(i, &copies[k]) ? requested_events[k] : 0;
         if (events)
             fds[n_fds++] = (struct pollfd){i, events, 0};
     }
@@ -221,9 +273,14 @@ static int select_for(int count, fd_set *sets[3], int64_t ns, const sigset_t *ma
 
 int select(int count, fd_set *in, fd_set *out, fd_set *odd, struct timeval *limit) {
     int64_t left;
+    struct timeval time = {0, 0};
     if (!simulated)
         return REAL(select)(count, in, out, odd, limit);
-    int result = select_for(count, (fd_set *[]){in, out, odd}, limit ? ns_of_us(limit) : -1, NULL, &left);
+    if (limit && copy_in(&time, limit, sizeof time))
+        return -1;
+    if (time.tv_sec < 0 || time.tv_usec < 0)
+        return c_result(-EINVAL);
+    int result = select_for(count, (fd_set *[]){in, out, odd}, limit ? ns_of_us(&time) : -1, NULL, &left);
     if (limit)
         *limit = us_of(left > 0 ? left : 0);
     return c_result(result);
@@ -231,456 +288,156 @@ int select(int count, fd_set *in, fd_set *out, fd_set *odd, struct timeval *limi
 
 int pselect(int count, fd_set *in, fd_set *out, fd_set *odd, const struct timespec *limit,
             const sigset_t *mask) {
-    int64_t left;
+    int64_t left, ns;
     if (!simulated)
         return REAL(pselect)(count, in, out, odd, limit, mask);
-    return c_result(select_for(count, (fd_set *[]){in, out, odd}, limit_of(limit), mask, &left));
+    if (read_limit(limit, &ns))
+        return -1;
+    return c_result(select_for(count, (fd_set *[]){in, out, odd}, ns, mask, &left));
+}
+
+static int epoll_for(int fd, struct epoll_event *events, int size, int64_t ns, const sigset_t *mask) {
+    struct pollfd poll_fd = {fd, POLLIN, 0};
+    int64_t left;
+    int result = poll_for(&poll_fd, 1, ns, mask, &left);
+    return result < 0 ? c_result(result) : REAL(epoll_pwait)(fd, events, size, 0, NULL);
 }
 
 int epoll_pwait(int fd, struct epoll_event *events, int size, int ms, const sigset_t *mask) {
-    struct pollfd poll_fd = {fd, POLLIN, 0};
-    int64_t left;
+    return simulated ? epoll_for(fd, events, size, ms * 1000000LL, mask)
+                     : REAL(epoll_pwait)(fd, events, size, ms, mask);
+}
+
+int epoll_pwait2(int fd, struct epoll_event *events, int size, const struct timespec *limit,
+                 const sigset_t *mask) {
+    int64_t ns;
     if (!simulated)
-        return REAL(epoll_pwait)(fd, events, size, ms, mask);
-    int result = poll_for(&poll_fd, 1, ms * 1000000LL, mask, &left);
-    return result < 0 ? c_result(result) : REAL(epoll_pwait)(fd, events, size, 0, NULL);
+        return REAL(epoll_pwait2)(fd, events, size, limit, mask);
+    return read_limit(limit, &ns) ? -1 : epoll_for(fd, events, size, ns, mask);
 }
 
 int epoll_wait(int fd, struct epoll_event *events, int size, int ms) {
     return simulated ? epoll_pwait(fd, events, size, ms, NULL) : REAL(epoll_wait)(fd, events, size, ms);
 }
 
-/* Timers ------------------------------------------------------------------------------------------------- */
-/* A thread of this library sleeps until the first timer is due. */
-
-enum use { FREE, ALARM, POSIX, DESCRIPTOR };
-
-struct timer {
-    enum use use;
-    int64_t due, period; /* due 0: not set */
-    struct sigevent event;
-    int fd;
-};
-
-#define MAX_TIMERS 256
-static struct timer timers[MAX_TIMERS]; /* the first is for alarm and setitimer */
-static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
-static int timers_changed = -1; /* eventfd that wakes the thread */
-
-static void lock_timers(sigset_t *saved) {
-    sigset_t signals;
-    sigfillset(&signals);
-    pthread_sigmask(SIG_BLOCK, &signals, saved);
-    REAL(pthread_mutex_lock)(&lock);
-}
-
-static void unlock_timers(const sigset_t *saved) {
-    REAL(pthread_mutex_unlock)(&lock);
-    pthread_sigmask(SIG_SETMASK, saved, NULL);
-}
-
-/* Called in a child process, which does not have its parent's timers. */
-void forget_timers(void) {
-    memset(timers, 0, sizeof timers);
-    pthread_mutex_init(&lock, NULL);
-    timers_changed = -1;
-}
-
-struct call { void (*routine)(union sigval); union sigval value; };
-
-static void *run_call(void *argument) {
-    struct call call = *(struct call *)argument;
-    sigset_t no_signals;
-    sigemptyset(&no_signals);
-    pthread_sigmask(SIG_SETMASK, &no_signals, NULL);
-    free(argument);
-    call.routine(call.value);
-    return NULL;
-}
-
-static void notify(const struct sigevent *event) {
-    if (event->sigev_notify == SIGEV_THREAD) {
-        struct call *call = malloc(sizeof *call);
-        pthread_t thread;
-        if (!call)
-            return;
-        *call = (struct call){event->sigev_notify_function, event->sigev_value};
-        if (pthread_create(&thread, event->sigev_notify_attributes, run_call, call))
-            free(call);
-        else
-            pthread_detach(thread);
-        return;
-    }
-    siginfo_t info = {.si_signo = event->sigev_signo, .si_code = SI_TIMER};
-    info.si_value = event->sigev_value;
-    if (event->sigev_notify == SIGEV_SIGNAL)
-        syscall(SYS_rt_sigqueueinfo, getpid(), info.si_signo, &info);
-    else if (event->sigev_notify == SIGEV_THREAD_ID)
-        syscall(SYS_rt_tgsigqueueinfo, getpid(), event->_sigev_un._tid, info.si_signo, &info);
-}
-
-static void fire(struct timer *timer) {
-    uint64_t once = 1;
-    timer->due = timer->period ? timer->due + timer->period : 0;
-    if (timer->use == ALARM)
-        kill(getpid(), SIGALRM);
-    else if (timer->use == POSIX)
-        notify(&timer->event);
-    else if (timer->use == DESCRIPTOR && REAL(write)(timer->fd, &once, sizeof once) < 0)
-        timer->use = FREE;
-}
-
-static int64_t fire_all(int64_t now_ns) {
-    int64_t due = NEVER;
-    sigset_t saved;
-    lock_timers(&saved);
-    for (int i = 0; i < MAX_TIMERS; i++) {
-        while (timers[i].due && timers[i].due <= now_ns)
-            fire(&timers[i]);
-        if (timers[i].due && timers[i].due < due)
-            due = timers[i].due;
-    }
-    unlock_timers(&saved);
-    return due;
-}
-
-static void *run_timers(void *unused) {
-    struct pollfd poll_fd = {timers_changed, POLLIN, 0};
-    int64_t due, left, now_ns = 0;
-    uint64_t count;
-    for (;;) {
-        if ((due = fire_all(now_ns)) == NEVER) {
-            REAL(poll)(&poll_fd, 1, -1);
-            due = 0; /* a wait until 0 returns the time */
-        }
-        wait_until(ABSOLUTE, (struct limit){due}, due ? &poll_fd : NULL, due ? 1 : 0, NULL, &left);
-        now_ns = due - left;
-        if (REAL(poll)(&poll_fd, 1, 0) == 1 && REAL(read)(timers_changed, &count, sizeof count) < 0)
-            return NULL;
-    }
-}
-
-/* Start the thread with the first timer. */
-static void start_timers(void) {
-    pthread_t thread;
-    pthread_attr_t attributes;
-    if (timers_changed >= 0)
-        return;
-    timers_changed = move_fd(eventfd(0, EFD_CLOEXEC));
-    pthread_attr_init(&attributes);
-    pthread_attr_setdetachstate(&attributes, PTHREAD_CREATE_DETACHED);
-    pthread_create(&thread, &attributes, run_timers, NULL); /* with the signals blocked by `lock_timers` */
-    pthread_attr_destroy(&attributes);
-}
-
-/* Set the due time of a timer; return its previous remaining time, 0 if it was not set, and interval. */
-static int64_t set_due(struct timer *timer, int64_t now_ns, int64_t due, int64_t period, int64_t *interval) {
-    uint64_t once = 1;
-    sigset_t saved;
-    lock_timers(&saved);
-    int64_t left = timer->due ? (timer->due > now_ns ? timer->due - now_ns : 1) : 0;
-    if (interval)
-        *interval = timer->period;
-    timer->due = due;
-    timer->period = period;
-    start_timers();
-    if (REAL(write)(timers_changed, &once, sizeof once) < 0)
-        left = 0;
-    unlock_timers(&saved);
-    return left;
-}
-
-static int64_t remaining_ns(struct timer *timer, int64_t *interval) {
-    int64_t now_ns = now();
-    *interval = timer->period;
-    return timer->due ? (timer->due > now_ns ? timer->due - now_ns : 1) : 0;
-}
-
-static struct timer *allocate(enum use use) {
-    struct timer *timer = NULL;
-    sigset_t saved;
-    lock_timers(&saved);
-    for (int i = 1; i < MAX_TIMERS && !timer; i++)
-        if (timers[i].use == FREE) {
-            timer = &timers[i];
-            *timer = (struct timer){.use = use};
-        }
-    unlock_timers(&saved);
-    return timer;
-}
-
-static void release(void *timer) {
-    sigset_t saved;
-    lock_timers(&saved);
-    *(struct timer *)timer = (struct timer){.use = FREE};
-    unlock_timers(&saved);
-}
-
-static int64_t set_alarm(int64_t ns, int64_t period, int64_t *interval) {
-    int64_t now_ns = now();
-    timers[0].use = ALARM;
-    return set_due(&timers[0], now_ns, ns ? now_ns + ns : 0, period, interval);
-}
-
-unsigned int alarm(unsigned int seconds) {
-    if (!simulated)
-        return REAL(alarm)(seconds);
-    int64_t left = set_alarm(seconds * BILLION, 0, NULL);
-    return left && left < BILLION / 2 ? 1 : (left + BILLION / 2) / BILLION;
-}
-
-useconds_t ualarm(useconds_t us, useconds_t period) {
-    return simulated ? set_alarm(us * 1000LL, period * 1000LL, NULL) / 1000 : REAL(ualarm)(us, period);
-}
-
-int getitimer(__itimer_which_t which, struct itimerval *value) {
-    int64_t period;
-    if (!simulated || which != ITIMER_REAL)
-        return REAL(getitimer)(which, value);
-    value->it_value = us_of(remaining_ns(&timers[0], &period));
-    value->it_interval = us_of(period);
-    return 0;
-}
-
-int setitimer(__itimer_which_t which, const struct itimerval *value, struct itimerval *old) {
-    int64_t period;
-    if (!simulated || which != ITIMER_REAL)
-        return REAL(setitimer)(which, value, old);
-    int64_t left = set_alarm(ns_of_us(&value->it_value), ns_of_us(&value->it_interval), &period);
-    if (old)
-        *old = (struct itimerval){us_of(period), us_of(left)};
-    return 0;
-}
-
-static int set_timer(struct timer *timer, int absolute, const struct itimerspec *value,
-                     struct itimerspec *old) {
-    int64_t period, now_ns = now(), due = value->it_value.tv_sec || value->it_value.tv_nsec;
-    if (value->it_value.tv_nsec >= BILLION || value->it_value.tv_sec < 0 || value->it_value.tv_nsec < 0)
-        return c_result(-EINVAL);
-    if (due)
-        due = absolute ? since_start(&value->it_value) : now_ns + ns_of(&value->it_value);
-    int64_t left = set_due(timer, now_ns, due, ns_of(&value->it_interval), &period);
-    if (old)
-        *old = (struct itimerspec){time_of(period), time_of(left)};
-    return 0;
-}
-
-static int get_timer(struct timer *timer, struct itimerspec *value) {
-    int64_t period, left = remaining_ns(timer, &period);
-    *value = (struct itimerspec){time_of(period), time_of(left)};
-    return 0;
-}
-
-/* The number of a timer is its index. */
-static struct timer *posix_timer(timer_t number) {
-    uintptr_t index = (uintptr_t)number;
-    return index && index < MAX_TIMERS && timers[index].use == POSIX ? &timers[index] : NULL;
-}
-
-int timer_create(clockid_t clock, struct sigevent *event, timer_t *number) {
-    if (!simulated)
-        return REAL(timer_create)(clock, event, number);
-    struct timer *timer = allocate(POSIX);
-    if (!timer)
-        return c_result(-EAGAIN);
-    *number = (timer_t)(uintptr_t)(timer - timers);
-    if (event)
-        timer->event = *event;
-    else
-        timer->event = (struct sigevent){.sigev_signo = SIGALRM, .sigev_value = {.sival_ptr = *number}};
-    return 0;
-}
-
-int timer_settime(timer_t number, int flags, const struct itimerspec *value, struct itimerspec *old) {
-    if (!simulated)
-        return REAL(timer_settime)(number, flags, value, old);
-    struct timer *timer = posix_timer(number);
-    return timer ? set_timer(timer, flags & TIMER_ABSTIME, value, old) : c_result(-EINVAL);
-}
-
-int timer_gettime(timer_t number, struct itimerspec *value) {
-    if (!simulated)
-        return REAL(timer_gettime)(number, value);
-    return posix_timer(number) ? get_timer(posix_timer(number), value) : c_result(-EINVAL);
-}
-
-int timer_getoverrun(timer_t number) {
-    if (!simulated)
-        return REAL(timer_getoverrun)(number);
-    return posix_timer(number) ? 0 : c_result(-EINVAL);
-}
-
-int timer_delete(timer_t number) {
-    if (!simulated)
-        return REAL(timer_delete)(number);
-    if (!posix_timer(number))
-        return c_result(-EINVAL);
-    release(posix_timer(number));
-    return 0;
-}
-
-/* A timer's file descriptor is an eventfd, which also reads as a count. */
-int timerfd_create(clockid_t clock, int flags) {
-    if (!simulated)
-        return REAL(timerfd_create)(clock, flags);
-    struct timer *timer = allocate(DESCRIPTOR);
-    int fd = timer ? eventfd(0, flags) : c_result(-EMFILE);
-    if (fd < 0 || fd >= MAX_FDS) {
-        if (timer)
-            release(timer);
-        return fd < 0 ? -1 : (REAL(close)(fd), c_result(-EMFILE));
-    }
-    timer->fd = fd;
-    kinds[fd] = TIMER;
-    return fd;
-}
-
-static struct timer *timer_of(int fd) {
-    for (int i = 1; i < MAX_TIMERS; i++)
-        if (timers[i].use == DESCRIPTOR && timers[i].fd == fd)
-            return &timers[i];
-    return NULL;
-}
-
-void forget_timer_of(int fd) {
-    struct timer *timer = timer_of(fd);
-    if (timer)
-        release(timer);
-}
-
-int timerfd_settime(int fd, int flags, const struct itimerspec *value, struct itimerspec *old) {
-    struct timer *timer = simulated ? timer_of(fd) : NULL;
+/* Sockets with a time-out (SO_RCVTIMEO): wait before the call; return 0, or -1 and EAGAIN or EINTR. */
+int wait_to_receive(int fd, int flags) {
+    struct timeval limit = {0, 0};
     struct pollfd poll_fd = {fd, POLLIN, 0};
-    uint64_t count;
-    if (!timer)
-        return REAL(timerfd_settime)(fd, flags, value, old);
-    if (REAL(poll)(&poll_fd, 1, 0) == 1 && REAL(read)(fd, &count, sizeof count) < 0)
-        return -1;
-    return set_timer(timer, flags & TFD_TIMER_ABSTIME, value, old);
+    int64_t left;
+    int saved_errno = errno;
+    if (!simulated || flags & MSG_DONTWAIT ||
+        getsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &limit, &(socklen_t){sizeof limit}) || !ns_of_us(&limit))
+        return errno = saved_errno, 0;
+    int result = poll_for(&poll_fd, 1, ns_of_us(&limit), NULL, &left);
+    return result > 0 ? 0 : c_result(result ? result : -EAGAIN);
 }
 
-int timerfd_gettime(int fd, struct itimerspec *value) {
-    struct timer *timer = simulated ? timer_of(fd) : NULL;
-    return timer ? get_timer(timer, value) : REAL(timerfd_gettime)(fd, value);
+#define RECEIVE_CALL(type, name, parameters, flags, ...)                                                     \
+    type name parameters { return wait_to_receive(fd, flags) ? -1 : REAL(name)(fd, __VA_ARGS__); }
+RECEIVE_CALL(ssize_t, recv, (int fd, void *content, size_t count, int flags), flags, content, count, flags)
+RECEIVE_CALL(ssize_t, recvfrom,
+             (int fd, void *content, size_t count, int flags, struct sockaddr *peer, socklen_t *size), flags,
+             content, count, flags, peer, size)
+RECEIVE_CALL(ssize_t, recvmsg, (int fd, struct msghdr *message, int flags), flags, message, flags)
+RECEIVE_CALL(int, accept, (int fd, struct sockaddr *peer, socklen_t *size), 0, peer, size)
+RECEIVE_CALL(int, accept4, (int fd, struct sockaddr *peer, socklen_t *size, int flags), 0, peer, size, flags)
+ssize_t __recv_chk(int fd, void *content, size_t count, size_t size, int flags) {
+    return recv(fd, content, count, flags);
+}
+ssize_t __recvfrom_chk(int fd, void *content, size_t count, size_t size, int flags, struct sockaddr *peer,
+                       socklen_t *peer_size) {
+    return recvfrom(fd, content, count, flags, peer, peer_size);
 }
 
-/* Poll for signals. */
+/* Other waits: retries every millisecond ------------------------------------------------------------------ */
+
+/* `is_busy` must not sleep in the kernel, not even for a time-out of 0: simulated time might then pass. */
+#define RETRY(end, is_busy)                                                                                  \
+    do {                                                                                                     \
+        int64_t end_ns = end;                                                                                \
+        while ((is_busy) && now() < end_ns)                                                                  \
+            wait_until(RELATIVE, (struct limit){BILLION / 1000}, NULL, 0, NULL, NULL);                       \
+    } while (0)
+
+static const struct timespec no_wait = {0, 0};
+
 int sigtimedwait(const sigset_t *signals, siginfo_t *info, const struct timespec *limit) {
-    struct timespec no_wait = {0, 0};
     int number;
+    int64_t ns;
     if (!simulated || !limit)
         return REAL(sigtimedwait)(signals, info, limit);
-    int64_t end = now() + ns_of(limit);
-    while ((number = REAL(sigtimedwait)(signals, info, &no_wait)) < 0 && errno == EAGAIN)
-        if (now() >= end)
-            return c_result(-EAGAIN);
-        else
-            wait_until(RELATIVE, (struct limit){BILLION / 1000}, NULL, 0, NULL, NULL);
+    if (read_limit(limit, &ns))
+        return -1;
+    RETRY(now() + ns, (number = REAL(sigtimedwait)(signals, info, &no_wait)) < 0 && errno == EAGAIN);
     return number;
 }
 
-/* Times of 64 bits in programs of 32 --------------------------------------------------------------------- */
-
-#if __WORDSIZE == 32
-
-struct wide_us { int64_t seconds, us; };
-struct wide_timer { struct wide interval, value; };
-
-static struct timespec narrow(const struct wide *time) {
-    return (struct timespec){time->seconds, time->rest};
-}
-static struct wide widen(struct timespec time) { return (struct wide){time.tv_sec, time.tv_nsec, 0}; }
-
-#define NARROW(given) ((given) ? &(struct timespec){(given)->seconds, (given)->rest} : NULL)
-
-int __clock_gettime64(clockid_t clock, struct wide *time) {
-    struct timespec narrow_time;
-    int result = clock_gettime(clock, &narrow_time);
-    *time = widen(narrow_time);
+int semtimedop(int id, struct sembuf *operations, size_t count, const struct timespec *limit) {
+    int result;
+    int64_t ns;
+    struct sembuf copies[count < 500 ? count : 500];
+    if (!simulated || !limit || count > 500)
+        return REAL(semtimedop)(id, operations, count, limit);
+    if (read_limit(limit, &ns) || copy_in(copies, operations, count * sizeof *copies))
+        return -1;
+    for (size_t i = 0; i < count; i++)
+        copies[i].sem_flg |= IPC_NOWAIT;
+    RETRY(now() + ns, (result = REAL(semop)(id, copies, count)) && errno == EAGAIN);
     return result;
 }
 
-int __gettimeofday64(struct wide_us *time, void *zone) {
-    struct timeval narrow_time;
-    int result = gettimeofday(&narrow_time, zone);
-    *time = (struct wide_us){narrow_time.tv_sec, narrow_time.tv_usec};
-    return result;
+static int is_in_progress(const struct aiocb *const requests[], int count) {
+    for (int i = 0; i < count; i++)
+        if (requests[i] && aio_error(requests[i]) != EINPROGRESS)
+            return 0;
+    return 1;
 }
 
-int64_t __time64(int64_t *result) {
-    int64_t seconds = time(NULL);
-    if (result)
-        *result = seconds;
-    return seconds;
+int aio_suspend(const struct aiocb *const requests[], int count, const struct timespec *limit) {
+    int64_t ns;
+    if (!simulated || !limit)
+        return REAL(aio_suspend)(requests, count, limit);
+    if (read_limit(limit, &ns))
+        return -1;
+    RETRY(now() + ns, is_in_progress(requests, count));
+    return is_in_progress(requests, count) ? c_result(-EAGAIN) : 0;
 }
 
-int __clock_nanosleep_time64(clockid_t clock, int flags, const struct wide *requested, struct wide *left) {
-    struct timespec remaining = {0, 0};
-    int error = clock_nanosleep(clock, flags, NARROW(requested), &remaining);
-    if (left && error == EINTR)
-        *left = widen(remaining);
-    return error;
+/* Wait for a message queue, which is a file descriptor on Linux, before the call. */
+static void wait_for_queue(mqd_t queue, short events, const struct timespec *limit) {
+    struct pollfd poll_fd = {(int)queue, events, 0};
+    if (simulated)
+        RETRY(since_start(limit), !REAL(poll)(&poll_fd, 1, 0));
 }
 
-int __nanosleep64(const struct wide *requested, struct wide *left) {
-    return c_result(-__clock_nanosleep_time64(CLOCK_REALTIME, 0, requested, left));
+ssize_t mq_timedreceive(mqd_t queue, char *content, size_t size, unsigned int *priority,
+                        const struct timespec *limit) {
+    wait_for_queue(queue, POLLIN, limit);
+    return REAL(mq_timedreceive)(queue, content, size, priority, simulated ? &no_wait : limit);
 }
 
-int __ppoll64(struct pollfd *fds, nfds_t count, const struct wide *limit, const sigset_t *mask) {
-    return ppoll(fds, count, NARROW(limit), mask);
+int mq_timedsend(mqd_t queue, const char *content, size_t size, unsigned int priority,
+                 const struct timespec *limit) {
+    wait_for_queue(queue, POLLOUT, limit);
+    return REAL(mq_timedsend)(queue, content, size, priority, simulated ? &no_wait : limit);
 }
 
-int __pselect64(int count, fd_set *in, fd_set *out, fd_set *odd, const struct wide *limit,
-                const sigset_t *mask) {
-    return pselect(count, in, out, odd, NARROW(limit), mask);
+int pthread_timedjoin_np(pthread_t thread, void **result, const struct timespec *limit) {
+    int error;
+    if (!simulated || !limit)
+        return REAL(pthread_timedjoin_np)(thread, result, limit);
+    RETRY(since_start(limit), (error = pthread_tryjoin_np(thread, result)) == EBUSY);
+    return error == EBUSY ? ETIMEDOUT : error;
 }
 
-int __select64(int count, fd_set *in, fd_set *out, fd_set *odd, struct wide_us *limit) {
-    struct timeval narrow_limit = {limit ? limit->seconds : 0, limit ? limit->us : 0};
-    int result = select(count, in, out, odd, limit ? &narrow_limit : NULL);
-    if (limit)
-        *limit = (struct wide_us){narrow_limit.tv_sec, narrow_limit.tv_usec};
-    return result;
+int pthread_clockjoin_np(pthread_t thread, void **result, clockid_t clock, const struct timespec *limit) {
+    return simulated ? pthread_timedjoin_np(thread, result, limit)
+                     : REAL(pthread_clockjoin_np)(thread, result, clock, limit);
 }
 
-/* Set and get functions of both kinds of timers. */
-#define TIMER64(name, id_type)                                                                               \
-    int __##name##_settime64(id_type fd, int flags, const struct wide_timer *value,                          \
-                             struct wide_timer *old) {                                                       \
-        struct itimerspec old_value, narrow_value = {narrow(&value->interval), narrow(&value->value)};       \
-        int result = name##_settime(fd, flags, &narrow_value, &old_value);                                   \
-        if (old && !result)                                                                                  \
-            *old = (struct wide_timer){widen(old_value.it_interval), widen(old_value.it_value)};             \
-        return result;                                                                                       \
-    }                                                                                                        \
-    int __##name##_gettime64(id_type fd, struct wide_timer *value) {                                         \
-        struct itimerspec narrow_value;                                                                      \
-        int result = name##_gettime(fd, &narrow_value);                                                      \
-        if (!result)                                                                                         \
-            *value = (struct wide_timer){widen(narrow_value.it_interval), widen(narrow_value.it_value)};     \
-        return result;                                                                                       \
-    }
-TIMER64(timer, timer_t)
-TIMER64(timerfd, int)
-
-struct wide_interval { struct wide_us interval, value; };
-
-int __setitimer64(__itimer_which_t which, const struct wide_interval *value, struct wide_interval *old) {
-    struct itimerval old_value, narrow_value = {{value->interval.seconds, value->interval.us},
-                                    {value->value.seconds, value->value.us}};
-    int result = setitimer(which, &narrow_value, &old_value);
-    if (old && !result)
-        *old = (struct wide_interval){{old_value.it_interval.tv_sec, old_value.it_interval.tv_usec},
-                                      {old_value.it_value.tv_sec, old_value.it_value.tv_usec}};
-    return result;
+/* C11: -1 after a signal handler, below -1 after another error. */
+int thrd_sleep(const struct timespec *requested, struct timespec *left) {
+    int error = simulated ? sleep_for(RELATIVE, requested, left) : 0;
+    return !simulated ? REAL(thrd_sleep)(requested, left) : error ? (error == EINTR ? -1 : -2) : 0;
 }
-
-int __getitimer64(__itimer_which_t which, struct wide_interval *value) {
-    struct itimerval narrow_value;
-    int result = getitimer(which, &narrow_value);
-    *value = (struct wide_interval){{narrow_value.it_interval.tv_sec, narrow_value.it_interval.tv_usec},
-                                    {narrow_value.it_value.tv_sec, narrow_value.it_value.tv_usec}};
-    return result;
-}
-
-#endif
