@@ -22,6 +22,7 @@ CHECKS = {
     "worker-kills": "worker_kills",
     "signals": "signals",
     "pyserial": "pyserial_suite",
+    "mutants": "mutants.command",
 }
 """Module of each name."""
 

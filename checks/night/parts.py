@@ -129,7 +129,7 @@ def single_run(
     alone: bool = False,
 ) -> Part:
     """Return a part that runs as a whole, once."""
-    pattern = r"^(?:\d+ passed|\d+ tests, \d+ failed|\d+ of \d+ mutants caught|TOTAL )"
+    pattern = r"^(?:\d+ passed|\d+ tests, \d+ failed|\d+ of \d+ mutants caught|seed \d+: \d+ of|TOTAL )"
     return Part(name, description, "runs", 1, 1, words, pattern, figures, variables=variables, alone=alone)
 
 
@@ -233,6 +233,13 @@ PARTS = (
         "broken builds, which the simulation must catch",
         "-m checks simulate mutants --jobs {cores}",
         figures=r"^\d+ of \d+ mutants .*$",
+        alone=True,
+    ),
+    single_run(
+        "faults",
+        "random faults of one line in the product, which its tests must see",
+        "-m checks mutants --count 100 --jobs {cores}",
+        figures=r"^seed \d+: .* mutants killed$",
         alone=True,
     ),
     kills_part("serve", "served twins killed at random times, their logs recovered", 200, 50),

@@ -152,6 +152,7 @@ OUTPUTS = {
     "long-tests": (".....\n5 passed, 3 skipped in 100.1s", 1),
     "pyserial": ("test 20 tests, 3 failed\n71 tests, 5 failed, 5 known to", 1),
     "mutants": ("a: replies, seed 3, 20 s, 1 faults\n74 of 74 mutants caught, with 5 faults or fewer", 1),
+    "faults": ("khep_twin/a.py:3: result None, 2 tests\nseed 1: 95 of 100 mutants killed", 1),
     "coverage": ("Name  Stmts\nkhep_twin/log/a.py  10\nTOTAL   3000   300   90%", 1),
 }
 """Outputs of the tools, and their counts."""
