@@ -17,6 +17,7 @@ with everything by MuJoCo's filter.
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import mujoco
@@ -25,6 +26,7 @@ from khep_twin import units
 from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, Wall
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle, overlap
 from khep_twin.playpen.merge import merge_blocks
+from khep_twin.playpen.parts import Obstacle
 from khep_twin.playpen.polygon import walls_around
 from khep_twin.playpen.stripes import Panel, panels, panels_within
 from khep_twin.playpen.surfaces import Surface
@@ -78,18 +80,20 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     spec.nuser_site = 1
     _set_options(
         spec,
-        any(item.movable for items in playpen.objects.values() for item in items),
+        any(item.movable for item in chain(*playpen.obstacles.values())),
         n_robots=len(playpen.robots),
     )
     obstacles, grounds = _add_arena(spec, playpen), ["floor"]
     if playpen.arena.table:
         grounds.append(_add_lower_ground(spec))
-    for kind, items in playpen.objects.items():
-        for index, item in merge_blocks(playpen.blocks) if kind == "block" else enumerate(items):
-            name = _add_object(spec, playpen, f"{kind}{index}", item)
-            (grounds if isinstance(item, Block) and item.ramp else obstacles).append(name)
-    for index, wall in enumerate(playpen.walls):
-        obstacles += _add_wall(spec, playpen, f"wall{index}", wall)
+    for kind, items in playpen.obstacles.items():
+        for index, item in merge_blocks(items):
+            name = f"{kind}{index}"
+            if isinstance(item, Wall):
+                obstacles += _add_wall(spec, playpen, name, item)
+            else:
+                _add_object(spec, playpen, name, item)
+                (grounds if isinstance(item, Block) and item.ramp else obstacles).append(name)
     for index, patch in enumerate(playpen.patches):
         _add_patch(spec, playpen, index, patch)
     for index, lamp in enumerate(playpen.lamps):
@@ -252,7 +256,7 @@ def _add_lower_ground(spec: mujoco.MjSpec) -> str:
     return "ground"
 
 
-def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | Cylinder) -> str:
+def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | Cylinder) -> None:
     shape, height = item.footprint, units.metres(item.height_mm)
     if item.movable:
         body = spec.worldbody.add_body(name=name, **_pose(shape, height))
@@ -268,7 +272,6 @@ def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | 
     _paint(geom, playpen, item, item.movable)
     if isinstance(item, Block) and item.ramp:
         _make_ramp(geom, item)
-    return name
 
 
 def _make_ramp(geom: mujoco.MjsGeom, block: Block) -> None:
@@ -329,9 +332,7 @@ def _pose(shape: Footprint, height: float) -> dict[str, Any]:
     return {"pos": position, "quat": [math.cos(half), 0, 0, math.sin(half)]}
 
 
-def _paint(
-    geom: mujoco.MjsGeom, playpen: Playpen, part: Arena | Block | Cylinder | Wall | Patch, movable: bool
-) -> None:
+def _paint(geom: mujoco.MjsGeom, playpen: Playpen, part: Arena | Obstacle | Patch, movable: bool) -> None:
     """Set colour, reflectance, conductance and contacts of a geom, by the surface of its part."""
     surface = playpen.surface(part.surface)
     reflectance = surface.reflectance if isinstance(part, Patch) else playpen.reflectance(part)

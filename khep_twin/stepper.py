@@ -116,11 +116,16 @@ class Stepper:
         if state.simulation.steps != steps or len(state.robots) != len(self.robots):
             counts = f"{state.simulation.steps} steps of {len(state.robots)} robots at {state.time_ns} ns"
             raise ValueError(f"{counts}; expected {steps} of {len(self.robots)}")
+        if state.simulation.phase != step.Phase.DONE and not state.failure:
+            raise ValueError(f"phase {state.simulation.phase} of a step; expected {int(step.Phase.DONE)}")
         self._simulation.set_state(state.simulation)
         self._world.time_ns = state.time_ns
         self.failure = DivergedError(state.failure) if state.failure else None
         for robot, robot_state in zip(self.robots, state.robots, strict=True):
-            robot.set_state(robot_state)
+            try:
+                robot.set_state(robot_state)
+            except ValueError as error:
+                raise ValueError(f"robot {robot.index}: {error}") from None
         self._update_fault_time()
 
     def _advance_to(self, time_ns: int) -> None:

@@ -98,11 +98,13 @@ def test_each_path_on_the_map_exists() -> None:
     assert set(re.findall(r"`(\w+\.(?:py|js))`", MAP.read_text())) - files == {"protocol_NAME.py"}
 
 
-def test_the_map_has_all_readers_of_walls() -> None:
-    row = next(row for row in MAP.read_text().splitlines() if row.startswith("| walls"))
-    pattern = re.compile(r"\b(?:playpen|self)\.walls\b")
+def test_the_map_has_all_readers_of_obstacles() -> None:
+    row = next(row for row in MAP.read_text().splitlines() if row.startswith("| walls and objects"))
+    pattern = re.compile(r"\b(?:playpen|self)\.obstacles\.(?:items|values)\(|\*\*playpen\.obstacles\b")
     modules = (ROOT / "khep_twin").rglob("*.py")
     counts = {path.relative_to(ROOT).as_posix(): len(pattern.findall(path.read_text())) for path in modules}
     readers = {path: count for path, count in counts.items() if count}
     assert set(re.findall(r"`(khep_twin/[^`]*)`", row)) == readers.keys()
     assert f"{sum(readers.values())} places" in row
+    walls = [path for path in readers if re.search(r"\bplaypen\.walls\b", (ROOT / path).read_text())]
+    assert not walls

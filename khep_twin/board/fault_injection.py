@@ -209,7 +209,10 @@ class Injector:
         Raises:
             ValueError: The state contains a fault that is not injected here.
         """
-        if unknown := [text for text in state.streams if text not in self._rngs]:
+        timed = {fault.text for fault in self._timed} & state.streams.keys()
+        unknown = [text for text in state.streams if text not in self._rngs]
+        unknown += [text for text in (*state.waiting, *state.active) if text not in timed]
+        if unknown:
             raise ValueError(f"fault {unknown[0]!r}; {choices(unknown[0], self._rngs)}")
         for text, stream in state.streams.items():
             resume(self._rngs[text], stream)

@@ -7,6 +7,8 @@ robot's ambient light sensors (`sensors`) use the same light, with their directi
 Ignored are light reflected from walls and objects, and the shadows of robots.
 """
 
+from itertools import chain
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,8 +26,8 @@ Floats = NDArray[np.float64]
 
 def illumination(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
     """Return the light at points x, y of a playpen, in the shape of these arrays [W/mm^2]."""
-    objects = [(item.footprint, item.height_mm) for items in playpen.objects.values() for item in items]
-    objects += [(shape, wall.height_mm) for wall in playpen.walls for shape in wall.footprints]
+    obstacles = chain(*playpen.obstacles.values())
+    objects = [(shape, item.height_mm) for item in obstacles for shape in item.footprints]
     if len(playpen.lamps) * len(objects) > SHADOW_LIMIT:
         objects = []
     light = np.zeros(x_mm.shape)

@@ -45,7 +45,7 @@ from khep_twin.drawing.symbols import (
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.drawings import write_drawing
 from khep_twin.files.paths import StrPath
-from khep_twin.playpen import Playpen, PlaypenLike
+from khep_twin.playpen import Playpen, PlaypenLike, Wall
 from khep_twin.units import BODY_RADIUS
 
 POINT_LIMIT = 20_000
@@ -119,10 +119,11 @@ def draw(
         draw_arena(axes, playpen)
         for patch in playpen.patches:
             draw_patch(axes, playpen, patch)
-        for wall in playpen.walls:
-            draw_wall(axes, playpen, wall)
-        for item in chain(*playpen.objects.values()):
-            draw_object(axes, playpen, item)
+        for item in chain(*playpen.obstacles.values()):
+            if isinstance(item, Wall):
+                draw_wall(axes, playpen, item)
+            else:
+                draw_object(axes, playpen, item)
         draw_stripes(axes, playpen)
         for spot in playpen.spots:
             draw_spot(axes, labels, spot)
@@ -272,9 +273,9 @@ def _draw_time_scale(figure: Figure, axes: Axes, time_scale: Normalize) -> None:
 
 
 def _legend(playpen: Playpen, colours: Mapping[str, str], has_paths: bool) -> Iterator[Line2D | Patch]:
-    objects = list(chain(*playpen.objects.values()))
-    painted = (*objects, *playpen.walls, *playpen.patches)
-    striped = (playpen.arena, *objects, *playpen.walls)
+    obstacles = list(chain(*playpen.obstacles.values()))
+    painted = (*obstacles, *playpen.patches)
+    striped = (playpen.arena, *obstacles)
     stripes = (surface for part in striped for _, surface in part.stripes)
     surfaces = (
         *([] if playpen.arena.table else [playpen.arena.surface]),
@@ -283,7 +284,7 @@ def _legend(playpen: Playpen, colours: Mapping[str, str], has_paths: bool) -> It
     )
     for surface in dict.fromkeys(surfaces):
         yield Patch(label=surface, **surface_look(playpen, surface, movable=False))
-    if any(item.movable for item in objects):
+    if any(item.movable for item in obstacles):
         yield Patch(label="movable", **surface_look(playpen, "white", movable=True))
     if len(playpen.lamps) > 1 and playpen.lighting.mode != "all":
         order = "in sequence" if playpen.lighting.mode == "sequenced" else "at random"

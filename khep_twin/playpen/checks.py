@@ -9,7 +9,15 @@ from khep_twin.board.turrets import find_turrets
 from khep_twin.errors import Location, PlaypenError, Problem, TurretError
 from khep_twin.playpen.footprint import find_overhangs, overlap
 from khep_twin.playpen.overlap import PlacedPart, centre_problems, part_label, placement_problems
-from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, RobotEntry, Spot
+from khep_twin.playpen.parts import (
+    BULB_RADIUS_MM,
+    MODEL_ROMS,
+    MODELS,
+    SHORTEST_BLINK_S,
+    RobotEntry,
+    Spot,
+    Wall,
+)
 from khep_twin.playpen.polygon import edges
 from khep_twin.playpen.stripes import PANEL_LIMIT, Stripe
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
@@ -187,7 +195,7 @@ def _surface_problems(playpen: PlaypenTables) -> Iterator[Problem]:
             yield Problem.of(("surfaces", name), f"surfaces {name}: built in", expected)
     surfaces = {**BUILT_IN_SURFACES, **playpen.surfaces}
     references: list[tuple[Location, str, str]] = [(("arena",), "arena", playpen.arena.surface)]
-    for kind, items in {**playpen.objects, "wall": playpen.walls, "patch": playpen.patches}.items():
+    for kind, items in {**playpen.obstacles, "patch": playpen.patches}.items():
         for index, item in enumerate(items):
             references.append(((kind, index), part_label(kind, index + 1, item.name), item.surface))
     for location, name, surface in references:
@@ -200,7 +208,7 @@ def _surface_problems(playpen: PlaypenTables) -> Iterator[Problem]:
 def _stripe_problems(playpen: PlaypenTables, surfaces: tuple[str, ...]) -> Iterator[Problem]:
     """Yield stripes of unknown surfaces, and an excessive number of panels."""
     patterns: list[tuple[Location, str, Sequence[Stripe]]] = [(("arena",), "arena", playpen.arena.stripes)]
-    for kind, items in {**playpen.objects, "wall": playpen.walls}.items():
+    for kind, items in playpen.obstacles.items():
         for index, item in enumerate(items):
             patterns.append(((kind, index), part_label(kind, index + 1, item.name), item.stripes))
     for location, name, stripes in patterns:
@@ -213,8 +221,14 @@ def _stripe_problems(playpen: PlaypenTables, surfaces: tuple[str, ...]) -> Itera
 
 
 def _wall_problems(playpen: PlaypenTables) -> Iterator[Problem]:
-    for index, wall in enumerate(playpen.walls):
-        name, location = part_label("wall", index + 1, wall.name), ("wall", index, "points_mm")
+    walls = [
+        (kind, index, item)
+        for kind, items in playpen.obstacles.items()
+        for index, item in enumerate(items)
+        if isinstance(item, Wall)
+    ]
+    for kind, index, wall in walls:
+        name, location = part_label(kind, index + 1, wall.name), (kind, index, "points_mm")
         for number, (x_mm, y_mm) in enumerate(wall.points_mm, 1):
             for value, limit in ((x_mm, playpen.arena.width_mm), (y_mm, playpen.arena.height_mm)):
                 if value > limit:
@@ -282,10 +296,10 @@ def _robot_problems(playpen: PlaypenTables) -> Iterator[Problem]:
 
 def find_unfit_keys(robot: RobotEntry) -> Iterator[tuple[str, object, str]]:
     """Yield keys of a robot that do not fit its model: key, value and expected values."""
-    default_rom = MODELS[robot.model]["rom"]
-    if (robot.rom == "kh4server") != (default_rom == "kh4server"):
-        yield "rom", robot.rom, default_rom if default_rom == "kh4server" else "that of a Khepera"
-    if default_rom == "kh4server" and robot.turrets:
+    roms = MODEL_ROMS[robot.model]
+    if robot.rom not in roms:
+        yield "rom", robot.rom, " or ".join(roms)
+    if robot.turrets and not robot.body.in_core:
         yield "turrets", [*robot.turrets], "none"
 
 
@@ -302,12 +316,10 @@ def _name_problems(playpen: PlaypenTables) -> Iterator[Problem]:
 
 def placed_parts(playpen: PlaypenTables) -> Iterator[PlacedPart]:
     """Yield all parts of a playpen that take up room, and its spots."""
-    for kind, items in playpen.objects.items():
+    for kind, items in playpen.obstacles.items():
         for number, item in enumerate(items, 1):
-            yield PlacedPart(kind, number, item.name, item.footprint, 0, item.height_mm, item.movable)
-    for number, wall in enumerate(playpen.walls, 1):
-        for footprint in wall.footprints:
-            yield PlacedPart("wall", number, wall.name, footprint, 0, wall.height_mm, False)
+            for footprint in item.footprints:
+                yield PlacedPart(kind, number, item.name, footprint, 0, item.height_mm, item.movable)
     for number, item in enumerate(playpen.lamps, 1):
         low_mm, high_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
         yield PlacedPart("lamp", number, item.name, item.footprint, low_mm, high_mm, False)

@@ -4,28 +4,28 @@ import math
 from collections.abc import Sequence
 from itertools import groupby
 
-from khep_twin.playpen.parts import Block
+from khep_twin.playpen.parts import Block, Obstacle
 
 _DECIMALS = 6
 """Decimals of a millimetre and of a degree to which coordinates are compared."""
 
 
-def merge_blocks(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
-    """Merge adjoining blocks; return each with the lowest of its numbers.
+def merge_blocks(obstacles: Sequence[Obstacle]) -> list[tuple[int, Obstacle]]:
+    """Merge adjoining blocks; return each obstacle with the lowest of its numbers.
 
     Blocks are merged if they touch or overlap along one axis, are equally thick across it, and have the same
     angle, height and surface. Movable blocks, ramps, and blocks with names or stripes are not merged.
     """
-    numbered = list(enumerate(blocks))
-    candidates = [(number, block) for number, block in numbered if not _is_unmergeable(block)]
-    unmergeable = [(number, block) for number, block in numbered if _is_unmergeable(block)]
+    candidates: list[tuple[int, Block]] = []
+    unmergeable: list[tuple[int, Obstacle]] = []
+    for number, item in enumerate(obstacles):
+        if not isinstance(item, Block) or item.movable or item.name or item.stripes or item.ramp:
+            unmergeable.append((number, item))
+        else:
+            candidates.append((number, item))
     for lengthwise in (True, False):
         candidates = _merge_along(candidates, lengthwise)
     return sorted([*candidates, *unmergeable], key=lambda item: item[0])
-
-
-def _is_unmergeable(block: Block) -> bool:
-    return bool(block.movable or block.name or block.stripes or block.ramp)
 
 
 def _merge_along(blocks: list[tuple[int, Block]], lengthwise: bool) -> list[tuple[int, Block]]:

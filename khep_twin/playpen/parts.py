@@ -125,6 +125,11 @@ class Wall(TomlTable):
     stripes: Stripes = ()
 
     @property
+    def movable(self) -> bool:
+        """False, as walls are fixed."""
+        return False
+
+    @property
     def footprints(self) -> tuple[Footprint, ...]:
         """Areas of the floor that it covers, piece by piece."""
         return tuple(wall_pieces(self.points_mm, self.thickness_mm, closed=self.closed))
@@ -192,6 +197,11 @@ class Block(TomlTable):
         """Area of the floor that it covers."""
         return Rectangle(self.x_mm, self.y_mm, self.length_mm, self.width_mm, self.angle_deg)
 
+    @property
+    def footprints(self) -> tuple[Footprint, ...]:
+        """Area of the floor that it covers, in one piece."""
+        return (self.footprint,)
+
 
 class Cylinder(TomlTable):
     """An upright cylinder on the floor. `mass_g` applies if it is movable.
@@ -219,6 +229,15 @@ class Cylinder(TomlTable):
     def footprint(self) -> Circle:
         """Area of the floor that it covers."""
         return Circle(self.x_mm, self.y_mm, self.radius_mm)
+
+    @property
+    def footprints(self) -> tuple[Footprint, ...]:
+        """Area of the floor that it covers, in one piece."""
+        return (self.footprint,)
+
+
+Obstacle = Block | Cylinder | Wall
+"""A part that stands on the floor."""
 
 
 class Lamp(TomlTable):
@@ -300,10 +319,15 @@ class RadioChannel(TomlTable):
     air_time_ms: Annotated[float, Field(gt=0, le=10_000)] = 30.0
 
 
+MODEL_ROMS: Mapping[str, tuple[str, ...]] = {
+    "khepera1": ("5.02", "4.06", "khepera2"),
+    "khepera2": ("khepera2", "5.02", "4.06"),
+    "khepera4": ("kh4server",),
+}
+"""Firmware versions of each model of the robot, the default first."""
+
 MODELS: Mapping[str, Mapping[str, str]] = {
-    "khepera1": {"calibration": "khepera1", "rom": "5.02"},
-    "khepera2": {"calibration": "khepera2", "rom": "khepera2"},
-    "khepera4": {"calibration": "khepera4", "rom": "kh4server"},
+    model: {"calibration": model, "rom": roms[0]} for model, roms in MODEL_ROMS.items()
 }
 """Default sensors and firmware of each model of the robot."""
 

@@ -1,7 +1,8 @@
 """Tables of a playpen file: its parts by kind, each validated separately."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated
+from itertools import chain
+from typing import Annotated, Any, get_args
 
 from pydantic import Field
 
@@ -12,6 +13,7 @@ from khep_twin.playpen.parts import (
     Cylinder,
     Lamp,
     Lighting,
+    Obstacle,
     Patch,
     RadioChannel,
     RobotEntry,
@@ -40,23 +42,26 @@ class PlaypenTables(TomlTable):
     robots: Annotated[tuple[RobotEntry, ...], Field(alias="robot")] = ()
 
     @property
-    def tables(self) -> dict[str, tuple[Block | Cylinder | Wall | Patch | Lamp | Spot | RobotEntry, ...]]:
+    def tables(self) -> dict[str, tuple[Obstacle | Patch | Lamp | Spot | RobotEntry, ...]]:
         """Parts by kind, as their tables are named."""
-        return {
-            **self.objects,
-            "wall": self.walls,
-            "patch": self.patches,
-            "lamp": self.lamps,
-            "spot": self.spots,
-            "robot": self.robots,
-        }
+        return self._tables_of(object)
+
+    @property
+    def obstacles(self) -> dict[str, tuple[Obstacle, ...]]:
+        """Walls and objects on the floor, by the name of their table."""
+        return self._tables_of(Block, Cylinder, Wall)
 
     @property
     def objects(self) -> dict[str, tuple[Block | Cylinder, ...]]:
         """Objects that stand on the floor, by the name of their table."""
+        return self._tables_of(Block, Cylinder)
+
+    def _tables_of(self, *types: type) -> dict[str, Any]:
+        """Return the parts of these types, by the name of their table."""
         return {
-            "block": self.blocks,
-            "cylinder": self.cylinders,
+            field.alias: getattr(self, name)
+            for name, field in type(self).model_fields.items()
+            if field.alias and issubclass(get_args(field.annotation)[0], types)
         }
 
     @property
@@ -68,7 +73,7 @@ class PlaypenTables(TomlTable):
         """Return the surface of a name, built-in or defined in this playpen."""
         return BUILT_IN_SURFACES.get(name) or self.surfaces[name]
 
-    def reflectance(self, part: Arena | Block | Cylinder | Wall) -> float:
+    def reflectance(self, part: Arena | Obstacle) -> float:
         """Return the infrared reflectance of a part, or the mean over its stripes."""
         if not part.stripes:
             return self.surface(part.surface).reflectance
@@ -80,9 +85,6 @@ class PlaypenTables(TomlTable):
     def panels(self) -> Iterator[Panel]:
         """Panels of all stripes, seen from above."""
         yield from panels_within(self.arena.corners, self.arena.stripes)
-        for wall in self.walls:
-            for shape in wall.footprints:
-                yield from panels(shape, wall.stripes)
-        for items in self.objects.values():
-            for item in items:
-                yield from panels(item.footprint, item.stripes)
+        for item in chain(*self.obstacles.values()):
+            for shape in item.footprints:
+                yield from panels(shape, item.stripes)

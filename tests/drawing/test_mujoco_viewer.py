@@ -64,7 +64,7 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
 
     pytest.importorskip("mujoco.viewer")
     monkeypatch.setattr("mujoco.viewer.launch_passive", launch)
-    monkeypatch.setattr(mujoco_viewer, "_check_screen", lambda: None)
+    monkeypatch.setattr(mujoco_viewer, "check_screen", lambda *_: None)
     monkeypatch.setattr(mujoco_viewer, "FRAME_NS", 0)
     return opened
 

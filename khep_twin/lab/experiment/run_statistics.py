@@ -6,6 +6,7 @@ that the jitter of a counter or of a body at rest does not accumulate.
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,9 +193,9 @@ def clearance(positions: Floats, playpen: Playpen) -> Floats:
     """Return the distances of points (n, 2) [m] from walls and fixed objects (n,) [m]; below 0 inside one."""
     arena = playpen.arena
     shapes: list[Footprint] = [] if arena.table else [*walls_around(arena.corners, arena.wall_thickness_mm)]
-    shapes += [shape for wall in playpen.walls for shape in wall.footprints]
-    fixed_objects = (item for items in playpen.objects.values() for item in items if not item.movable)
-    shapes += [item.footprint for item in fixed_objects if not (isinstance(item, Block) and item.ramp)]
+    for item in chain(*playpen.obstacles.values()):
+        if not (item.movable or (isinstance(item, Block) and item.ramp)):
+            shapes += item.footprints
     nearest = np.full(len(positions), np.inf)
     for shape in shapes:
         np.minimum(nearest, _signed_distances(positions, shape), out=nearest)

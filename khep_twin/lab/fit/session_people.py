@@ -96,7 +96,7 @@ class SimulatedPerson:
         self._twin, self._ruler, self._show = twin, ruler, show
         self._rng = stream(twin.options.seed, "calibrate", "person")
         arena, playpen = twin.world.playpen.arena, twin.world.playpen
-        n_objects = sum(map(len, playpen.objects.values())) + len(playpen.walls) + len(playpen.robots) - 1
+        n_objects = sum(map(len, playpen.obstacles.values())) + len(playpen.robots) - 1
         self._model = playpen.robots[twin.robot.index].model
         self._width_mm, self._height_mm = arena.width_mm, arena.height_mm
         problems = {
