@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from khep_twin.khepera4.programs import RobotProgram
     from khep_twin.ports.twin import Twin
 
-CFLAGS = "-fcommon -funsigned-char -fno-pie -no-pie"
+HEADERS = Path(__file__).parents[1] / "assets" / "khepera4" / "include"
+"""Folder of a header that the published copies of K-Team's library lack."""
+
+CFLAGS = ["-fcommon", "-funsigned-char", "-fno-pie", "-no-pie", f"-I{HEADERS}"]
 """Options of `cc` for K-Team's library and its programs: the library stores pointers in 32 bits and defines
 variables in its headers; the robot's `char` is unsigned."""
 
@@ -32,7 +35,7 @@ class ProgramClock(StrEnum):
 
 def _show_cflags(value: bool) -> None:
     if value:
-        typer.echo(CFLAGS)
+        typer.echo(shlex.join(CFLAGS))
         raise typer.Exit
 
 

@@ -82,7 +82,8 @@ class RobotOptions:
     model: Annotated[
         str | None,
         typer.Option(
-            help="Model of the robot, khepera1 or khepera2: body, sensors and, without --rom, firmware."
+            help="Model of the robot, khepera1, khepera2 or khepera4: body, sensors and, without --rom, "
+            "firmware."
         ),
     ] = None
     battery_used_min: Annotated[

@@ -62,6 +62,9 @@ class DeviceServer:
         paths: Path of each machine's socket, which must not exist.
         clock: Function that returns real time [ns]; None for simulated time.
         on_wall_clock: Function that is called when simulated time first passes with the wall clock.
+
+    Attributes:
+        clients: Numbers of all processes that have connected.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class DeviceServer:
     ) -> None:
         self._machines = machines
         self._clock = clock
+        self.clients: set[int] = set()
         self._selector = selectors.DefaultSelector()
         self._listeners: dict[socket.socket, int] = {}
         for index, path in enumerate(paths):
@@ -120,6 +124,7 @@ class DeviceServer:
                 peer.settimeout(_RECEIVE_TIMEOUT_S)
                 credentials = peer.getsockopt(socket.SOL_SOCKET, _PEER_CREDENTIALS, 4)
                 process = int.from_bytes(credentials, sys.byteorder)
+                self.clients.add(process)
                 self._connections[peer] = ThreadConnection(peer, self._listeners[ready_socket], process)
                 self._selector.register(peer, selectors.EVENT_READ)
             elif not self._receive(self._connections[ready_socket]):

@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.device_server import DeviceServer
+from khep_twin.khepera4.executable import Executable, check_executable, check_preload
 from khep_twin.khepera4.machine import Machine
 from khep_twin.khepera4.scheduler import NEVER_NS
 
@@ -76,13 +77,17 @@ def run_programs(
         programs: Programs, on machines that share one time.
         simulated: Whether their time is simulated; otherwise it is the time of this computer.
         until_ns: Time at which running programs get SIGTERM, and SIGKILL `TERMINATE_S` later [ns].
-        on_wall_clock: Function that is called when simulated time first passes with the wall clock: all threads
-            wait for another program or a key.
+        on_wall_clock: Function that is called when simulated time first passes with the wall clock, as all
+            threads wait for another program or a key.
 
     Raises:
         KhepTwinError: A program cannot be started, or there is no C compiler.
     """
-    libraries = [_find_preload_library(program.arguments[0]) for program in programs]
+    executables = [check_executable(program.arguments[0]) for program in programs]
+    libraries = [
+        _find_preload_library(program.arguments[0], executable)
+        for program, executable in zip(programs, executables, strict=True)
+    ]
     # The loader splits its list of libraries at spaces and colons, and sockets have short paths.
     parent_folder = tempfile.gettempdir()
     parent_folder = "/tmp" if len(parent_folder) > 60 or set(parent_folder) & set(" :") else parent_folder
@@ -99,7 +104,7 @@ def run_programs(
             stack.enter_context(_pin_to_one_processor())
         processes: list[subprocess.Popen[bytes]] = []
         stack.callback(_kill, processes)
-        for program, library, path in zip(programs, libraries, paths, strict=True):
+        for program, executable, library, path in zip(programs, executables, libraries, paths, strict=True):
             link = path.with_suffix(".so")
             link.symlink_to(library)
             environment = {
@@ -109,6 +114,8 @@ def run_programs(
                 "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
                 "KHEP_TWIN_ETC": str(_write_configuration(path.with_suffix(".etc"), program.robot_id)),
             }
+            if executable is not None:
+                check_preload(program.arguments[0], executable.loader, link, os.environ | environment)
             try:
                 processes.append(subprocess.Popen([*program.arguments], env=os.environ | environment))
             except OSError as error:
@@ -127,12 +134,18 @@ def run_programs(
         _kill(processes)
         server.close()
         _kill_orphans(live_ids - {*process_ids})
+        for program, process in zip(programs, processes, strict=True):
+            if process.returncode >= 0 and process.pid not in server.clients:
+                raise KhepTwinError(
+                    f"{program.arguments[0]}: ended with code {process.returncode} and never loaded the "
+                    "preload library; expected a program that loads it"
+                )
     return [process.returncode for process in processes]
 
 
-def _find_preload_library(program: str) -> Path:
+def _find_preload_library(program: str, executable: Executable | None) -> Path:
     """Return the preload library for a program's word size."""
-    if word_size(program) == 64:
+    if executable is None or executable.bits == 64:
         return preload_library()
     try:
         return preload_library(32)
@@ -166,23 +179,6 @@ def _kill_orphans(process_ids: set[int]) -> None:
     for orphan in process_ids:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(orphan, signal.SIGKILL)
-
-
-def word_size(program: str) -> int:
-    """Return the word size of a program [bits], 64 if it is unknown."""
-    for _ in range(5):  # a script, its interpreter's script and so on
-        try:
-            with open(shutil.which(program) or program, "rb") as file:
-                first_bytes = file.read(256)
-        except OSError:
-            return 64
-        if not first_bytes.startswith(b"#!"):
-            return 32 if first_bytes[:5] == b"\x7fELF\x01" else 64
-        words = first_bytes[2:].partition(b"\n")[0].decode(errors="replace").split()
-        if len(words) > 1 and words[0].endswith("/env"):
-            words = words[1:]
-        program = words[0] if words else ""
-    return 64
 
 
 @contextlib.contextmanager
@@ -236,7 +232,7 @@ def preload_library(bits: int = 64) -> Path:
     """
     if sys.platform != "linux":
         raise KhepTwinError(f"programs of a Khepera IV on {sys.platform}; expected Linux")
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "khep_twin"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "khep_twin"
     sources = sorted(SOURCES.glob("shim*"))
     content = b"".join(source.read_bytes() for source in sources)
     library_path = cache / f"khepera4-{bits}-{hashlib.sha256(content).hexdigest()[:14]}.so"

@@ -18,8 +18,8 @@ is a word of a program's memory on which threads wait for each other; they queue
               | pending                                               | fast as it computes, not deterministic
     external  | all wait, and the first is due never, or waits for a  | they wait for a key or the network:
               | socket until a time-out                               | time passes with the wall clock
-    begin     | the external rule applies once such waits of more     | a wait for the kernel, which is short,
-              | than `SHORT_WAIT_S` have lasted `EXTERNAL_WAIT_S`     | does not count
+    begin     | external waits of more than `SHORT_WAIT_S` count once | a wait for the kernel is short, and
+              | they have lasted `EXTERNAL_WAIT_S` in all             | does not count
     busy      | a thread computes or writes, and none requests, for   | it may never end: time passes with the
               | `BUSY_S`                                              | wall clock
 """
@@ -131,17 +131,23 @@ class Scheduler:
         start_ns, start_cpu_ns = 0, -1  # of a computation; -1 while all wait
         while self.machine.time_ns < end_ns and not should_stop():
             pending = [connection for connection in self.connections if connection.is_pending]
-            due = min(pending, key=attrgetter("due_ns", "ticket", "robot", "thread"), default=None)
-            if due is not None and due.due_ns == NEVER_NS:
-                due = None
+            key = attrgetter("due_ns", "ticket", "robot", "thread")
+            connection = min(pending, key=key, default=None)
+            if connection is not None and connection.due_ns == NEVER_NS:
+                connection = None
             if self.clock is not None:
-                if not self.poll(0.0 if due else _POLL_S):
-                    self._serve(due, end_ns) if due else self.machine.advance_to(self.clock())
+                if self.poll(0.0 if connection else _POLL_S):
+                    continue
+                if connection is None:
+                    self.machine.advance_to(self.clock())
+                else:
+                    self._serve(connection, end_ns)
                 continue
             all_wait = self._all_wait(watch, pending)
-            if due is None or (all_wait and due.is_external and due.due_ns > self.machine.time_ns):
-                is_external = all_wait and (due is not None or watch.is_external())
-                self._wait(is_external, end_ns if due is None else min(due.due_ns, end_ns))
+            due_ns = NEVER_NS if connection is None else connection.due_ns
+            if connection is None or (all_wait and connection.is_external and due_ns > self.machine.time_ns):
+                is_external = all_wait and (connection is not None or watch.is_external())
+                self._wait(is_external, min(due_ns, end_ns))
                 continue
             self._wall_wait = None
             if all_wait:
@@ -152,10 +158,10 @@ class Scheduler:
                 if start_cpu_ns < 0:
                     start_ns, start_cpu_ns = self.machine.time_ns, watch.cpu_ns()
                 spent_ns = watch.cpu_ns() - start_cpu_ns
-                if spent_ns < PATIENCE_S * 1e9 or due.due_ns > start_ns + spent_ns:
+                if spent_ns < PATIENCE_S * 1e9 or due_ns > start_ns + spent_ns:
                     self.poll(0.0001)
                     continue
-            self._serve(due, end_ns)
+            self._serve(connection, end_ns)
             os.sched_yield()  # to the thread with the reply, which mostly sends its next request
             self.poll(0.0)
 

@@ -1,8 +1,9 @@
 """Detection of waiting threads of the robots' programs, by the Linux kernel's files in /proc.
 
 A thread waits if /proc/PROCESS/task/THREAD/stat reports a sleep (S), a stop (T, or t by a debugger) or its
-end (Z, X). It may wait for a lock, another thread, a key or any other system call. A second file changes whenever
-the thread runs: two equal readings of it for all threads prove that all waited simultaneously in between.
+end (Z, X). It may wait for a lock, another thread, a key or any other system call. A second file changes
+whenever the thread runs: two equal readings of it for all threads prove that all waited simultaneously in
+between.
 """
 
 import contextlib

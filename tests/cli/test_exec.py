@@ -27,7 +27,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("programs")
     for name in ("drive", "threads", "forever"):
         source = PROGRAMS / f"{name}.c"
-        subprocess.run(["cc", *CFLAGS.split(), "-o", folder / name, source, "-lpthread"], check=True)
+        subprocess.run(["cc", *CFLAGS, "-o", folder / name, source, "-lpthread"], check=True)
     return folder
 
 

@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-import struct
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ import pytest
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.machine import CHARGER_PIN, Machine
-from khep_twin.khepera4.programs import RobotProgram, run_programs, word_size
+from khep_twin.khepera4.programs import RobotProgram, run_programs
 from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
@@ -223,29 +222,6 @@ def test_a_signal_that_ends_the_twin_is_forwarded_to_the_program(
         "print(run_program(sys.argv[1:], own))\n"
     )
     assert python(source, programs / "ends", how).stdout == output
-
-
-def test_the_word_size_of_a_program_is_that_of_its_interpreter(tmp_path: Path) -> None:
-    (tmp_path / "old").write_bytes(b"\x7fELF\x01\x01")
-    (tmp_path / "script").write_text(f"#!{tmp_path / 'old'} -x\n")
-    (tmp_path / "loop").write_text(f"#!{tmp_path / 'loop'}\n")
-    names = ("script", "loop", "none")
-    assert [word_size(str(tmp_path / name)) for name in names] == [32, 64, 64]
-    assert word_size("sh") == 8 * struct.calcsize("P")
-
-
-def test_a_32_bit_program_without_a_compiler_is_a_one_line_error(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    program, compiler = tmp_path / "old", tmp_path / "cc"
-    program.write_bytes(b"\x7fELF\x01\x01")
-    compiler.write_text("#!/bin/sh\nexit 1\n")
-    compiler.chmod(0o755)
-    monkeypatch.setenv("CC", str(compiler))
-    with pytest.raises(
-        KhepTwinError, match=r"old: a program of 32 bits.*; expected gcc-multilib \(Debian: apt install"
-    ):
-        run_program([str(program)], machine())
 
 
 def test_pins_reset_the_dspic_and_report_the_charger(

@@ -100,10 +100,8 @@ __attribute__((constructor)) static void initialize(void) {
     simulated = clock && !strcmp(clock, "simulated");
     pthread_key_create(&thread_end, disconnect);
     pthread_atfork(NULL, NULL, start_child);
-    if (!simulated)
-        return;
-    /* All threads share one processor; with SCHED_BATCH a woken thread does not preempt the running one. */
-    sched_setscheduler(0, SCHED_BATCH, &(struct sched_param){0});
+    if (simulated) /* all threads share one processor: a woken one does not preempt the running one */
+        sched_setscheduler(0, SCHED_BATCH, &(struct sched_param){0});
     say_hello();
 }
 

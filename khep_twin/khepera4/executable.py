@@ -1,0 +1,217 @@
+"""Executable files: for which computer they were compiled, and obstacles to a preload library in them.
+
+The loader that a dynamic program names in its ELF header (`PT_INTERP`) loads preload libraries. The kernel
+starts a static program without a loader, and a loader ignores preload libraries in a program that gains
+rights by its file (setuid bit, capabilities).
+"""
+
+import os
+import re
+import shutil
+import stat
+import struct
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from khep_twin.errors import KhepTwinError
+
+PROCESSORS = {3: "x86", 8: "MIPS", 20: "PowerPC", 21: "PowerPC", 22: "s390", 40: "ARM", 62: "x86-64"} | {
+    183: "ARM of 64 bits",
+    243: "RISC-V",
+    258: "LoongArch",
+}
+"""Names of processors, by `e_machine`."""
+
+DEVICE_NODES = "/dev/i2c-", "/dev/user-gpio", "/dev/pwm"
+"""Starts of the paths of the robot's device nodes."""
+
+_X86, _X86_64 = 3, 62
+_OBJECT, _CORE = 1, 4  # e_type
+_INTERPRETER = 3  # p_type
+_MAX_SCRIPTS = 5  # a script, its interpreter's script and so on
+
+
+class Executable(NamedTuple):
+    """Header of an ELF file.
+
+    Attributes:
+        bits: Word size.
+        processor: Number of the processor, `e_machine`.
+        kind: Kind of the file, `e_type`.
+        loader: Path of its dynamic loader; empty if there is none.
+    """
+
+    bits: int
+    processor: int
+    kind: int
+    loader: str
+
+
+def read_executable(path: str | Path) -> Executable | None:
+    """Return the header of an ELF file; None for other files, and those that cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            start = file.read(64)
+            if not start.startswith(b"\x7fELF"):
+                return None
+            order, bits = "<" if start[5] == 1 else ">", 64 if start[4] == 2 else 32
+            word, fields, counts, content = ("Q", 32, 54, (8, 32)) if bits == 64 else ("I", 28, 42, (4, 16))
+            kind, processor = struct.unpack_from(f"{order}HH", start, 16)
+            (table,) = struct.unpack_from(order + word, start, fields)
+            size, count = struct.unpack_from(f"{order}HH", start, counts)
+            file.seek(table)
+            segments = [file.read(size) for _ in range(count)]
+            for segment in segments:
+                if struct.unpack_from(f"{order}I", segment) == (_INTERPRETER,):
+                    offset, length = (struct.unpack_from(order + word, segment, at)[0] for at in content)
+                    file.seek(offset)
+                    name = file.read(min(length, os.pathconf("/", "PC_PATH_MAX"))).rstrip(b"\0")
+                    return Executable(bits, processor, kind, os.fsdecode(name))
+            return Executable(bits, processor, kind, "")
+    except (OSError, OverflowError, IndexError, struct.error):
+        return None
+
+
+def find_executable(program: str) -> Path | None:
+    """Return the file that the kernel runs for a program: itself, or its interpreter; None for neither.
+
+    Raises:
+        KhepTwinError: The interpreter of a script does not exist.
+    """
+    name = program
+    for _ in range(_MAX_SCRIPTS):
+        path = Path(shutil.which(name) or name)
+        try:
+            with path.open("rb") as file:
+                start = file.read(256)
+        except (FileNotFoundError, NotADirectoryError):
+            if name == program:
+                return None
+            raise KhepTwinError(
+                f"{program}: its interpreter is {name!r}; expected one that is installed"
+            ) from None
+        except OSError:
+            return None
+        if not start.startswith(b"#!"):
+            return path.absolute()  # for the loader, which searches other names in its folders
+        words = os.fsdecode(start[2:].partition(b"\n")[0]).split()
+        if words and words[0].endswith("/env"):
+            words = [word for word in words[1:] if not word.startswith("-") and "=" not in word] or words
+        if not words:
+            return None
+        name = words[0]
+    return None
+
+
+def check_executable(program: str) -> Executable | None:
+    """Return the header of the file that the kernel runs for a program; None if that is no ELF file.
+
+    Raises:
+        KhepTwinError: It is known that no preload library can be loaded into it.
+    """
+    path = find_executable(program)
+    executable = None if path is None else read_executable(path)
+    if path is None or executable is None:
+        return None
+    name = (
+        program
+        if Path(shutil.which(program) or program).absolute() == path
+        else f"{program}: its interpreter {path}"
+    )
+    if executable.kind in (_OBJECT, _CORE):
+        raise KhepTwinError(f"{name}: an object file or a core dump; expected a linked program")
+    host = read_executable(sys.executable)
+    processors = {host.processor, _X86} if host and host.processor == _X86_64 else {host and host.processor}
+    if host is not None and executable.processor not in processors:
+        processor, expected = (
+            PROCESSORS.get(number, f"processor {number}") for number in (executable.processor, host.processor)
+        )
+        raise KhepTwinError(
+            f"{name}: a program for {processor}; expected one for {expected}: compile its source here"
+        )
+    if not executable.loader:
+        raise KhepTwinError(
+            f"{name}: a static program, which loads no preload library; expected a dynamic one: "
+            "link it without -static"
+        )
+    if not Path(executable.loader).exists():
+        raise KhepTwinError(
+            f"{name}: its loader {executable.loader} does not exist; expected a program that was compiled on "
+            "this computer"
+        )
+    if _gains_rights(path):
+        raise KhepTwinError(
+            f"{name}: its setuid bit, setgid bit or capabilities forbid a preload library; expected a copy "
+            "without them (cp)"
+        )
+    return executable
+
+
+def _gains_rights(path: Path) -> bool:
+    """Return whether a file gives rights to its process that this process lacks."""
+    assert sys.platform == "linux"
+    try:
+        status = path.stat()
+        if os.statvfs(path).f_flag & os.ST_NOSUID:
+            return False
+        attributes = os.listxattr(path) if os.geteuid() else []
+    except OSError:
+        return False
+    is_group_bit = status.st_mode & stat.S_ISGID and status.st_mode & stat.S_IXGRP
+    return (
+        bool(status.st_mode & stat.S_ISUID and status.st_uid != os.getuid())
+        or bool(is_group_bit and status.st_gid != os.getgid())
+        or "security.capability" in attributes
+    )
+
+
+def check_preload(program: str, loader: str, library: Path, environment: Mapping[str, str]) -> None:
+    """Check that the loader of a program loads a preload library.
+
+    Args:
+        program: The program.
+        loader: Its dynamic loader, from its header.
+        library: The preload library, as in LD_PRELOAD of the environment.
+        environment: Environment of the program.
+
+    Raises:
+        KhepTwinError: It does not, or it does not find a library of the program.
+    """
+    path = find_executable(program)
+    listing = subprocess.run(
+        [loader, "--list", str(path)],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        errors="replace",
+    )
+    if missing := re.findall(
+        r"(\S+) => not found|: (\S+): cannot open shared object", listing.stdout + listing.stderr
+    ):
+        names = ", ".join(sorted({first or second for first, second in missing}))
+        raise KhepTwinError(f"{program}: needs {names}; expected libraries that are installed")
+    if str(library) in listing.stdout:
+        return
+    reason = re.search(r"preloaded \((.*)\)", listing.stderr)
+    raise KhepTwinError(
+        f"{program}: {loader} does not load the preload library {library.resolve()} "
+        f"({reason[1] if reason else 'without a reason'}); expected a cache folder that may hold programs "
+        "(XDG_CACHE_HOME), and the C compiler of the program (CC)"
+    )
+
+
+def open_device_nodes(process_id: int) -> Sequence[str]:
+    """Return the robot's device nodes that a process has open on this computer."""
+    nodes: list[str] = []
+    try:
+        for entry in os.scandir(f"/proc/{process_id}/fd"):
+            target = os.readlink(entry.path)
+            if target.startswith(DEVICE_NODES):
+                nodes.append(target)
+    except OSError:  # it has ended, or closed a file meanwhile
+        return nodes
+    return nodes
