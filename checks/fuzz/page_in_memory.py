@@ -125,6 +125,9 @@ class Requests:
     def step(self) -> None:
         """Take no step."""
 
+    def stop_motors(self) -> None:
+        """Stop no motors."""
+
     def stop_program(self) -> None:
         """End no job."""
 

@@ -67,6 +67,9 @@ KHEPERA4 = Dialect(
 )
 """Dialects. On the Khepera IV D does not stop the Braitenberg vehicle, and H and K are not reads."""
 
+DIALECTS = {"khepera1": KHEPERA, "khepera2": KHEPERA, "khepera4": KHEPERA4}
+"""Dialects by model of the robot."""
+
 
 class Line:
     """The line to one robot.
@@ -116,7 +119,7 @@ class Line:
         self.port = port
         # The model of a twin in this process is known before the first exchange.
         model = getattr(port, "robot_model", None)
-        if model is not None and (other := KHEPERA4 if model == "khepera4" else KHEPERA) is not dialect:
+        if model is not None and (other := DIALECTS[model]) is not dialect:
             port.close()
             raise PortError(f"{self.name}: the robot is {other.robot_name}{self._expected_host(other)}")
         if baudrate == "auto":

@@ -2,20 +2,27 @@
 
 Each message wakes the server's thread, which slows the simulation down. So messages are sent at most as often
 as pictures, and pictures only while a page is open. A page that opens during a session first gets the message
-that started the session, and the latest picture.
+that started the session, the paths of the robots, and the latest picture.
 """
 
 import asyncio
 import json
+import math
 from collections import deque
 from contextlib import suppress
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from khep_twin.web.messages import FromPage, Message
+from khep_twin.web.messages import FromPage, Message, Paths, Picture
 
 _QUEUE_LIMIT = 500
 """Largest number of messages queued for a slow page."""
+
+_PATH_LIMIT = 1500
+"""Largest number of points of a path, as in the page."""
+
+_PATH_STEP_MM = 3.0
+"""Distance of a path's points, as in the page [mm]."""
 
 
 class Broadcaster:
@@ -26,6 +33,7 @@ class Broadcaster:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._session_text: str | None = None
         self._picture: Message | None = None
+        self._paths: list[list[tuple[float, float]]] = []
 
     @property
     def has_pages(self) -> bool:
@@ -35,14 +43,16 @@ class Broadcaster:
     def publish(self, message: Message) -> None:
         """Send a message to all pages; from any thread."""
         kind = message["kind"]
-        if kind == "picture":
+        if message["kind"] == "picture":
             self._picture = message
+            self._extend_paths(message)
             if not self._pages:
                 return
         text = _to_json(message)
         if kind in ("twin", "robot", "ended"):
             self._session_text = None if kind == "ended" else text
             self._picture = None
+            self._paths = []
         if self._loop is not None:
             with suppress(RuntimeError):  # the server is shutting down
                 self._loop.call_soon_threadsafe(self._broadcast, kind, text)
@@ -54,6 +64,8 @@ class Broadcaster:
         page = _PageQueue()
         if self._session_text is not None:
             page.put("session", self._session_text)
+            paths: Paths = {"kind": "paths", "paths": [path.copy() for path in self._paths]}
+            page.put("paths", _to_json(paths))
             if (picture := self._picture) is not None:  # the next one may take long
                 page.put("picture", _to_json(picture))
         self._pages.append(page)
@@ -68,6 +80,19 @@ class Broadcaster:
         finally:
             self._pages.remove(page)
             sending.cancel()
+
+    def _extend_paths(self, picture: Picture) -> None:
+        """Add the robots' positions to their paths; a robot at a port has none."""
+        robots = picture["robots"]
+        if len(self._paths) != len(robots):
+            self._paths = [[] for _ in robots]
+        for path, robot in zip(self._paths, robots, strict=True):
+            if "x_mm" not in robot or "y_mm" not in robot:
+                continue
+            position = robot["x_mm"], robot["y_mm"]
+            if not path or math.dist(path[-1], position) > _PATH_STEP_MM:
+                path.append(position)
+                del path[:-_PATH_LIMIT]
 
     def _broadcast(self, kind: str, text: str, sender: "_PageQueue | None" = None) -> None:
         for page in self._pages:

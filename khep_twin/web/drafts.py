@@ -3,12 +3,16 @@
 import re
 import unicodedata
 from collections.abc import Mapping
+from typing import Literal, get_args, get_origin
 
 from khep_twin import playpen as playpens
+from khep_twin.board.rom import ROMS
 from khep_twin.errors import PlaypenError
 from khep_twin.files import toml_files
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.parts import MODEL_ROMS, MODELS, Lighting, RobotEntry
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
+from khep_twin.units import BODIES
 
 Draft = dict[str, object]
 
@@ -64,6 +68,40 @@ def text_of(draft: Mapping[str, object], base: str | None) -> str:
     return playpens.edited(BLANK.format(name=playpen.name) if base is None else base, playpen)
 
 
+def models() -> dict[str, object]:
+    """Return each model's default keys, the values of its other keys, and whether it has turrets.
+
+    `modes` has the running modes of each ROM: number and description.
+    """
+    return {
+        model: {
+            "defaults": dict(MODELS[model]),
+            "modes": {rom: _modes(rom) for rom in roms},
+            "has_turrets": BODIES[model].in_core,
+        }
+        for model, roms in MODEL_ROMS.items()
+    }
+
+
+def key_choices() -> dict[str, object]:
+    """Return the values of the keys that have a fixed set, by table and key."""
+    return {
+        f"{table}.{key}": get_args(field.annotation)
+        for table, kind in (("lighting", Lighting), ("robot", RobotEntry))
+        for key, field in kind.model_fields.items()
+        if get_origin(field.annotation) is Literal
+    }
+
+
 def surfaces() -> dict[str, object]:
     """Return the built-in surfaces."""
     return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}
+
+
+def _modes(rom: str) -> dict[int, str]:
+    """Return a description of each running mode of a ROM that the twin has."""
+    return {
+        number: ", ".join(filter(None, [f"{mode.baud} baud", mode.function]))
+        for number, mode in ROMS[rom].modes.items()
+        if not mode.refusal
+    }

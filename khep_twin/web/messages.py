@@ -92,6 +92,13 @@ class Picture(TypedDict):
     objects: NotRequired[Mapping[str, Mapping[int, Sequence[float]]]]
 
 
+class Paths(TypedDict):
+    """Paths of the robots so far, for a page that opens during a session: points x, y [mm]."""
+
+    kind: Literal["paths"]
+    paths: Sequence[Sequence[Sequence[float]]]
+
+
 class Ended(TypedDict):
     """The session has ended."""
 
@@ -207,7 +214,7 @@ class FromPage(TypedDict):
     said: str
 
 
-SessionMessage = TwinStarted | RobotConnected | Picture | Ended | RoomFound | Refused | Notice
+SessionMessage = TwinStarted | RobotConnected | Picture | Paths | Ended | RoomFound | Refused | Notice
 JobMessage = RunDone | Sensed | Printed | JobDone
 ChallengeMessage = Scoring | Scored | ScoreRows | ScoreEnded
 Message = SessionMessage | JobMessage | ChallengeMessage | FileSaved | FromPage

@@ -12,14 +12,15 @@ shared cable. States of the program:
 """
 
 import math
-import select
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from khep_twin.board.protocol import LINE_ENDS
+from khep_twin.board.protocol import LINE_END
 from khep_twin.clock import NEVER_NS, Pacer
 from khep_twin.errors import KhepTwinError
+from khep_twin.host.line import DIALECTS
+from khep_twin.machine import wait_readable
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
@@ -27,7 +28,7 @@ from khep_twin.robot import Robot
 from khep_twin.units import TICK_NS
 
 _LINE_LIMIT = 1024
-"""Longest incomplete line that is buffered [bytes]."""
+"""Length to which an incomplete line is truncated [bytes]; the robot truncates it to fewer."""
 
 LONGEST_WAIT = 0.02
 """Longest wall time of one wait [s]."""
@@ -55,6 +56,13 @@ class OutsideHost:
         self._connection = Connection(twin, robot, port, notify)
         self._notify = notify
         self._partial_line = bytearray()
+        self._model = twin.world.playpen.robots[robot.index].model
+        self._stop_requests: deque[bytes] = deque()
+
+    def stop_motors(self) -> None:
+        """Send the requests that stop the motors at the next exchange, each after the previous reply."""
+        requests = DIALECTS[self._model].stop_requests
+        self._stop_requests.extend(f"{request}\n".encode() for request in requests)
 
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors to wait for."""
@@ -69,7 +77,11 @@ class OutsideHost:
         if self._partial_line:
             self.robot.send(bytes(self._partial_line))
             self._partial_line.clear()
-        self._connection.receive(now)
+        uart = self.robot.uart
+        if not self._stop_requests:
+            self._connection.receive(now)
+        elif not len(uart.rx) and not len(uart.tx):
+            self.robot.send(self._stop_requests.popleft())
         self._connection.deliver()
 
     def insert_command(self, pass_time: Callable[[int], None]) -> None:
@@ -77,8 +89,8 @@ class OutsideHost:
         uart = self.robot.uart
         if len(uart.rx) or len(uart.tx):
             return
-        is_answered = not any(end in self._partial_line for end in LINE_ENDS)
-        received = self.port.receive(max(_LINE_LIMIT - len(self._partial_line), 0), is_answered)
+        is_incomplete = not LINE_END.search(self._partial_line)
+        received = self.port.receive(_LINE_LIMIT if is_incomplete else 0, is_incomplete)
         for notice in received.notices:
             self._notify(notice)
         if received.hosts_left:
@@ -88,13 +100,12 @@ class OutsideHost:
             self.robot.disconnect()
             self._partial_line.clear()
         self._partial_line += received.data
-        line_end = next((index for index, byte in enumerate(self._partial_line) if byte in LINE_ENDS), -1)
-        if line_end < 0:
-            if len(self._partial_line) >= _LINE_LIMIT:
-                self._partial_line.clear()
+        end = LINE_END.search(self._partial_line)
+        if end is None:
+            del self._partial_line[_LINE_LIMIT:]
             return
-        line = bytes(self._partial_line[: line_end + 1])
-        del self._partial_line[: line_end + 1]
+        line = bytes(self._partial_line[: end.end()])
+        del self._partial_line[: end.end()]
         self.commands += 1
         self.robot.send(line)
         while (next_ns := self._connection.next_ns()) != NEVER_NS:
@@ -151,6 +162,11 @@ class PacedTwin:
     def step(self) -> None:
         """Advance one step while paused."""
         self._steps_left_ns += STEP_NS
+
+    def stop_motors(self) -> None:
+        """Have the motors of all robots stopped."""
+        for host in self._hosts:
+            host.stop_motors()
 
     def stop_program(self, stop: bool = True) -> None:
         """Request the end of the program in lock-step, or allow the next one to start."""
@@ -236,7 +252,7 @@ class PacedTwin:
         """Wait for a duration, or until a host sends; return whether one did."""
         hosts = () if self.driven else self._hosts
         descriptors = [descriptor for host in hosts for descriptor in host.descriptors()]
-        return bool(select.select(descriptors, [], [], min(duration, LONGEST_WAIT))[0])
+        return bool(wait_readable(descriptors, min(duration, LONGEST_WAIT)))
 
     def _publish_if_due(self) -> None:
         now = time.monotonic()

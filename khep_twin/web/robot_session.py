@@ -6,8 +6,12 @@ The thread alternates between a poll and the current job, whose progress callbac
 import threading
 from contextlib import suppress
 
+from khep_twin.board.rom import ROMS
 from khep_twin.errors import ProtocolError
-from khep_twin.host import Khepera, Vision, commands
+from khep_twin.host import Khepera, Khepera4, Vision, commands
+from khep_twin.host.khepera4 import SPEED_UNIT
+from khep_twin.host.line import KHEPERA4
+from khep_twin.playpen.parts import MODELS
 from khep_twin.web import messages
 from khep_twin.web.messages import Publish
 from khep_twin.web.robot_shape import robot_shape
@@ -32,20 +36,23 @@ class RobotActor(SessionActor):
         self._halt.set()
 
     def _serve(self) -> None:
-        with Khepera(self._url) as robot:
+        model, robot = _open_robot(self._url)
+        self.models = [model]
+        with robot:
             self._start_time = robot.time
-            with suppress(ProtocolError):  # a robot without this turret
-                self._vision = Vision(robot)
-            shape = robot_shape("khepera1", "khepera1")
+            if isinstance(robot, Khepera):
+                with suppress(ProtocolError):  # a robot without this turret
+                    self._vision = Vision(robot)
+            shape = robot_shape(model, MODELS[model]["calibration"])
             self.publish({"kind": "robot", "robots": [{**shape, "name": robot.name, "port": self._url}]})
             while not self._is_ending():
                 if self._halt.is_set():
-                    robot.set_speed(0, 0)
+                    _stop(robot)
                     self._halt.clear()
                 self._poll(robot)
                 for job in self.jobs[:1]:
                     try:
-                        if job is not None:
+                        if job is not None and isinstance(robot, Khepera):
                             self._do_job(job, robot, self._is_stopping)
                     finally:
                         self._finish_jobs()
@@ -59,20 +66,48 @@ class RobotActor(SessionActor):
         if robot.time - self._poll_time > 2 * _POLL_INTERVAL:
             self._poll(robot)
 
-    def _poll(self, robot: Khepera) -> None:
+    def _poll(self, robot: Khepera | Khepera4) -> None:
         """Read the sensors and publish the robot's state to the page."""
         self.output.flush()
-        proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
+        readings = _read_khepera(robot) if isinstance(robot, Khepera) else _read_khepera4(robot)
         self._poll_time = robot.time
-        readings: messages.RobotReadings = {
-            "proximity": [*proximity],
-            "ambient": [*ambient],
-            "speed": [*speed],
-            "leds": [0, 0],
-        }
         if self._vision is not None and not self.jobs:  # a program must not wait for an image
             readings["vision"] = [*self._vision.image()]
         time, busy = robot.time - self._start_time, bool(self.jobs)
         self.publish(
             {"kind": "picture", "time": time, "busy": busy, "part": self._progress, "robots": [readings]}
         )
+
+
+def _open_robot(url: str) -> tuple[str, Khepera | Khepera4]:
+    """Open the robot at a port by its reply to B; return its model, that of the first ROM of this version."""
+    robot = Khepera(url, baudrate="auto")
+    try:
+        reply = robot.ask("B")
+    except BaseException:
+        robot.port.close()
+        raise
+    if KHEPERA4.versions_reply.fullmatch(reply):
+        baud = robot.port.baudrate
+        robot.port.close()
+        return "khepera4", Khepera4(url, baudrate=baud)
+    bios = reply.split(",")[1] if reply.count(",") else ""
+    models = (model for model, keys in MODELS.items() if ROMS[keys["rom"]].bios == bios)
+    return next(models, "khepera1"), robot
+
+
+def _stop(robot: Khepera | Khepera4) -> None:
+    if isinstance(robot, Khepera4):
+        robot.stop()
+    else:
+        robot.set_speed(0, 0)
+
+
+def _read_khepera(robot: Khepera) -> messages.RobotReadings:
+    proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
+    return {"proximity": [*proximity], "ambient": [*ambient], "speed": [*speed], "leds": [0, 0]}
+
+
+def _read_khepera4(robot: Khepera4) -> messages.RobotReadings:
+    speed = [round(value / SPEED_UNIT) for value in robot.speed()]
+    return {"proximity": [*robot.proximity()], "ambient": [*robot.ambient()], "speed": speed, "leds": [0, 0]}

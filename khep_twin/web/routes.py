@@ -115,6 +115,8 @@ class Page:
                 name: {"description": kind.description, "parts": start_parts(name)}
                 for name, kind in installed_turrets().items()
             },
+            "models": drafts.models(),
+            "choices": drafts.key_choices(),
             "shapes": {model: robot_shape(model, model) for model in BODIES},
             "runs": running_twin,
         }

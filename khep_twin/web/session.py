@@ -13,12 +13,13 @@ answers with messages to the page. Two states describe an actor, its activity
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from ctypes import c_ulong, py_object, pythonapi
 from enum import IntEnum
 
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera
+from khep_twin.host.line import DIALECTS, KHEPERA
 from khep_twin.web.fork_guard import ForkGuard
 from khep_twin.web.jobs import Job
 from khep_twin.web.messages import Message, Publish
@@ -44,7 +45,7 @@ class SessionActor:
     """Common part of twin and robot sessions: a thread with one job at a time for each robot.
 
     The thread calls `publish` with messages for the page. `jobs` are the current jobs, with None for a robot
-    that stands; empty while idle.
+    that stands; empty while idle. `models` are the models of the robots.
     """
 
     def __init__(self, publish: Publish) -> None:
@@ -52,6 +53,7 @@ class SessionActor:
         self._phase = Phase.OPEN
         self._phase_lock = threading.Lock()
         self.jobs: tuple[Job | None, ...] = ()
+        self.models: Sequence[str] = ()
         self._stopping_jobs: tuple[Job | None, ...] = ()
         self._job_threads: set[int] = set()
         # Jobs report their completed part at each cycle; it is sent with the pictures.
@@ -73,11 +75,15 @@ class SessionActor:
         """Start jobs, the first one for the first robot; None lets a robot stand.
 
         Raises:
-            PortError: The session has jobs already, or has ended.
+            PortError: The session has jobs already or has ended, or a robot runs no jobs.
         """
         if self.jobs or not self.is_alive:
             text = "the robot is busy; expected a stopped robot" if self.is_alive else "it has ended"
             raise PortError(text)
+        for number, (job, model) in enumerate(zip(jobs, self.models, strict=False), 1):
+            if job is not None and DIALECTS[model] is not KHEPERA:
+                problem = f"robot {number} is {DIALECTS[model].robot_name}"
+                raise PortError(f"{problem}; expected {KHEPERA.robot_name} for programs of the page")
         self._progress = 0.0
         self.jobs = jobs
 

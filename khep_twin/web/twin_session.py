@@ -40,6 +40,7 @@ class TwinActor(SessionActor):
 
     def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, publish: Publish) -> None:
         super().__init__(publish)
+        self.models = [robot.model for robot in playpen.robots]
         self.playpen = playpen
         self._options = options
         self.log = log
@@ -97,7 +98,7 @@ class TwinActor(SessionActor):
         if self.jobs and self._twin is not None:
             self._twin.stop_program()
         else:
-            self._request(lambda twin: [robot.send(b"D,0,0\n") for robot in twin.robots])
+            self._request(lambda twin: twin.stop_motors())
 
     def _request(self, action: Callable[[PacedTwin], object], page: str = "") -> None:
         """Have the twin's thread execute an action, for a page or for all."""

@@ -67,7 +67,7 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
         ("serve arena4 --rom 5.02", "rom = '5.02' with model = 'khepera4'; expected kh4server"),
         (
             "serve default --rom kh4server",
-            "rom = 'kh4server' with model = 'khepera1'; expected that of a Khep",
+            "rom = 'kh4server' with model = 'khepera1'; expected 5.02 or 4.06",
         ),
         ("serve arena4 --mode 3", "mode = 3 with rom = 'kh4server': there is no such mode; expected"),
         ("serve gripper --model khepera4", "turrets = ['gripper'] with model = 'khepera4'; expected none"),

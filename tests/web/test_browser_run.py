@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from khep_twin.board.uart import HostEventKind
-from khep_twin.host import Khepera
+from khep_twin.host import Khepera, Khepera4
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.recorded import read_recorded_run
 from khep_twin.playpen import Playpen
@@ -588,3 +588,35 @@ def test_a_file_that_has_changed_during_a_run_is_not_replaced_unasked_by_a_page_
     page.click("#save")
     page.wait_for_selector("#banners >> text=/was changed by another page or program|Saved as/")
     assert "width_mm = 700" in file.read_text()
+
+
+def test_a_khepera4_is_drawn_chosen_saved_run_and_watched(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    visit.add("robot", (300, 250))
+    for value in ("k213", "gripper"):
+        page.check(f"#field-robot-turrets input[value={value}]")
+    page.select_option("#field-robot-mode", "3")
+    page.select_option("#field-robot-model", "khepera4")
+    page.wait_for_selector("#problems.none")
+    assert page.locator("#field-robot-rom option").all_inner_texts() == ["kh4server"]
+    assert page.locator("#field-robot-mode option").all_inner_texts() == ["1: 115200 baud"]
+    visit.picture("30-khepera4-drawn")
+    visit.save_as("four.toml")
+    assert Playpen.load(tmp_path / "four.toml").robots[0].rom == "kh4server"
+    visit.start()
+    visit.wait_seconds(0)
+    page.click("#run")
+    page.wait_for_selector(".banner.error >> text=robot 1 is a Khepera IV; expected a Khepera for programs")
+    host = Khepera4(page.text_content("#port"))
+    try:
+        host.set_speed(0.05, 0.05)
+        visit.wait("document.querySelector('.trail')?.getTotalLength() > 20")
+        visit.picture("31-khepera4-run")
+        page.click("#stop")
+        visit.wait("document.querySelector('#readings').textContent.includes('speed left, right00')")
+    finally:
+        host.port.close()
+    visit.open()
+    visit.wait("document.querySelector('.trail')?.getTotalLength() > 20")
+    visit.picture("32-khepera4-opened")
+    visit.end()

@@ -18,7 +18,7 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 
 from khep_twin.errors import KhepTwinError, PortError
-from khep_twin.host import Khepera
+from khep_twin.host import Khepera, Khepera4
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.series_run import Plan
@@ -184,13 +184,14 @@ def test_a_page_that_is_opened_has_the_last_picture_at_once() -> None:
             self.sent.append(json.loads(text))
 
         async def receive_text(self) -> str:
-            while len(self.sent) < 2:
+            while len(self.sent) < 3:
                 await asyncio.sleep(0)
             raise WebSocketDisconnect
 
     asyncio.run(broadcaster.serve(Socket()))  # type: ignore[arg-type]
     assert [(message["kind"], message.get("time")) for message in Socket.sent] == [
         ("twin", None),
+        ("paths", None),
         ("picture", 2.5),
     ]
 
@@ -355,7 +356,7 @@ def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
 
 def test_no_picture_is_reported_without_an_open_page() -> None:
     broadcaster = Broadcaster()
-    broadcaster.publish({"kind": "picture", "time": math.nan})
+    broadcaster.publish({"kind": "picture", "time": math.nan, "busy": False, "part": 0, "robots": []})
     with pytest.raises(ValueError, match="not JSON compliant"):
         broadcaster.publish({"kind": "note", "text": math.nan})
 
@@ -433,3 +434,61 @@ def test_a_fork_of_a_controller_ends_and_its_log_repeats(
             os.waitpid(forked[0], 0)
     assert repeat(read_recorded_run(tmp_path / "run.mcap")) is None
     assert ended
+
+
+def test_a_khepera4_at_a_port_is_shown_as_one_and_refuses_programs(inbox: Inbox) -> None:
+    twin = TwinActor(Playpen.load("arena4"), TwinOptions(), None, inbox)
+    twin.begin()
+    port = inbox.wait("twin")["robots"][0]["port"]
+    robot_inbox = Inbox()
+    robot = RobotActor(port, robot_inbox)
+    robot.begin()
+    shape = robot_inbox.wait("robot")["robots"][0]
+    assert (shape["radius_mm"], len(shape["names"])) == (70.4, 12)
+    assert len(robot_inbox.wait("picture")["robots"][0]["proximity"]) == 12
+    for actor in (robot, twin):
+        with pytest.raises(PortError, match="robot 1 is a Khepera IV; expected a Khepera for programs"):
+            actor.start_jobs(SeriesJob("braitenberg", braitenberg, Plan(cycles=5), None))
+        assert actor.is_alive
+    robot.end()
+    twin.end()
+
+
+@pytest.mark.parametrize("request_line", ["A,0", "D,150,150"])
+def test_stop_ends_the_vehicle_and_the_drive_of_a_khepera4(inbox: Inbox, request_line: str) -> None:
+    twin = TwinActor(Playpen.load("arena4"), TwinOptions(), None, inbox)
+    twin.set_pace(10.0, False)
+    twin.begin()
+    port = inbox.wait("twin")["robots"][0]["port"]
+    host = Khepera4(port)
+    try:
+        host.ask(request_line)
+        inbox.wait("picture", lambda message: message["robots"][0]["speed"][0] > 50)
+        twin.stop_jobs()
+        inbox.wait("picture", lambda message: message["robots"][0]["speed"] == [0, 0])
+    finally:
+        host.port.close()
+        twin.end()
+
+
+def test_a_long_line_of_a_host_beside_a_program_has_a_reply(actor: TwinActor, inbox: Inbox) -> None:
+    port = inbox.wait("twin")["robots"][0]["port"]
+    actor.start_jobs(SeriesJob("waits", lambda robot: robot.sleep(0.1), Plan(cycles=10**6), None))
+    inbox.wait("picture", lambda message: message["busy"])
+    host = Khepera(port, timeout=60)
+    try:
+        assert host.ask("D" * 1500).startswith("Command not found")
+        assert host.ask("B").startswith("b,")
+    finally:
+        host.port.close()
+    actor.stop_jobs()
+
+
+def test_a_page_that_is_opened_has_the_paths_of_the_robots_so_far() -> None:
+    broadcaster = Broadcaster()
+    broadcaster.publish({"kind": "twin", "playpen": "default", "robots": [], "log": None})
+    readings = {"proximity": [], "ambient": [], "speed": [], "leds": []}
+    for x_mm in (0.0, 2.0, 10.0, 20.0):
+        robot = {**readings, "x_mm": x_mm, "y_mm": 0.0}
+        broadcaster.publish({"kind": "picture", "time": 1, "busy": False, "part": 0, "robots": [robot]})  # pyright: ignore
+    assert broadcaster._paths == [[(0, 0), (10, 0), (20, 0)]]  # pyright: ignore[reportPrivateUsage]

@@ -1,14 +1,8 @@
 // Fields for exact values: of each key of the selected parts, and of the playpen's sections.
 
-import { OBJECTS, readUndoKey } from "./model.js";
+import { DEFAULTS, OBJECTS, readUndoKey } from "./model.js";
 import { $, create } from "./page.js";
 
-const CHOICES = {
-  model: ["khepera1", "khepera2", "khepera4"],
-  rom: ["5.02", "4.06", "khepera2"],
-  "lighting.mode": ["all", "random", "sequenced"],
-  "lighting.law": ["optics", "toolbox"],
-};
 const KEYS = {
   ...Object.fromEntries(Object.entries(OBJECTS).map(([kind, keys]) => [kind, ["name", "x_mm", "y_mm", ...Object.keys(keys), "stripes"]])),
   wall: ["name", "points_mm", "closed", "thickness_mm", "height_mm", "surface", "stripes"],
@@ -29,8 +23,9 @@ const EXAMPLES = { spots: 'names, such as "spot1"', stripes: 'widths and surface
 const UNITS = { mm: "mm", deg: "°", w: "W", g: "g", s: "s", min: "min" };
 
 export class Fields {
-  constructor(model, surfaces, turrets) {
-    Object.assign(this, { model, surfaces, turrets });
+  // `choices` has the values of keys by table and key; `models` has the keys that fit each model of the robot.
+  constructor(model, { surfaces, turrets, choices, models }) {
+    Object.assign(this, { model, surfaces, turrets, choices, models });
     this.object = $("#tab-object");
     this.playpen = $("#tab-playpen");
     this.emptyHtml = this.object.innerHTML;
@@ -108,16 +103,16 @@ export class Fields {
   #createInput(key, parts, kind) {
     if (key === "turrets") return this.#createTurrets(parts);
     const value = commonValue(parts, key);
-    const choices = key === "surface" ? [...Object.keys(this.surfaces), ...Object.keys(this.model.draft.surfaces ?? {})] : CHOICES[`${kind}.${key}`] ?? CHOICES[key];
-    const input = document.createElement(choices && kind + key !== "robotmode" ? "select" : "input");
-    if (input.tagName === "SELECT") {
-      const names = value === undefined || choices.includes(value) ? choices : [...choices, value];
-      input.append(...(value === undefined ? [new Option("", "")] : []), ...names.map((name) => new Option(name, name)));
+    const choices = this.#readChoices(key, parts, kind);
+    const input = document.createElement(choices ? "select" : "input");
+    if (choices) {
+      const missing = [value ?? ""].filter((name) => !choices.has(String(name))).map((name) => [name, name]);
+      input.append(...[...missing, ...choices].map(([name, text]) => new Option(text, name)));
       input.value = value ?? "";
     } else if (FLAGS.has(key)) {
       input.type = "checkbox";
       input.checked = value === true;
-    } else if (LISTS.has(key) || TEXTS.has(key) && !(kind === "robot" && key === "mode")) {
+    } else if (LISTS.has(key) || TEXTS.has(key)) {
       input.value = LISTS.has(key) ? formatList(value) : value ?? "";
       if (LISTS.has(key)) input.title = EXAMPLES[key] ?? "numbers, such as [0, 0], [600, 0]";
     } else {
@@ -127,6 +122,23 @@ export class Fields {
     }
     input.addEventListener("change", () => this.#setValue(input, key, parts));
     return input;
+  }
+
+  // Returns the texts of a key's choices by value, those that fit all parts; undefined for a key without choices.
+  #readChoices(key, parts, kind) {
+    if (key === "surface") return nameChoices([...Object.keys(this.surfaces), ...Object.keys(this.model.draft.surfaces ?? {})]);
+    if (kind !== "robot" || (key !== "rom" && key !== "mode")) return this.choices[`${kind}.${key}`] && nameChoices(this.choices[`${kind}.${key}`]);
+    const modes = (part) => this.models[part.model]?.modes ?? {};
+    const [first, ...others] = parts.map((part) => new Map(key === "rom" ? nameChoices(Object.keys(modes(part))) : Object.entries(modes(part)[part.rom] ?? {}).map(([mode, text]) => [mode, `${mode}: ${text}`])));
+    return new Map([...first].filter(([name]) => others.every((other) => other.has(name))));
+  }
+
+  // Replaces the keys of a robot that do not fit its model.
+  #fitRobot(part) {
+    const { modes, defaults, has_turrets: hasTurrets } = this.models[part.model];
+    if (!modes[part.rom]) part.rom = defaults.rom;
+    if (!modes[part.rom][part.mode]) part.mode = DEFAULTS.robot.mode;
+    if (!hasTurrets) part.turrets = [];
   }
 
   #setValue(input, key, parts) {
@@ -144,16 +156,18 @@ export class Fields {
         return rejectInput(input, "expected positions, such as [0, 0], [600, 0]");
       if (key === "points_mm" && !(value?.length > 1)) return rejectInput(input, "expected two positions or more, such as [0, 0], [600, 0]");
       input.setCustomValidity("");
-    } else value = input.value || undefined;
+    } else value = key === "mode" && parts[0].model ? +input.value : input.value || undefined;
     for (const part of parts) {
       if (value === undefined) delete part[key];
       else part[key] = value;
-      if (key === "model") {
-        part.calibration = value;
-        part.rom = value === "khepera2" ? "khepera2" : "5.02";
-      }
+      if (key === "model") Object.assign(part, this.models[value].defaults);
+      if (part.model) this.#fitRobot(part);
     }
     this.#commit();
+    if (key === "model" || key === "rom") {
+      this.show(); // the choices of other keys differ
+      document.getElementById(input.id)?.focus({ preventScroll: true });
+    }
   }
 
   // Creates a box for each installed turret, and for each other turret of the robots.
@@ -163,7 +177,7 @@ export class Fields {
     const names = parts.flatMap((part) => part.turrets ?? []);
     const order = [...new Set([...Object.keys(this.turrets), ...names])];
     const boxes = order.map((name) => {
-      const box = create("input", { type: "checkbox", value: name });
+      const box = create("input", { type: "checkbox", value: name, disabled: !parts.every((part) => this.models[part.model]?.has_turrets || part.turrets?.includes(name)) });
       box.addEventListener("change", () => {
         for (const part of parts) {
           const others = (part.turrets ?? []).filter((other) => other !== name);
@@ -225,6 +239,7 @@ export class Fields {
   }
 }
 
+const nameChoices = (names) => new Map(names.map((name) => [name, name]));
 const formatList = (value) => (value === undefined ? "" : JSON.stringify(value).slice(1, -1));
 
 function rejectInput(input, text) {

@@ -16,6 +16,11 @@ export class LivePlan {
     this.#trails = Array.from({ length: count }, () => new Trail());
   }
 
+  // Adds the points of each robot's path before this page was opened.
+  addPaths(paths) {
+    paths.forEach((points, index) => points.forEach(([x, y]) => this.#trails[index]?.add(x, y)));
+  }
+
   end() {
     this.#nodes = null;
     this.drawing.liveGroup.replaceChildren();

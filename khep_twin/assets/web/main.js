@@ -383,7 +383,7 @@ async function start() {
   drawing.turrets = hello.turrets;
   running.panel.setBars(hello.bars, $("#bars"));
   running.curves.setColours(hello.colours);
-  new Fields(model, hello.surfaces, hello.turrets);
+  new Fields(model, hello);
   model.load(hello, hello.version ? { file: hello.file } : {});
   if (hello.trouble) banner(hello.trouble, "error", {}, "file");
   if (hello.runs && hello.runs.file === hello.file) {

@@ -119,6 +119,7 @@ export class Running {
   messageHandlers = {
     twin: (message) => this.#showRobots(message, false),
     robot: (message) => this.#showRobots(message, true),
+    paths: ({ paths }) => this.plan.addPaths(paths),
     picture: (message) => this.#showPicture(message),
     run: (message) => this.driving.addRun(message),
     printed: ({ text }) => this.driving.appendOutput(text),
