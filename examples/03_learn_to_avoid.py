@@ -1,4 +1,4 @@
-"""A robot learns to avoid obstacles: proximal policy optimisation, half a minute on one core.
+"""A robot learns to avoid obstacles: proximal policy optimisation, a minute on one core.
 
     .venv/bin/pip install stable-baselines3                             with PyTorch, a large download
     .venv/bin/python examples/03_learn_to_avoid.py out/ppo.png          trains and plots; see also `--help`

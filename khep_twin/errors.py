@@ -30,6 +30,8 @@ negative time, two threads in one object) stay `TypeError`, `ValueError` and `Ru
 """
 
 import builtins
+import re
+import reprlib
 import shlex
 import sys
 from collections.abc import Iterable, Sequence
@@ -129,7 +131,8 @@ class KhepTwinError(Exception):
         problems: Sequence[Problem] = (),
     ) -> None:
         if file is not None or key is not None or expected != "":
-            text = str(message) or f"{key} = {value!r}{'' if isinstance(expected, str) else ': unknown'}"
+            tail = "" if isinstance(expected, str) else ": unknown"
+            text = str(message) or f"{key} = {value_text(value)}{tail}"
             expectation = expected if isinstance(expected, str) else tuple(expected)
             file_name = None if file is None else str(file)
             problems = [Problem.of(() if key is None else (key,), text, expectation, value, file_name)]
@@ -307,9 +310,34 @@ def _suggest_name(error: BaseException) -> str:
     return f". Did you mean: {matches[0]!r}?" if matches else ""
 
 
+class _ShortRepr(reprlib.Repr):
+    """Representation of values with few items, and of texts with few characters."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxstring, self.maxother, self.maxlong = 3, _MAX_VALUE_LENGTH, 120, 60
+
+
+_MAX_VALUE_LENGTH = 160
+"""Largest length of a value in a message [characters]."""
+
+
+def value_text(value: object) -> str:
+    """Return a value as it stands in a message: in one line, shortened if it is long."""
+    try:
+        text = re.sub(r"\n\s*", " ", _ShortRepr().repr(value))
+    except Exception:  # the representation of a user's object may fail, as does that of a huge number
+        text = f"<{type(value).__name__}>"
+    return text if len(text) <= _MAX_VALUE_LENGTH else f"{text[: _MAX_VALUE_LENGTH - 3]}..."
+
+
 def choices(value: object, valid: Iterable[object]) -> str:
     """Return the tail of a message for an invalid value: the nearest choice, then all choices."""
     names = [str(name) for name in valid]
-    matches = get_close_matches(str(value), names, n=1)
+    try:
+        text = str(value)[:_MAX_VALUE_LENGTH]
+    except Exception:  # as in `value_text`
+        text = ""
+    matches = get_close_matches(text, names, n=1)
     hint = f"did you mean {matches[0]!r}? " if matches else ""
     return f"{hint}(choices: {', '.join(names) or 'none'})"

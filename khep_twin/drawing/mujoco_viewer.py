@@ -46,7 +46,7 @@ class MujocoViewer(Observer):
     """
 
     def __init__(self, *, real_time: bool) -> None:
-        _check_screen()
+        check_screen("--viewer", _REMEDY)
         self._real_time = real_time
         self._handle: Any = None
         self._model: mujoco.MjModel | None = None
@@ -112,10 +112,15 @@ class MujocoViewer(Observer):
         camera.azimuth, camera.elevation = 90, -52
 
 
-def _check_screen() -> None:
+def has_screen() -> bool:
+    """Return whether there may be a screen; on Linux the environment names it."""
+    return sys.platform != "linux" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+
+
+def check_screen(option: str, remedy: str) -> None:
     """Raise a `KhepTwinError` if no window can be opened, as the viewer would wait indefinitely."""
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise KhepTwinError(f"--viewer: DISPLAY is not set, expected a desktop; {_REMEDY}")
+    if not has_screen():
+        raise KhepTwinError(f"{option}: DISPLAY is not set, expected a desktop; {remedy}")
     import glfw
 
     with warnings.catch_warnings():
@@ -126,5 +131,5 @@ def _check_screen() -> None:
             window = glfw.create_window(64, 64, "khep_twin", None, None)
             glfw.default_window_hints()
     if not window:
-        raise KhepTwinError(f"--viewer: no window can be opened, expected a screen with OpenGL; {_REMEDY}")
+        raise KhepTwinError(f"{option}: no window can be opened, expected a screen with OpenGL; {remedy}")
     glfw.destroy_window(window)

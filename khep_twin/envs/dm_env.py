@@ -27,12 +27,13 @@ from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
 from khep_twin.copies import CopiedByArguments, NotCopied
+from khep_twin.envs.arguments import check_mapping, check_switch
 from khep_twin.envs.reset_options import validate_seed
 from khep_twin.envs.task_episode import StepResult, TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TERMS, Task
 from khep_twin.episodes import version_check
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import KhepTwinError, value_text
 from khep_twin.one_thread import one_thread
 from khep_twin.randomness import stream
 
@@ -204,12 +205,17 @@ class Environment(CopiedByArguments, control.Environment):
         seed: Seed of its episodes.
         flat_observation: Whether to observe all terms concatenated, as "observations".
         options: Options of `TaskSetup`.
+
+    Attributes:
+        max_episode_steps: Time limit of an episode in steps.
     """
 
     def __init__(
         self, task: Task | str, seed: int, *, flat_observation: bool = False, **options: Any
     ) -> None:
+        check_switch("flat_observation", flat_observation)
         setup = TaskSetup(task, **options)
+        self.max_episode_steps = setup.n_steps
         if setup.planar:
             raise KhepTwinError(
                 "planar = True: dm_env needs MuJoCo's physics; expected False, or Gymnasium's environments"
@@ -260,15 +266,19 @@ def load(
         KhepTwinError: The task or an option is unknown, or `planar` is set.
         ValueError: The seed is no integer from 0 to 2**63-1.
     """
-    if visualize_reward:
-        raise KhepTwinError(key="visualize_reward", value=True, expected="False, as no scene shows rewards")
-    for name in environment_kwargs or {}:
+    if visualize_reward is not False:
+        raise KhepTwinError(
+            key="visualize_reward", value=visualize_reward, expected="False, as no scene shows rewards"
+        )
+    suite_options = check_mapping("environment_kwargs", environment_kwargs)
+    for name in suite_options:
         if name != "flat_observation":
             raise KhepTwinError(
-                f"environment_kwargs: {name!r}: unknown; expected 'flat_observation', or seconds and "
-                "period_ns as options of the task"
+                f"environment_kwargs: {value_text(name)}: unknown; expected 'flat_observation', or "
+                "seconds and period_ns as options of the task"
             )
-    task_options = {_SUITE_NAMES.get(name, name): value for name, value in (task_kwargs or {}).items()}
-    arguments: dict[str, Any] = {"seed": seed, **options, **task_options, **(environment_kwargs or {})}
+    task_kwargs = check_mapping("task_kwargs", task_kwargs)
+    task_options = {_SUITE_NAMES.get(name, name): value for name, value in task_kwargs.items()}
+    arguments: dict[str, Any] = {"seed": seed, **options, **task_options, **suite_options}
     arguments["seed"] = validate_seed(0 if arguments["seed"] is None else arguments["seed"])
     return Environment(task, **arguments)

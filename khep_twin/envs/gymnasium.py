@@ -20,20 +20,22 @@ With `planar=True` a 2-D model replaces MuJoCo, and runs many times faster.
 # Gymnasium's spaces are only partly typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.copies import CopiedByArguments
+from khep_twin.drawing.mujoco_viewer import has_screen
+from khep_twin.envs.arguments import check_choice
 from khep_twin.envs.info import Info, end_info, ground_truth, start_info, step_info
-from khep_twin.envs.registration import register
+from khep_twin.envs.registration import TimeLimitedSpec, register
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
-from khep_twin.errors import KhepTwinError, MissingExtraError, choices
+from khep_twin.errors import MissingExtraError
 from khep_twin.one_thread import one_thread
 
 try:
@@ -42,9 +44,12 @@ try:
 except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
 
+if TYPE_CHECKING:
+    from khep_twin.drawing.window import PictureWindow
+
 make, make_vec = gymnasium.make, gymnasium.make_vec
 
-RENDER_MODES = ("rgb_array",)
+RENDER_MODES = ("human", "rgb_array")
 
 
 def spaces(setup: TaskSetup) -> tuple[Space[Any], Space[Any]]:
@@ -54,18 +59,30 @@ def spaces(setup: TaskSetup) -> tuple[Space[Any], Space[Any]]:
     return Box(low, high, dtype=np.float32), Box(-limit, limit, (2,), np.float32)
 
 
-def render_metadata(render_mode: str | None, setup: TaskSetup) -> Info:
-    """Return Gymnasium's metadata of rendering.
+def render_metadata(render_mode: str | None, period_ns: int) -> Info:
+    """Return Gymnasium's metadata: the render modes usable here, and a frame for each control period.
 
     Raises:
         KhepTwinError: The render mode is unknown.
     """
-    if render_mode is not None and render_mode not in RENDER_MODES:
-        raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
-    return {"render_modes": list(RENDER_MODES), "render_fps": 1e9 / setup.period_ns}
+    if render_mode is not None:
+        check_choice("render_mode", render_mode, RENDER_MODES)
+    modes = RENDER_MODES if has_screen() else RENDER_MODES[1:]
+    return {"render_modes": list(modes), "render_fps": 1e9 / period_ns}
 
 
-class KheperaEnvironment(CopiedByArguments, gymnasium.Env[Observation, NDArray[np.float32]]):
+def open_window(render_mode: str | None, metadata: Info) -> "PictureWindow | None":
+    """Return the window of the render mode "human", which opens with the first picture; None for others."""
+    if render_mode != "human":
+        return None
+    from khep_twin.drawing.window import PictureWindow
+
+    return PictureWindow("khep_twin", metadata["render_fps"])
+
+
+class KheperaEnvironment(  # pyright: ignore[reportIncompatibleVariableOverride]
+    TimeLimitedSpec, CopiedByArguments, gymnasium.Env[Observation, NDArray[np.float32]]
+):
     """A task for one robot.
 
     An episode is truncated at its time limit, and terminated when the robot's charge has run out. A copy,
@@ -76,17 +93,18 @@ class KheperaEnvironment(CopiedByArguments, gymnasium.Env[Observation, NDArray[n
 
     Args:
         task: Task, or its name.
-        render_mode: "rgb_array", or None for no pictures.
+        render_mode: "rgb_array", "human" for a window that shows each step in real time, or None.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto" (`renderer.Renderer`).
         options: Options of `TaskSetup`: playpen, start, lamps, randomize, noise, vary, period_ns, seconds,
-            planar, compiled, normalize, details.
+            max_episode_steps, planar, compiled, normalize, details, line.
 
     Attributes:
         labels: Labels of the observation's numbers.
+        max_episode_steps: Time limit of an episode in steps, also that of `spec`.
         guard: Lock by which its methods refuse a second thread (`one_thread`).
     """
 
-    COPIED_ATTRIBUTES = ("spec", "_np_random", "_np_random_seed")
+    COPIED_ATTRIBUTES = ("_spec", "_np_random", "_np_random_seed")
     metadata: Info = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
     def __init__(
@@ -102,8 +120,10 @@ class KheperaEnvironment(CopiedByArguments, gymnasium.Env[Observation, NDArray[n
         self.guard = self._episode.guard
         self._is_over = True
         self.render_mode = render_mode
-        self.metadata = render_metadata(render_mode, self._setup)
+        self.metadata = render_metadata(render_mode, self._setup.period_ns)
         self._renderer = Renderer(view)
+        self._window = open_window(render_mode, self.metadata)
+        self.max_episode_steps = self._setup.n_steps
         self.labels = self._setup.task.labels
         self.observation_space, self.action_space = spaces(self._setup)
 
@@ -121,6 +141,7 @@ class KheperaEnvironment(CopiedByArguments, gymnasium.Env[Observation, NDArray[n
         drawn_seed = int(self.np_random.integers(2**31))
         observation = self._episode.begin(drawn_seed if request.seed is None else request.seed, request)[0]
         self._is_over, batch = False, self._episode.batch
+        self._show()
         return observation, ground_truth(batch) | start_info(batch)
 
     @one_thread
@@ -138,12 +159,13 @@ class KheperaEnvironment(CopiedByArguments, gymnasium.Env[Observation, NDArray[n
         info = ground_truth(batch) | step_info(batch)
         if self._is_over:
             info |= end_info(batch)
+        self._show()
         return outcome.observation, outcome.reward, outcome.terminated, truncated, info
 
     @one_thread
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return a picture of the current state; None without a render mode."""
-        if self.render_mode is None:
+        """Return a picture of the current state in mode "rgb_array"; otherwise None."""
+        if self.render_mode != "rgb_array":
             return None
         return self._renderer.picture(self._episode.episode)
 
@@ -151,6 +173,12 @@ class KheperaEnvironment(CopiedByArguments, gymnasium.Env[Observation, NDArray[n
     def close(self) -> None:
         """Release the resources of rendering."""
         self._renderer.close()
+        if self._window is not None:
+            self._window.close()
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._renderer.picture(self._episode.episode))
 
 
 register()

@@ -14,25 +14,26 @@ One call of JIT-compiled code per thread steps all episodes; rewards and observa
 # Gymnasium's spaces are only partly typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
-import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, SupportsIndex, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.copies import CopiedByArguments
+from khep_twin.envs.arguments import check_choice, check_mapping, shape_of
 from khep_twin.envs.gymnasium import render_metadata, spaces
 from khep_twin.envs.info import Info, end_info, start_info
+from khep_twin.envs.registration import TimeLimitedSpec
 from khep_twin.envs.renderer import Renderer, View
-from khep_twin.envs.reset_options import ResetOptions
+from khep_twin.envs.reset_options import ResetOptions, is_list, validate_seed
 from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.episodes.device import Device
 from khep_twin.episodes.episode_batch import Slots
-from khep_twin.episodes.episode_options import check_count
-from khep_twin.errors import KhepTwinError, MissingExtraError, choices
+from khep_twin.episodes.episode_options import as_integer, check_count
+from khep_twin.errors import KhepTwinError, MissingExtraError, value_text
 from khep_twin.machine import n_cores
 from khep_twin.one_thread import one_thread
 from khep_twin.playpen import PlaypenLike
@@ -45,8 +46,8 @@ except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
 
 
-class KheperaVectorEnvironment(
-    CopiedByArguments, VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]
+class KheperaVectorEnvironment(  # pyright: ignore[reportIncompatibleVariableOverride]
+    TimeLimitedSpec, CopiedByArguments, VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]
 ):
     """Vector environment of many robots, each in a separate playpen, stepped by threads.
 
@@ -71,10 +72,11 @@ class KheperaVectorEnvironment(
 
     Attributes:
         labels: Labels of an observation's numbers.
+        max_episode_steps: Time limit of an episode in steps, also that of `spec`.
         guard: Lock by which its methods refuse a second thread (`one_thread`).
     """
 
-    COPIED_ATTRIBUTES = ("spec", "_rngs")
+    COPIED_ATTRIBUTES = ("_spec", "_rngs")
 
     def __init__(
         self,
@@ -104,7 +106,12 @@ class KheperaVectorEnvironment(
         self.labels = setup.task.labels
         self.num_envs = num_envs
         self.render_mode = render_mode
-        self.metadata = {**render_metadata(render_mode, setup), "autoreset_mode": self._autoreset_mode}
+        metadata = render_metadata(render_mode, setup.period_ns)
+        if render_mode == "human":
+            expected = "rgb_array, or one environment by khep_twin.make"
+            raise KhepTwinError(key="render_mode", value=render_mode, expected=expected)
+        self.metadata = {**metadata, "autoreset_mode": self._autoreset_mode}
+        self.max_episode_steps = setup.n_steps
         self.single_observation_space, self.single_action_space = spaces(setup)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -128,13 +135,17 @@ class KheperaVectorEnvironment(
                 lamps, playpen (`ResetOptions`), each for all, or a list with one per environment.
         """
         self._check_open()
-        if seed is None or isinstance(seed, SupportsIndex):
-            seeds = [None if seed is None else operator.index(seed) + index for index in range(self.num_envs)]
+        first = as_integer(seed)
+        if seed is None or first is not None:
+            seeds = [None if first is None else first + index for index in range(self.num_envs)]
+        elif is_list(seed):
+            seeds = list(cast(Sequence[int | None], seed))
         else:
-            seeds = list[int | None](seed)
+            raise ValueError(f"seed = {value_text(seed)}; expected an integer, or a list of them")
+        seeds = [None if number is None else validate_seed(number) for number in seeds]
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments; expected {self.num_envs}")
-        reset_options = dict(options or {})
+        reset_options = dict(check_mapping("options", options))
         rows = self._masked_rows(reset_options.pop("reset_mask", None))
         self._start_episodes(rows, seeds, ResetOptions.of_each(reset_options, self.num_envs))
         return self._observations(), self._infos(rows, started_rows=rows)
@@ -146,8 +157,9 @@ class KheperaVectorEnvironment(
         """Advance all by a control period, with speeds of left and right wheel (num_envs, 2)."""
         self._check_open()
         batch, mode = self._batch, self._autoreset_mode
-        if np.shape(actions) != (self.num_envs, 2):
-            raise ValueError(f"actions of shape {np.shape(actions)}; expected ({self.num_envs}, 2)")
+        shape = shape_of(actions)
+        if shape != (self.num_envs, 2):
+            raise ValueError(f"actions of shape {shape}; expected ({self.num_envs}, 2)")
         rows, started_rows = self._all_rows, self._all_rows[:0]
         if self._is_unstarted.any():
             unstarted = np.flatnonzero(self._is_unstarted).tolist()
@@ -264,10 +276,11 @@ class KheperaVectorEnvironment(
         """Return the indices of the environments of a reset mask."""
         if mask is None:
             return self._all_rows
-        reset_mask = np.asarray(mask)
+        reset_mask = np.asarray(mask) if shape_of(mask) else np.zeros(0)
         if reset_mask.shape != (self.num_envs,) or reset_mask.dtype != np.bool_ or not reset_mask.any():
             raise ValueError(
-                f"reset_mask = {mask!r}; expected an array of {self.num_envs} bool, at least one of them true"
+                f"reset_mask = {value_text(mask)}; expected an array of {self.num_envs} bool, "
+                "at least one of them true"
             )
         return np.flatnonzero(reset_mask)
 
@@ -275,6 +288,6 @@ class KheperaVectorEnvironment(
 def _parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
     """Return an autoreset mode by its value."""
     values = [member.value for member in AutoresetMode]
-    if not isinstance(mode, AutoresetMode) and mode not in values:
-        raise KhepTwinError(f"autoreset_mode {mode!r}: unknown; {choices(str(mode), values)}")
+    if not isinstance(mode, AutoresetMode):
+        check_choice("autoreset_mode", mode, values)
     return AutoresetMode(mode)

@@ -26,11 +26,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.clock import n_steps, to_ns
 from khep_twin.copies import CopiedByArguments
+from khep_twin.envs.arguments import (
+    check_choice,
+    check_mapping,
+    check_period,
+    check_switch,
+    count_periods,
+)
+from khep_twin.envs.gymnasium import RENDER_MODES, open_window, render_metadata
+from khep_twin.envs.registration import TimeLimitedSpec
 from khep_twin.envs.renderer import Picture
+from khep_twin.envs.reset_options import validate_playpen, validate_seed
 from khep_twin.episodes import fitness
-from khep_twin.errors import KhepTwinError, MissingExtraError, PlaypenError, choices
+from khep_twin.episodes.episode_options import check_numbers
+from khep_twin.errors import MissingExtraError, PlaypenError
 from khep_twin.khepera4.infrared import N_AROUND
 from khep_twin.khepera4.registers import Control, DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
@@ -55,6 +65,8 @@ _FALL_HEIGHT = 0.02
 """Height below its start at which a robot counts as fallen [m]."""
 
 _MAX_RANGE_CM = 250
+
+_START = "x, y [mm] and heading [deg]"
 
 TermReader = Callable[[Khepera4Robot, tuple[float, float]], Sequence[float]]
 
@@ -112,7 +124,9 @@ TASKS = {
 """Tasks by name."""
 
 
-class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class KheperaIVEnvironment(  # pyright: ignore[reportIncompatibleVariableOverride]
+    TimeLimitedSpec, CopiedByArguments, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]
+):
     """A task for one Khepera IV in MuJoCo.
 
     `info` has ground truth: "x" and "y" [m], "heading" [rad], "time" [s], and "seed", which repeats the
@@ -126,10 +140,11 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         vary: Whether each episode draws another robot of the same model.
         period_ns: Control period [ns], whole ticks of 10 ms.
         seconds: Time limit [s].
-        render_mode: "rgb_array" for maps, or None.
+        render_mode: "rgb_array" for maps, "human" for a window that shows them in real time, or None.
 
     Attributes:
         labels: Labels of the observation's numbers.
+        max_episode_steps: Time limit of an episode in steps, also that of `spec`.
 
     Raises:
         KhepTwinError: The task or the render mode is unknown.
@@ -137,8 +152,8 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         ValueError: The period is not in whole ticks, or the time not in whole periods.
     """
 
-    COPIED_ATTRIBUTES = ("spec", "_np_random", "_np_random_seed")
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+    COPIED_ATTRIBUTES = ("_spec", "_np_random", "_np_random_seed")
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
     def __init__(
         self,
@@ -152,27 +167,28 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         seconds: float = 60.0,
         render_mode: str | None = None,
     ) -> None:
-        if task not in TASKS:
-            raise KhepTwinError(f"task {task!r}: unknown; {choices(task, TASKS)}")
-        if render_mode not in (None, "rgb_array"):
-            raise KhepTwinError(f"render_mode {render_mode!r}: unknown; expected rgb_array, or None")
-        if period_ns <= 0 or period_ns % TICK_NS:
-            raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
+        check_choice("task", task, TASKS)
+        period_ns = check_period(period_ns)
+        self.metadata = render_metadata(render_mode, period_ns)
+        self.max_episode_steps = count_periods(seconds, period_ns)
+        check_switch("noise", noise)
+        check_switch("vary", vary)
+        if start is not None:
+            check_numbers("start", start, _START, (3,))
         self._task = TASKS[task]
         self._start = start
         self._noise = noise
         self._vary = vary
-        self._playpen = Playpen.load(self._task.playpen if playpen is None else playpen)
+        self._playpen = Playpen.load(validate_playpen(self._task.playpen if playpen is None else playpen))
         if [robot.model for robot in self._playpen.robots] != ["khepera4"]:
             raise PlaypenError(f"{self._playpen.name}: robots; expected one Khepera IV")
         self._period_ns = period_ns
-        self._n_steps = n_steps(to_ns(seconds), period_ns)
         self._world = World(self._playpen)
         self._steps_left = 0
         term_sizes = [(term, TERMS[term][0]) for term in self._task.terms]
         self.labels = tuple(f"{term} {index}" for term, size in term_sizes for index in range(size))
         self.render_mode = render_mode
-        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 1e9 / period_ns}
+        self._window = open_window(render_mode, self.metadata)
         self.observation_space = Box(-1.0, 1.0, (len(self.labels),), np.float32)
         self.action_space = Box(-1.0, 1.0, (2,), np.float32)
         self._map: Any = None
@@ -188,19 +204,25 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         """
         super().reset(seed=seed)
         drawn_seed = int(self.np_random.integers(2**31))
-        options = options or {}
-        if unknown := options.keys() - {"seed", "start"}:
-            raise KhepTwinError(f"options: {min(unknown)!r}: unknown; expected seed and start")
-        self._seed: int = options.get("seed", drawn_seed)
-        start: Start | None = options.get("start", self._start)
+        options = {**check_mapping("options", options)}
+        for name in options:
+            check_choice("options:", name, ("seed", "start"))
+        requested_seed = options.get("seed")
+        self._seed = drawn_seed if requested_seed is None else validate_seed(requested_seed)
+        start: Start | None = options.get("start")
+        if start is None:
+            start = self._start
+        else:
+            check_numbers("start", start, _START, (3,))
         if start is None:
             robot = (anywhere if self._task.anywhere else at_spots)(self._playpen, self._seed).robots[0]
             start = robot.x_mm, robot.y_mm, robot.heading_deg
         self._world.reset(self._seed, noise=self._noise, vary=self._vary, starts=[start])
         self._start_height = float(self._world.data.qpos[2])
-        self._steps_left = self._n_steps
+        self._steps_left = self.max_episode_steps
         self._wheel_pulses = 0, 0
         self._robot.dspic.write(bytes([DspicRegister.CONTROL, Control.SPEED]))
+        self._show()
         return self._observe((0.0, 0.0))[0], self._info()
 
     def step(
@@ -213,9 +235,8 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         """
         if self._steps_left <= 0:
             raise ValueError("the episode is over, or none has begun; expected reset() first")
+        check_numbers("action", action, "two speeds, left and right, from -1 to 1", (2,))
         commands = np.asarray(action, np.float64)
-        if commands.shape != (2,) or not np.isfinite(commands).all():
-            raise ValueError(f"action {action!r}; expected two speeds, left and right, from -1 to 1")
         speed_setpoints = np.rint(np.clip(commands, -1, 1) * TOP_SPEED_PULSES).astype("<i2")
         self._robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + speed_setpoints.tobytes())
         self._world.advance_to(self._world.time_ns + self._period_ns)
@@ -229,13 +250,24 @@ class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32],
         has_fallen = float(self._world.data.qpos[2]) < self._start_height - _FALL_HEIGHT
         if has_fallen:
             self._steps_left = 0
+        self._show()
         is_truncated = not has_fallen and self._steps_left == 0
         return observation, self._task.reward(terms), has_fallen, is_truncated, self._info()
 
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return a map of the present state; None without a render mode."""
-        if self.render_mode is None:
-            return None
+        """Return a map of the present state in mode "rgb_array"; otherwise None."""
+        return self._picture() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._picture())
+
+    def _picture(self) -> Picture:
         if self._map is None:
             from khep_twin.drawing.moving_map import MovingMap
 

@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.copies import CopiedByArguments
-from khep_twin.envs.gymnasium import render_metadata, spaces
+from khep_twin.envs.arguments import check_mapping
+from khep_twin.envs.gymnasium import open_window, render_metadata, spaces
 from khep_twin.envs.info import Info, end_info, ground_truth, start_info, step_info
 from khep_twin.envs.renderer import Picture, Renderer, View
-from khep_twin.envs.reset_options import ResetOptions
+from khep_twin.envs.reset_options import ResetOptions, validate_seed
 from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
@@ -46,12 +47,13 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
     Args:
         task: Task, or its name.
         robots: Number of robots; in a playpen with spots, at most one per spot.
-        render_mode: "rgb_array", or None for no pictures.
+        render_mode: "rgb_array", "human" for a window that shows each step in real time, or None.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto".
         options: Options of `TaskSetup`: playpen, start (one for each robot), lamps, randomize, noise, vary,
-            period_ns, seconds, planar (one robot), compiled, normalize, details.
+            period_ns, seconds, max_episode_steps, planar (one robot), compiled, normalize, details.
 
     Attributes:
+        max_episode_steps: Time limit of an episode in steps.
         guard: Lock by which its methods refuse a second thread (`one_thread`).
     """
 
@@ -75,8 +77,10 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
         self.render_mode = render_mode
         self.metadata: Info = {
             "name": f"khep_twin/{self._setup.task.name}-v0",
-            **render_metadata(render_mode, self._setup),
+            **render_metadata(render_mode, self._setup.period_ns),
         }
+        self._window = open_window(render_mode, self.metadata)
+        self.max_episode_steps = self._setup.n_steps
         self.possible_agents = [f"khepera{index}" for index in range(robots)]
         self.agents: list[str] = []
         self.labels = self._setup.task.labels
@@ -104,14 +108,16 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
             options: Options that replace the environment's in this episode: seed, drawn (one for each
                 robot), lamps, playpen.
         """
+        reset_options = check_mapping("options", options)
         # PettingZoo's API test passes an option "options".
-        request = ResetOptions.of({key: value for key, value in (options or {}).items() if key != "options"})
+        request = ResetOptions.of({key: value for key, value in reset_options.items() if key != "options"})
         if seed is not None:
-            self._rng = seeding.np_random(seed)[0]
+            self._rng = seeding.np_random(validate_seed(seed))[0]
         drawn_seed = int(self._rng.integers(2**31))
         observations = self._episode.begin(drawn_seed if request.seed is None else request.seed, request)
         self.agents = list(self.possible_agents)
         self._has_started = True
+        self._show()
         drawn = start_info(self._episode.batch)
         infos = {agent: ground_truth(self._episode.batch, robot) | drawn for agent, robot in self._active()}
         return dict(zip(self.agents, observations, strict=True)), infos
@@ -130,6 +136,7 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
             raise ValueError("no episode has started; expected reset() first")
         if not self.agents:
             return {}, {}, {}, {}, {}
+        actions = check_mapping("actions", actions)
         robot_actions: list[object] = [(0.0, 0.0)] * len(self.possible_agents)
         for agent in self.agents:
             if agent not in actions:
@@ -140,6 +147,7 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
         results = dict(zip(self.possible_agents, self._episode.step(robot_actions), strict=True))
         outcomes, truncated = {agent: results[agent] for agent in self.agents}, self._episode.over
         infos, batch = dict[str, Info](), self._episode.batch
+        self._show()
         for agent, robot in self._active():
             infos[agent] = ground_truth(batch, robot) | step_info(batch, robot)
             if truncated or outcomes[agent].terminated:
@@ -155,8 +163,8 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
 
     @one_thread
     def render(self) -> Picture | None:
-        """Return a picture of the current state; None without a render mode."""
-        if self.render_mode is None:
+        """Return a picture of the current state in mode "rgb_array"; otherwise None."""
+        if self.render_mode != "rgb_array":
             return None
         return self._renderer.picture(self._episode.episode)
 
@@ -164,6 +172,12 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
     def close(self) -> None:
         """Release the resources of rendering."""
         self._renderer.close()
+        if self._window is not None:
+            self._window.close()
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._renderer.picture(self._episode.episode))
 
     def _active(self) -> list[tuple[str, int]]:
         """Return the active agents and their robots' indices."""

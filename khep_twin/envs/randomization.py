@@ -8,17 +8,18 @@ obstacles must be compiled by MuJoCo, in some 10 ms each: a pool of them is draw
 episode uses one of them.
 """
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar, cast
 
 import numpy as np
 
 from khep_twin.clock import NS_PER_S
+from khep_twin.envs.arguments import check_mapping, check_switch, is_number
+from khep_twin.envs.reset_options import validate_seed
 from khep_twin.episodes.episode_options import check_count
 from khep_twin.episodes.line import MeasuredCycle
-from khep_twin.errors import KhepTwinError, choices
+from khep_twin.errors import KhepTwinError, choices, value_text
 from khep_twin.playpen import BULB_RADIUS_MM, Block, Cylinder, Lamp, Playpen
 from khep_twin.playpen.checks import placed_parts
 from khep_twin.playpen.overlap import PlacedPart, placement_problems
@@ -66,19 +67,21 @@ class Randomization:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.starts not in (None, "anywhere"):
+        if not (self.starts is None or (isinstance(self.starts, str) and self.starts == "anywhere")):
             _check_pair("starts", self.starts, 'two numbers from 0, [mm] and [deg], or "anywhere"', (0, 0))
         if self.lamps is not None:
             _check_pair("lamps", self.lamps, "a factor from 1 and a distance from 0 [mm]", (1, 0))
-        if self.noise is not None and not 0 <= self.noise <= 1:
+        if self.noise is not None and not is_number(self.noise, 0, 1):
             raise _make_error("noise", self.noise, "a probability, 0 to 1")
         if self.delay is not None:
             _check_pair("delay", self.delay, "two times [s], the second not below the first", (0, 0))
             if self.delay[1] < self.delay[0]:
                 raise _make_error("delay", self.delay, "two times [s], the second not below the first")
-        if not 0 <= self.blocks_mm < math.inf:
+        if not is_number(self.blocks_mm):
             raise _make_error("blocks_mm", self.blocks_mm, "a distance from 0 [mm]")
+        check_switch("randomize: robots", self.robots)
         check_count(self.playpens, "playpens")
+        validate_seed(self.seed, "randomize")
 
     @classmethod
     def of(cls, value: Self | Mapping[str, Any] | None) -> Self | None:
@@ -90,11 +93,13 @@ class Randomization:
         if value is None or isinstance(value, cls):
             return value
         if not isinstance(value, Mapping):
-            raise KhepTwinError(key="randomize", value=value, expected="a Randomization, or its attributes")
+            expected = "a Randomization, or its attributes"
+            raise KhepTwinError(key="randomize", value=value, expected=expected)
+        value = check_mapping("randomize", value)
         known_names = [field.name for field in fields(cls)]
         for name in value:
             if name not in known_names:
-                raise KhepTwinError(f"randomize: {name!r}: unknown; {choices(name, known_names)}")
+                raise KhepTwinError(f"randomize: {value_text(name)}: unknown; {choices(name, known_names)}")
         return cls(**value)
 
     def pool(self, playpen: Playpen) -> tuple[Playpen, ...]:
@@ -206,15 +211,13 @@ def _move_item(surroundings: Playpen, kind: str, item: Item, max_mm: float, rng:
     return item
 
 
-def _check_pair(name: str, values: Any, expected: str, minimum: NumberPair) -> None:
+def _check_pair(name: str, values: object, expected: str, minimum: NumberPair) -> None:
     """Raise an error unless these are two finite numbers, not below the minimum."""
-    try:
-        is_valid = all(low <= number < math.inf for number, low in zip(values, minimum, strict=True))
-    except (TypeError, ValueError):
-        is_valid = False
+    pair = list(cast(Any, values)) if isinstance(values, list | tuple) else []
+    is_valid = len(pair) == 2 and all(map(is_number, pair, minimum))
     if not is_valid:
-        raise _make_error(name, values, expected)
+        raise _make_error(name, cast(object, values), expected)
 
 
 def _make_error(name: str, value: object, expected: str) -> KhepTwinError:
-    return KhepTwinError(f"randomize: {name} = {value!r}; expected {expected}")
+    return KhepTwinError(f"randomize: {name} = {value_text(value)}; expected {expected}")

@@ -6,6 +6,7 @@ extra `rl` reads entry points of packages, so a program imports `khep_twin`, or 
 `gymnasium.make("khep_twin:khep_twin/Homing-v0")`.
 """
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from importlib.abc import Loader, MetaPathFinder
@@ -40,6 +41,26 @@ def register() -> None:
         if (name := f"khep_twin/{task}-v0") not in registry.registry:
             entry = "khep_twin.envs.khepera4:KheperaIVEnvironment"
             registry.register(name, entry_point=entry, kwargs={"task": task})
+
+
+class TimeLimitedSpec:
+    """An environment whose `spec` has its time limit as `max_episode_steps`, which learning libraries read.
+
+    Gymnasium's `make` sets a spec without one: the limit depends on the options, and needs no wrapper.
+    """
+
+    max_episode_steps: int
+    _spec: Any = None
+
+    @property
+    def spec(self) -> Any:
+        """Gymnasium's specification; None if `make` did not create the environment."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: Any) -> None:
+        limit = {"max_episode_steps": self.max_episode_steps}
+        self._spec = None if spec is None else dataclasses.replace(spec, **limit)
 
 
 class _RegistrationFinder(MetaPathFinder, Loader):

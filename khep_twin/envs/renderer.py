@@ -16,9 +16,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.envs.arguments import check_choice
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.errors import KhepTwinError, choices
+from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Lamp
 from khep_twin.simulation.mujoco_forms import movable_names
 
@@ -61,8 +62,7 @@ class Renderer:
     """
 
     def __init__(self, view: View = "auto") -> None:
-        if view not in VIEWS:
-            raise KhepTwinError(f"view {view!r}: unknown; {choices(view, VIEWS)}")
+        check_choice("view", view, VIEWS)
         self.view: View = "map" if view == "auto" and not _can_render() else view
         self._renderer: mujoco.Renderer | None = None
         self._data: mujoco.MjData | None = None

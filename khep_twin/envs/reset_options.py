@@ -1,14 +1,15 @@
 """Options of `reset`, checked: start, lamps, playpen and seed of the next episodes."""
 
-import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from os import PathLike
-from typing import Any, Self, SupportsIndex, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
-from khep_twin.errors import KhepTwinError, choices
+from khep_twin.envs.arguments import check_mapping
+from khep_twin.episodes.episode_options import as_integer
+from khep_twin.errors import KhepTwinError, choices, value_text
 from khep_twin.playpen import Lamp, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start
 from khep_twin.randomness import SEED_LIMIT
@@ -16,7 +17,7 @@ from khep_twin.randomness import SEED_LIMIT
 
 def is_list(value: object) -> bool:
     """Return whether this is a list, tuple or array."""
-    return isinstance(value, list | tuple | np.ndarray)
+    return isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
 
 
 def is_nested(value: object) -> bool:
@@ -57,11 +58,13 @@ class ResetOptions:
             KhepTwinError: A name is unknown, or a value has another type.
             ValueError: The seed is no integer from 0 to 2**63-1.
         """
-        values = {name: value for name, value in (options or {}).items() if value is not None}
+        values = {
+            name: value for name, value in check_mapping("options", options).items() if value is not None
+        }
         known_names = [field.name for field in fields(cls)]
         for name in values:
             if name not in known_names:
-                raise KhepTwinError(f"options: {name!r}: unknown; {choices(name, known_names)}")
+                raise KhepTwinError(f"options: {value_text(name)}: unknown; {choices(name, known_names)}")
         if "seed" in values:
             values["seed"] = validate_seed(values["seed"])
         if "lamps" in values:
@@ -78,6 +81,7 @@ class ResetOptions:
             KhepTwinError: As for `of`, or a list has another length.
             ValueError: A seed is no integer from 0 to 2**63-1.
         """
+        options = check_mapping("options", options)
         lists = {name: _repeat(name, value, count) for name, value in options.items() if name in _IS_LIST}
         if not lists:
             return [cls.of(options)] * count
@@ -86,25 +90,27 @@ class ResetOptions:
         return [cls.of({**shared, **row}) for row in rows]
 
 
-def validate_seed(value: object) -> int:
+def validate_seed(value: object, location: str = "options") -> int:
     """Return a seed; raise a `ValueError` unless it is an integer from 0 to 2**63-1."""
-    if isinstance(value, SupportsIndex) and 0 <= (seed := operator.index(value)) < SEED_LIMIT:
+    if (seed := as_integer(value)) is not None and 0 <= seed < SEED_LIMIT:
         return seed
-    raise ValueError(f"options: seed = {value!r}; expected an integer from 0 to 2**63-1")
+    raise ValueError(f"{location}: seed = {value_text(value)}; expected an integer from 0 to 2**63-1")
 
 
 def validate_playpen(value: object) -> PlaypenLike:
     """Return a playpen, its name or its path; raise a `KhepTwinError` for other types."""
     if isinstance(value, Playpen | str | PathLike):
         return cast(PlaypenLike, value)
-    raise KhepTwinError(f"playpen = {value!r}; expected the name or path of a playpen, or a Playpen")
+    raise KhepTwinError(
+        f"playpen = {value_text(value)}; expected the name or path of a playpen, or a Playpen"
+    )
 
 
 def validate_lamps(value: object) -> Sequence[Lamp]:
     """Return a list of lamps; raise a `KhepTwinError` if the value is not one."""
     lamps = list(cast(Iterable[object], value)) if isinstance(value, list | tuple) else [None]
     if not all(isinstance(lamp, Lamp) for lamp in lamps):
-        raise KhepTwinError(f"lamps = {value!r}; expected a list of khep_twin.Lamp")
+        raise KhepTwinError(f"lamps = {value_text(cast(object, value))}; expected a list of khep_twin.Lamp")
     return cast(Sequence[Lamp], lamps)
 
 

@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.copies import NotCopied
-from khep_twin.envs.reset_options import ResetOptions
+from khep_twin.envs.reset_options import ResetOptions, is_list, validate_seed
 from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation
 from khep_twin.episodes.episode import Episode
+from khep_twin.errors import value_text
 from khep_twin.renamed import renamed_attribute
 
 _ROW = np.zeros(1, np.int64)
@@ -61,6 +62,8 @@ class TaskEpisode(NotCopied):
     COPY_ADVICE = "another TaskEpisode of the same setup, started with the same seed"
 
     def __init__(self, setup: TaskSetup) -> None:
+        if not isinstance(setup, TaskSetup):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise ValueError(f"setup = {value_text(setup)}; expected a TaskSetup")
         self.setup = setup
         self.batch = TaskBatch(setup)
         self.guard = self.batch.guard
@@ -77,7 +80,7 @@ class TaskEpisode(NotCopied):
             PlaypenError: There is no room for the robots.
             ValueError: The seed is negative or too large.
         """
-        self.batch.begin(_ROW, [seed], [options] if options else ())
+        self.batch.begin(_ROW, [validate_seed(seed)], [options] if options else ())
         return list(self.batch.observations[0])
 
     def step(self, actions: Sequence[object]) -> list[StepResult]:
@@ -95,6 +98,8 @@ class TaskEpisode(NotCopied):
         batch = self.batch
         if self.over:
             raise ValueError("the episode is over, or none has started; expected begin() first")
+        if not is_list(actions):
+            raise ValueError(f"actions = {value_text(actions)}; expected a list with one for each robot")
         if len(actions) != self._n_robots:
             raise ValueError(f"{len(actions)} actions; expected {self._n_robots}, one for each robot")
         batch.step(_ROW, [actions])

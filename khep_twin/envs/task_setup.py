@@ -5,7 +5,6 @@ units: pulses/10 ms, and counts.
 """
 
 import inspect
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.clock import NS_PER_S, n_steps, to_ns
+from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.copies import CopiedByArguments
+from khep_twin.envs.arguments import check_period, check_switch, count_periods
 from khep_twin.envs.randomization import Randomization, place_robots, starts_of
 from khep_twin.envs.reset_options import ResetOptions, is_nested, validate_lamps, validate_playpen
 from khep_twin.envs.tasks import Task, action_limit, find_task, speeds_of
@@ -26,7 +26,7 @@ from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions, Home, check_count, check_numbers
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes, MeasuredCycle, check_line, longest_cycle_ns
-from khep_twin.errors import KhepTwinError, PlaypenError, choices
+from khep_twin.errors import KhepTwinError, PlaypenError, choices, value_text
 from khep_twin.playpen import Lamp, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, anywhere, at_spots
 from khep_twin.renamed import renamed_attribute
@@ -34,6 +34,9 @@ from khep_twin.sensing import calibration
 
 PERIOD_NS = 50_000_000
 """Default control period [ns]."""
+
+MAX_ROBOTS = 1000
+"""Largest number of robots in an environment (assumed)."""
 
 TERM_REQUESTS = {"proximity": "N", "light": "O", "speed": "H"}
 """Command that requests an observation term from a robot; other terms are not requested on the line."""
@@ -76,6 +79,7 @@ class TaskSetup(CopiedByArguments):
         normalize: Whether actions and observations are normalized to -1 to 1; otherwise actions are in
             pulses/10 ms, and observations in the units of `tasks.TERMS`.
         details: Whether `info` has parts of the reward and contacts, and at the end metrics and return.
+        max_episode_steps: Time limit of an episode in control periods, if it is shorter than `seconds`.
         line: Line between policy and robot, as a baud rate or a `MeasuredCycle`; None for exchanges without
             delay.
         unknown_options: None; any other option is an error.
@@ -106,18 +110,19 @@ class TaskSetup(CopiedByArguments):
         compiled: bool | None = None,
         normalize: bool = True,
         details: bool = False,
+        max_episode_steps: int | None = None,
         line: LineTimes = None,
         **unknown_options: object,
     ) -> None:
         for name in unknown_options:
             raise KhepTwinError(f"option {name!r}: unknown; {choices(name, OPTIONS)}")
         robots = check_count(robots, "robots")
-        if period_ns <= 0 or period_ns % units.TICK_NS:
-            raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
+        if robots > MAX_ROBOTS:
+            raise ValueError(f"{value_text(robots)} robots; expected up to {MAX_ROBOTS}")
+        period_ns = check_period(period_ns)
         switches = dict(noise=noise, vary=vary, planar=planar, normalize=normalize, details=details)
         for name, value in (switches | ({} if compiled is None else {"compiled": compiled})).items():
-            if value not in (True, False):
-                raise ValueError(f"{name} = {value!r}; expected True or False")
+            check_switch(name, value)
         self.task = find_task(task)
         playpen_source = self.task.playpen if playpen is None else playpen
         self.playpen = with_robots(Playpen.load(validate_playpen(playpen_source)), robots)
@@ -138,12 +143,9 @@ class TaskSetup(CopiedByArguments):
             _check_delay(self.randomize.delay, line, period_ns)
         self.action_limit = action_limit(normalize)
         self.seconds = self.task.seconds if seconds is None else seconds
-        if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
-            raise ValueError(
-                f"seconds = {self.seconds}; expected one or more whole control periods of "
-                f"{period_ns / 1e6:g} ms"
-            )
-        self.n_steps = n_steps(to_ns(self.seconds), period_ns)
+        self.n_steps = count_periods(self.seconds, period_ns)
+        if max_episode_steps is not None:
+            self.n_steps = min(self.n_steps, check_count(max_episode_steps, "max_episode_steps"))
         _check_period(line, self._requests, period_ns, to_ns(self.seconds))
         self.goal = 0.0, 0.0
         self._home: Home | None = None
@@ -317,5 +319,7 @@ def _goal_position(playpen: Playpen, name: str) -> tuple[float, float]:
         item.name: (item.x_mm, item.y_mm) for item in (*playpen.patches, *playpen.cylinders) if item.name
     }
     if name not in positions:
-        raise KhepTwinError(f"{playpen.name}: has no patch or cylinder {name!r}; {choices(name, positions)}")
+        raise KhepTwinError(
+            f"{playpen.name}: has no patch or cylinder {value_text(name)}; {choices(name, positions)}"
+        )
     return positions[name]

@@ -14,7 +14,6 @@ A reward is a function of the `State` of one robot or, if it is marked by `batch
 all robots. Observations are computed for all robots together.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, get_args
@@ -23,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin.envs.arguments import check_choice, is_number
 from khep_twin.episodes import fitness
 from khep_twin.episodes.fitness import Number
-from khep_twin.errors import KhepTwinError, choices
+from khep_twin.errors import KhepTwinError, choices, value_text
 from khep_twin.units import COUNTS_LIMIT, Sensor
 
 Starts = Literal["anywhere", "playpen"]
@@ -195,17 +195,24 @@ class Task:
         Raises:
             KhepTwinError: An observation term is unknown, or there is none, or a value is out of range.
         """
-        if self.starts not in (start_kinds := get_args(Starts)):
-            problem = f"task {self.name}: starts {self.starts!r}: unknown"
-            raise KhepTwinError(f"{problem}; {choices(self.starts, start_kinds)}")
+        for key in ("name", "playpen", "goal"):
+            if not isinstance(getattr(self, key), str):
+                text = value_text(getattr(self, key))
+                raise KhepTwinError(f"task {value_text(self.name)}: {key} = {text}; expected a text")
+        check_choice(f"task {self.name}: starts", self.starts, get_args(Starts))
+        if not callable(self.reward):
+            text = value_text(self.reward)
+            raise KhepTwinError(f"task {self.name}: reward = {text}; expected a function of a State")
         for name, value in (("reach_mm", self.reach_mm), ("charge_s", self.charge_s)):
-            if not 0 <= value < math.inf:
-                raise KhepTwinError(f"task {self.name}: {name} = {value}; expected a finite number from 0")
-        for term in self.observation_terms:
-            if term not in TERMS:
+            if not is_number(value, high=1e9):
                 raise KhepTwinError(
-                    f"task {self.name}: observation term {term!r}: unknown; {choices(term, TERMS)}"
+                    f"task {self.name}: {name} = {value_text(value)}; expected a finite number from 0"
                 )
+        if not isinstance(self.observation_terms, list | tuple):  # pyright: ignore[reportUnnecessaryIsInstance]
+            text = value_text(self.observation_terms)
+            raise KhepTwinError(f"task {self.name}: observation_terms = {text}; expected a tuple of texts")
+        for term in self.observation_terms:
+            check_choice(f"task {self.name}: observation term", term, TERMS)
         if not self.observation_terms:
             raise KhepTwinError(f"task {self.name}: no observation terms; {choices('', TERMS)}")
 
@@ -343,11 +350,11 @@ def speeds_of(action: object, normalize: bool = True) -> NDArray[np.float64]:
     limit = action_limit(normalize)
     try:
         speeds = np.asarray(action, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         speeds = np.zeros(0)
     if speeds.shape[-1:] != (2,):
         raise ValueError(
-            f"action {action!r}; expected two speeds, left and right, from {-limit:g} to {limit:g}"
+            f"action {value_text(action)}; expected two speeds, left and right, from {-limit:g} to {limit:g}"
         )
     return np.minimum(np.maximum(speeds, -limit), limit) * (TOP_SPEED / limit)
 
@@ -360,6 +367,5 @@ def find_task(task: Task | str) -> Task:
     """
     if isinstance(task, Task):
         return task
-    if task not in TASKS:
-        raise KhepTwinError(f"task {task!r}: unknown; {choices(task, TASKS)}")
+    check_choice("task", task, TASKS)
     return TASKS[task]

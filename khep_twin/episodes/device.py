@@ -7,7 +7,7 @@ from typing import Literal, get_args
 from khep_twin.episodes.controllers import Driver, Function, Policy
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes
-from khep_twin.errors import DeviceError, choices, pip_install_extra
+from khep_twin.errors import DeviceError, choices, pip_install_extra, value_text
 from khep_twin.playpen import Lamp
 from khep_twin.sensing.lamps import are_constant
 
@@ -37,8 +37,8 @@ def choose_device(
     Raises:
         DeviceError: The device is unknown, there is no GPU, or it cannot run these episodes.
     """
-    if requested not in get_args(Device):
-        raise DeviceError(f"device = {requested!r}: unknown; {choices(str(requested), get_args(Device))}")
+    if (text := value_text(requested)) not in map(repr, get_args(Device)):
+        raise DeviceError(f"device = {text}: unknown; {choices(requested, get_args(Device))}")
     if requested == "cpu":
         return "cpu"
     error = find_unsupported(setup, driver, line, lamps, template) or find_gpu_error()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.episodes.line import LineTimes, check_line
+from khep_twin.errors import value_text
 from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
 
@@ -69,15 +70,23 @@ def check_numbers(name: str, value: object, description: str, shape: tuple[int, 
     try:
         numbers = np.asarray(value, np.float64)
         fits = numbers.shape == shape and bool(np.isfinite(numbers).all())
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         fits = False
     if not fits:
         count = " x ".join(map(str, shape))
-        raise ValueError(f"{name} = {value!r}; expected {description}, {count} finite numbers")
+        raise ValueError(f"{name} = {value_text(value)}; expected {description}, {count} finite numbers")
+
+
+def as_integer(value: object) -> int | None:
+    """Return an integer of Python or NumPy as Python's; None for other values."""
+    try:
+        return operator.index(value) if isinstance(value, SupportsIndex) else None
+    except TypeError:  # an array that is no integer
+        return None
 
 
 def check_count(value: object, label: str) -> int:
     """Return a count; raise a `ValueError`, which contains the label, unless it is an integer from 1."""
-    if isinstance(value, SupportsIndex) and (count := operator.index(value)) >= 1:
+    if (count := as_integer(value)) is not None and count >= 1:
         return count
-    raise ValueError(f"{value!r} {label}; expected a whole number, 1 or more")
+    raise ValueError(f"{value_text(value)} {label}; expected a whole number, 1 or more")

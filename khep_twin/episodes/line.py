@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from khep_twin.board import kernel
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.compilable import compilable
+from khep_twin.errors import value_text
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import BITS_PER_BYTE, N_SENSORS
 
@@ -76,7 +77,9 @@ def check_line(line: object) -> None:
     """Raise a `ValueError` unless this is a `LineTimes`."""
     is_speed = isinstance(line, int) and not isinstance(line, bool) and 0 < line <= NS_PER_S
     if not (is_speed or line is None or isinstance(line, MeasuredCycle)):
-        raise ValueError(f"line = {line!r}; expected a speed in baud, such as 9600, or a MeasuredCycle")
+        raise ValueError(
+            f"line = {value_text(line)}; expected a speed in baud, such as 9600, or a MeasuredCycle"
+        )
 
 
 def line_times(line: LineTimes, requests: str, period_ns: int) -> NDArray[np.int64]:

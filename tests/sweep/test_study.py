@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from khep_twin.episodes.controllers import Network
 from khep_twin.errors import StudyError
 from khep_twin.sweep import study as studies
 from khep_twin.sweep.shards import work_of
@@ -147,3 +148,22 @@ def test_what_a_plane_cannot_have_is_refused_before_any_episode(tmp_path: Path) 
     assert work_of(loaded(tmp_path, study)).n_episodes == 3
     with pytest.raises(StudyError, match=r"study.toml:3: playpens: .*cylinder 1 is movable, 14 mm wide"):
         work_of(loaded(tmp_path, study + "planar = true\n"))
+
+
+def test_each_value_in_a_networks_file_changes_the_fingerprint(tmp_path: Path) -> None:
+    genes = np.zeros(18)
+    variants = {
+        "plain": (Network(), genes),
+        "one gene": (Network(), np.eye(1, 18)[0]),
+        "top speed": (Network(top_speed=10.0), genes),
+        "period": (Network(period_ns=40_000_000), genes),
+        "light": (Network(ambient=True), np.zeros(34)),
+    }
+    digests = set[str]()
+    for network, network_genes in variants.values():
+        network.save(tmp_path / "best.npz", network_genes, replace=True)
+        text = STUDY.replace("braitenberg", "best.npz")
+        if network.period_ns == 40_000_000:
+            text = text.replace("step_ms = 10", "step_ms = 10\nperiod_ms = 40")
+        digests.add(work_of(loaded(tmp_path, text)).digest)
+    assert len(digests) == len(variants)
