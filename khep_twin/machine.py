@@ -1,11 +1,17 @@
-"""Differences between operating systems: locks of files, flags of `os.open`, limits, cores, priorities.
+"""Differences between operating systems: open files, locks, waits, flags of `os.open`, limits, priorities.
 
-Modules that a system lacks are None here. Linux is tested, macOS and Windows are not (docs/install.md).
+Modules that a system lacks are None here. `tests/other_system.py` simulates the refusals of Windows.
 """
 
 import os
+import queue
+import select
 import sys
+import threading
+import time
+from collections.abc import Collection, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import IO, Any
 
 _fcntl: Any = None
@@ -23,6 +29,15 @@ with suppress(ImportError):
     import resource
 
     _resource = resource
+
+RENAMES_OPEN_FILES = sys.platform != "win32"
+"""Whether a file can be renamed and removed while a process has it open."""
+
+FOLDER_LOCK = ".lock"
+"""Name of the file that is locked in place of its folder, on systems that cannot open folders."""
+
+_WAITS_FOR_FILES = sys.platform != "win32"
+"""Whether `select` also waits for files, such as standard input, and not only for sockets."""
 
 _LOCKED_BYTE = 1 << 40
 """Locked byte of a file on systems that lock bytes; other processes may use the bytes before it."""
@@ -75,6 +90,51 @@ def unlock(file: IO[Any] | int) -> None:
         _lock_byte(descriptor, _msvcrt.LK_UNLCK)
 
 
+def open_folder(folder: Path) -> int:
+    """Return a descriptor to lock a folder by: the folder's, or that of its file `FOLDER_LOCK`.
+
+    Raises:
+        OSError: It cannot be opened.
+    """
+    if sys.platform == "win32":
+        return os.open(folder / FOLDER_LOCK, flags("O_RDWR", "O_CREAT"))
+    return os.open(folder, os.O_RDONLY)
+
+
+def wait_readable(descriptors: Collection[int], timeout_s: float) -> Sequence[int]:
+    """Wait at most `timeout_s` [s] until a descriptor is readable; return those that are.
+
+    On Windows, all must be sockets.
+    """
+    if not descriptors:  # which select refuses on Windows
+        time.sleep(timeout_s)
+        return ()
+    return select.select(descriptors, [], [], timeout_s)[0]
+
+
+def read_byte(descriptor: int, timeout_s: float) -> bytes | None:
+    """Return the next byte of an input, empty at its end; None if none comes within `timeout_s` [s].
+
+    On Windows, a thread reads the input, also beyond this byte.
+    """
+    if _WAITS_FOR_FILES:
+        return os.read(descriptor, 1) if wait_readable([descriptor], timeout_s) else None
+    if (input_bytes := _input_bytes.get(descriptor)) is None:
+        input_bytes = _input_bytes[descriptor] = queue.SimpleQueue()
+        threading.Thread(target=_read_all, args=(descriptor, input_bytes), daemon=True).start()
+    try:
+        byte = input_bytes.get(timeout=timeout_s)
+    except queue.Empty:
+        return None
+    if not byte:
+        del _input_bytes[descriptor]
+    return byte
+
+
+_input_bytes: dict[int, "queue.SimpleQueue[bytes]"] = {}
+"""Bytes that threads have read, by the input's descriptor."""
+
+
 def is_writable(descriptor: int) -> bool:
     """Return whether a descriptor is open for writing; without fcntl, whether it is open.
 
@@ -116,6 +176,14 @@ def lower_priority(process: int = 0, by: int = 19) -> None:
     if sys.platform != "win32":
         priority = os.getpriority(os.PRIO_PROCESS, process) + by
         os.setpriority(os.PRIO_PROCESS, process, min(priority, 19))
+
+
+def _read_all(descriptor: int, input_bytes: "queue.SimpleQueue[bytes]") -> None:
+    """Read an input byte by byte until its end."""
+    byte = b"-"
+    while byte:
+        byte = os.read(descriptor, 1)
+        input_bytes.put(byte)
 
 
 def _lock_byte(descriptor: int, kind: int) -> None:

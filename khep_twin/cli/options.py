@@ -1,7 +1,5 @@
 """Options and messages that several commands share."""
 
-import os
-import select
 import sys
 from collections.abc import Callable, Iterable, Sequence, Set
 from enum import StrEnum
@@ -16,6 +14,7 @@ from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, choices
 from khep_twin.files.atomic import is_same, resolve, unusable
 from khep_twin.files.drawings import is_replaceable
 from khep_twin.invocation import command
+from khep_twin.machine import read_byte
 
 if TYPE_CHECKING:
     from khep_twin.log.log_file import FileRecorder
@@ -173,11 +172,11 @@ def _read_line(stop: Callable[[], bool]) -> bytes | None:
     while not entered.endswith(b"\n"):
         if stop():
             return None
-        if select.select([sys.stdin], [], [], 0.1)[0]:
-            # Read single bytes, as select does not see buffered ones.
-            if not (byte := os.read(sys.stdin.fileno(), 1)):
-                break
-            entered += byte
+        # Single bytes, as a wait does not see buffered ones.
+        byte = read_byte(sys.stdin.fileno(), 0.1)
+        if byte == b"":
+            break
+        entered += byte or b""
     return entered
 
 

@@ -26,7 +26,7 @@ from khep_twin.files.atomic import (
 )
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.output import Output
-from khep_twin.machine import flags, lock, n_forks
+from khep_twin.machine import RENAMES_OPEN_FILES, flags, lock, n_forks
 from khep_twin.signals import block_signals, register_cleanup
 
 
@@ -118,6 +118,8 @@ def rename_unfinished(part: Path) -> Path | None:
         while os.path.lexists(new_path := part.with_name(f"{part.name}.{number}")):
             number += 1
         # While it is locked, no other run renames it or starts under its name.
+        if not RENAMES_OPEN_FILES:
+            file.close()
         os.rename(part, new_path)
         return new_path
 
@@ -182,6 +184,7 @@ class LogFile(Output):
             self._writer.finish()
             # A log under its final name is complete, even after a power failure, which may undo the renaming.
             self._file.synchronize()
+            self._close_before_rename()
             final_path = rename_into_place(self.part, self._target, self._target_identity)
             self._close()
             if final_path != self._target:
@@ -192,6 +195,7 @@ class LogFile(Output):
         with block_signals():
             if self.open:
                 # While it is locked, the name is that of no other run's file.
+                self._close_before_rename()
                 with suppress(OSError):
                     self.part.unlink(missing_ok=True)
                 with suppress(OSError):
@@ -213,6 +217,11 @@ class LogFile(Output):
                 f"{error.strerror}; what came before is kept in {self.part}"
             )
             self._fail(LogError(reason), "; the run goes on without it")
+
+    def _close_before_rename(self) -> None:
+        """Close the file, and so release its lock, on a system that cannot rename or remove an open one."""
+        if not RENAMES_OPEN_FILES:
+            self._file.close()
 
     def _fail(self, failure: LogError, suffix: str = "") -> None:
         self.failure = failure

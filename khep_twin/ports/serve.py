@@ -1,13 +1,13 @@
 """Server of a twin: a loop that advances its world by a clock and exchanges bytes with its host ports."""
 
 import math
-import select
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from khep_twin.clock import NEVER_NS, NS_PER_S, Pacer
+from khep_twin.machine import wait_readable
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.event_sources import set_exact_timeouts
 from khep_twin.ports.host_port import HostPort
@@ -152,7 +152,7 @@ class _HostWait:
             sources = {fd: connection for connection in connections for fd in connection.descriptors()}
             # The descriptors change when a connection is checked, and when a line has room again.
             self._sources = sources if all(connection.has_room for connection in connections) else None
-        ready_descriptors = select.select(sources, [], [], min(max(duration, 0.0), LONGEST_WAIT_S))[0]
+        ready_descriptors = wait_readable(sources, min(max(duration, 0.0), LONGEST_WAIT_S))
         time_ns = time.monotonic_ns()
         if time_ns - self._last_check_ns >= CHECK_INTERVAL_WALL_NS:
             self._last_check_ns = time_ns

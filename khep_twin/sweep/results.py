@@ -33,7 +33,7 @@ from khep_twin.files.atomic import (
     rename_into_place,
     write_atomic,
 )
-from khep_twin.machine import lock
+from khep_twin.machine import FOLDER_LOCK, lock, open_folder
 from khep_twin.sweep.run_shard import Columns
 from khep_twin.sweep.shards import Shard, Work
 from khep_twin.sweep.study import COLUMNS
@@ -76,7 +76,7 @@ class SweepFolder:
         """
         try:
             self._path.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self._path, os.O_RDONLY)
+            descriptor = open_folder(self._path)
         except OSError as error:
             raise StudyError(f"{self._path}: cannot be created: {error.strerror}") from error
         try:
@@ -127,7 +127,7 @@ class SweepFolder:
         file, work = self._path / "study.json", self._work
         previous = _read_json(file)
         # A sweep killed at its start may have left an incomplete study.json.
-        entries = sorted(self._path.iterdir())
+        entries = sorted(path for path in self._path.iterdir() if path.name != FOLDER_LOCK)
         leftovers = [path for path in entries if is_part(path, file)]
         files = [path for path in entries if path not in leftovers]
         if previous is None and files:
@@ -186,7 +186,7 @@ class SweepFolder:
                 for task in self._work.tasks:
                     writer.write_table(self._read_part(task))
             # The table must be on disk before the parts are deleted, in case of a power failure.
-            with part_table.open("rb") as file:
+            with part_table.open("r+b") as file:  # Windows flushes only files that may be written
                 os.fsync(file.fileno())
             written_path = rename_into_place(part_table, self.table, None)
         except OSError as error:
