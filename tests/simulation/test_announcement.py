@@ -25,8 +25,13 @@ class Compilations:
     def __init__(self, inner: list[Callable[..., Any]]) -> None:
         self.now, self._inner = 100.0, iter(inner)
 
+        self.share = 1.0  # of a processor
+
     def monotonic(self) -> float:
         return self.now
+
+    def thread_time(self) -> float:
+        return self.now * self.share
 
     def compile(self, outer: Dispatcher, n_inner: int) -> None:
         from numba.core import event
@@ -60,7 +65,7 @@ def compilations(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Compila
     return fakes
 
 
-BEGIN = "khep_twin: compiling with numba, once per version: about 40 s\n"
+BEGIN = "khep_twin: compiling with numba, once per version: about 40 s of processor time\n"
 """Announcement after six of forty functions."""
 
 
@@ -79,8 +84,26 @@ def test_a_compilation_is_a_line_with_the_time_it_will_take_and_one_with_that_it
         compilations.compile(outer, 37)
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
-        "khep_twin: compiling with numba, once per version: about 37 s",
+        "khep_twin: compiling with numba, once per version: about 37 s of processor time",
         "khep_twin: compiling with numba took 37 s",
+    ]
+
+
+def test_on_a_busy_machine_the_processor_time_is_announced_and_the_elapsed_time_at_the_end(
+    module: ModuleType, compilations: Compilations, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from numba.core import event
+
+    from khep_twin.simulation.announcement import Announcer
+
+    compilations.share = 0.25
+    announcer, outer = Announcer(), Dispatcher(math.sin)
+    announcer.add(outer, [module])
+    with event.install_listener("numba:compile", announcer):
+        compilations.compile(outer, 40)
+    assert capsys.readouterr().err.splitlines() == [
+        "khep_twin: compiling with numba, once per version: about 10 s of processor time",
+        "khep_twin: compiling with numba took 40 s",
     ]
 
 
