@@ -1,6 +1,6 @@
 """Differences between operating systems: open files, locks, waits, flags of `os.open`, limits, priorities.
 
-Modules that a system lacks are None here. `tests/other_system.py` simulates the refusals of Windows.
+Modules that a system lacks are None here. Linux is tested, macOS and Windows are not (docs/install.md).
 """
 
 import os

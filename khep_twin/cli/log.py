@@ -44,8 +44,9 @@ def repeat(
     The exit code is 0 if it is the same, 3 if not, 1 if it cannot be repeated.
     """
     from khep_twin.lab.experiment.repeat import repeat as run_again
-    from khep_twin.lab.experiment.repeat import require_states, version_differences
+    from khep_twin.lab.experiment.repeat import require_states
     from khep_twin.log.recorded import read_recorded_run
+    from khep_twin.log.run_description import version_differences
 
     recorded = read_recorded_run(log)
     if port is not None:
@@ -58,7 +59,7 @@ def repeat(
             raise typer.Exit(3)
         return
     require_states(recorded)
-    for line in version_differences(recorded):
+    for line in version_differences(recorded.label):
         notify(line)
     with progress_bar() as progress:
         difference = run_again(recorded, progress)

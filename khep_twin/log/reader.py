@@ -18,13 +18,14 @@ from khep_twin.errors import LogError, PlaypenError
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
+from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.columns import KHEPERA4_COLUMNS, name_columns
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, read_errors
 from khep_twin.log.entries import Entry, Label, make_label, run_metadata
 from khep_twin.log.messages import SAMPLE_WIDTHS, Messages, TimeSeries, check_time, is_repeat_channel
-from khep_twin.playpen import Playpen, parse
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.checks import require_kheperas
 from khep_twin.renamed import renamed_attribute
 
@@ -171,7 +172,7 @@ def require_kheperas_in(label: Label, source: object, feature: str) -> None:
     text = label.attachments.get("playpen.toml", "")
     if "khepera4" in text:
         try:
-            require_kheperas(parse(text, "playpen.toml", recorded=True), feature)
+            require_kheperas(playpen_of(label.attachments, source), feature)
         except PlaypenError as error:
             raise LogError(f"{source}: {error}") from None
 

@@ -11,7 +11,8 @@ import mujoco
 
 from khep_twin import __version__
 from khep_twin import playpen as playpens
-from khep_twin.log.entries import Entry
+from khep_twin.log.decoding import printable
+from khep_twin.log.entries import Entry, Label
 from khep_twin.log.snapshots import RecorderState
 from khep_twin.sensing import calibration
 from khep_twin.world import World
@@ -81,3 +82,12 @@ def versions() -> dict[str, str]:
         "numpy": version("numpy"),
         "machine": f"{platform.system()} {platform.machine()}",
     }
+
+
+def version_differences(label: Label) -> list[str]:
+    """Return the differences between the versions of a log and those installed, a line each."""
+    return [
+        f"made with {key} {printable(label.metadata.get(key, 'unknown'))}, here is {value}"
+        for key, value in versions().items()
+        if label.metadata.get(key) != value
+    ]

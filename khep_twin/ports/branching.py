@@ -1,5 +1,6 @@
 """Branches of logged runs, with a log that starts with the records of the old one, and with other hosts."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +11,9 @@ from khep_twin.errors import LogError, PortError
 from khep_twin.files.atomic import is_same
 from khep_twin.files.text import escape_surrogates
 from khep_twin.log.entries import Label
-from khep_twin.log.reader import hash_file, read_end_ns
+from khep_twin.log.reader import hash_file, read_end_ns, read_label
 from khep_twin.log.recorded import BRANCH, BranchPoint, changes_text, read_changes
-from khep_twin.log.run_description import LogPrefix, versions
+from khep_twin.log.run_description import LogPrefix, version_differences, versions
 from khep_twin.ports.resume import ResumedRun, resume_run
 from khep_twin.ports.twin import Twin
 from khep_twin.units import STEP_NS
@@ -57,6 +58,8 @@ def branch_off(
     if not 0 < change.at_ns <= end_ns:
         problem = f"{path}: the run cannot be resumed at {change.at_ns / NS_PER_S:g} s"
         raise LogError(f"{problem}; expected above 0 and up to its end at {end_ns / NS_PER_S:g} s")
+    for difference in version_differences(read_label(path)):
+        warnings.warn(f"{path}: {difference}; the run may differ from the recorded one", stacklevel=2)
     if log is not None and is_same(log, path):
         raise LogError(f"{log}: this is the log that is resumed; expected a separate file")
     twins: list[Twin] = []

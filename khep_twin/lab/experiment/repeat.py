@@ -17,7 +17,6 @@ from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import first_line, printable, read_line
 from khep_twin.log.recorded import RecordedRun
-from khep_twin.log.run_description import versions
 from khep_twin.log.snapshots import ReplyHashes, board_registers, hash_samples
 from khep_twin.log.transcript import Transcript
 from khep_twin.ports.replay import RecordedHosts, Setup, repeat_event
@@ -34,16 +33,6 @@ class Divergence:
     channel: str
     recorded: str = field(compare=False)
     repeated: str = field(compare=False)
-
-
-def version_differences(recorded: RecordedRun) -> list[str]:
-    """Return the differences between the versions of a log and those installed, a line each."""
-    metadata = recorded.label.metadata
-    return [
-        f"made with {key} {printable(metadata.get(key, 'unknown'))}, here is {value}"
-        for key, value in versions().items()
-        if metadata.get(key) != value
-    ]
 
 
 def require_states(recorded: RecordedRun) -> None:
@@ -144,7 +133,11 @@ class _Comparison(Observer):
         differences: list[Divergence] = []
         for name, recorded_lines in zip(self._names, recorded.lines, strict=True):
             topic = f"/{name}/serial"
-            for old, new in zip_longest(recorded_lines, self._lines[topic]):
+            # A tool that sorts a log by time changes the order of lines at different times.
+            old_lines, new_lines = (
+                sorted(lines, key=_line_order) for lines in (recorded_lines, self._lines[topic])
+            )
+            for old, new in zip_longest(old_lines, new_lines):
                 if (old and (old.name, old.text)) == (new and (new.name, new.text)) and (
                     old is None or new is None or old.time_ns == new.time_ns or old.time_ns >= recorded.end_ns
                 ):
@@ -156,6 +149,10 @@ class _Comparison(Observer):
                     differences.append(Divergence(time_ns, topic, _format_line(old), _format_line(new)))
                 break
         return differences
+
+
+def _line_order(line: TextLine) -> tuple[int, str]:
+    return line.time_ns, line.name
 
 
 def _format_line(line: TextLine | None) -> str:

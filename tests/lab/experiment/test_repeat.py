@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import good, khep_twin
@@ -22,12 +23,13 @@ from khep_twin.host import Gripper, Khepera
 from khep_twin.interventions.move_robot import scan
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.multi_robot import run_together
-from khep_twin.lab.experiment.repeat import Divergence, repeat, version_differences
+from khep_twin.lab.experiment.repeat import Divergence, repeat
 from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.decoding import read_line
 from khep_twin.log.host_events import events_message, read_events
 from khep_twin.log.recorded import read_recorded_run
 from khep_twin.log.recover import recover
+from khep_twin.log.run_description import version_differences
 from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -56,6 +58,27 @@ def test_what_another_robot_was_asked_before_all_sensors_were_converted_is_repea
         scan(twin.world)
         twin.world.advance_to(SECOND + 1_000_000)
     assert again(path) is None
+
+
+def test_a_log_whose_host_sends_before_the_reply_is_complete_repeats_when_sorted_by_time(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "run.mcap"
+    with open_twin(Playpen.load("default"), TwinOptions(unpaced=True, log=str(path))) as twin:
+        for _ in range(5):
+            twin.robot.send(b"N\nD,1,1\n")
+            twin.world.advance(0.02)
+            twin.robot.send(b"B\n")
+            twin.world.advance(0.05)
+    by_time = rewritten(
+        path, tmp_path / "sorted.mcap", order=lambda messages: sorted(messages, key=_log_time)
+    )
+    assert again(path) is None
+    assert again(by_time) is None
+
+
+def _log_time(message: Any) -> int:
+    return message[2].log_time
 
 
 @pytest.mark.parametrize("seconds", share([15, 60], 2))
@@ -273,7 +296,7 @@ def test_a_rescued_log_repeats_as_far_as_it_goes(tmp_path: Path, driven: Path) -
 
 
 def test_what_differs_from_here_is_said_before_it_starts(tmp_path: Path, driven: Path) -> None:
-    assert version_differences(read_recorded_run(driven)) == []
+    assert version_differences(read_recorded_run(driven).label) == []
     path = rewritten(driven, tmp_path / "run.mcap", facts={"mujoco": "3.0.0", "machine": "Plan9 pdp11"})
     completed = khep_twin("repeat", path)
     assert completed.returncode == 0
