@@ -86,6 +86,9 @@ def _warning_printer(show_others: Callable[..., None]) -> Callable[..., None]:
     return print_warning
 
 
+_WRITE_ERRORS = errno.EROFS, errno.EACCES, errno.ENOSPC
+
+
 def _run_app() -> int:
     """Run the command; print its error, if any; return the exit code."""
     try:
@@ -107,6 +110,10 @@ def _run_app() -> int:
             text = f"{error.strerror}; expected fewer that are open, or more that may be: ulimit -n"
         elif _is_cwd_missing():
             text = "the current directory no longer exists; expected an existing one"
+        elif "temporary directory" in str(error):  # of tempfile, or of Matplotlib
+            text = "no folder for temporary files can be written; expected one, which TMPDIR may name"
+        elif error.errno in _WRITE_ERRORS and error.filename is not None:
+            text = f"{error.filename}: {error.strerror}; expected a folder that can be written"
         else:
             raise
     except TyperException as error:

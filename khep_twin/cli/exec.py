@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 HEADERS = Path(__file__).parents[1] / "assets" / "khepera4" / "include"
 """Folder of a header that the published copies of K-Team's library lack."""
 
-CFLAGS = ["-fcommon", "-funsigned-char", "-fno-pie", "-no-pie", f"-I{HEADERS}"]
+CFLAGS = ["-fcommon", "-funsigned-char", "-fno-pie", "-no-pie", "-idirafter", str(HEADERS)]
 """Options of `cc` for K-Team's library and its programs: the library stores pointers in 32 bits and defines
 variables in its headers; the robot's `char` is unsigned."""
 

@@ -12,7 +12,7 @@ import stat
 import struct
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,9 +24,6 @@ PROCESSORS = {3: "x86", 8: "MIPS", 20: "PowerPC", 21: "PowerPC", 22: "s390", 40:
     258: "LoongArch",
 }
 """Names of processors, by `e_machine`."""
-
-DEVICE_NODES = "/dev/i2c-", "/dev/user-gpio", "/dev/pwm"
-"""Starts of the paths of the robot's device nodes."""
 
 _X86, _X86_64 = 3, 62
 _OBJECT, _CORE = 1, 4  # e_type
@@ -202,16 +199,3 @@ def check_preload(program: str, loader: str, library: Path, environment: Mapping
         f"({reason[1] if reason else 'without a reason'}); expected a cache folder that may hold programs "
         "(XDG_CACHE_HOME), and the C compiler of the program (CC)"
     )
-
-
-def open_device_nodes(process_id: int) -> Sequence[str]:
-    """Return the robot's device nodes that a process has open on this computer."""
-    nodes: list[str] = []
-    try:
-        for entry in os.scandir(f"/proc/{process_id}/fd"):
-            target = os.readlink(entry.path)
-            if target.startswith(DEVICE_NODES):
-                nodes.append(target)
-    except OSError:  # it has ended, or closed a file meanwhile
-        return nodes
-    return nodes

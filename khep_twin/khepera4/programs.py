@@ -232,7 +232,12 @@ def preload_library(bits: int = 64) -> Path:
     """
     if sys.platform != "linux":
         raise KhepTwinError(f"programs of a Khepera IV on {sys.platform}; expected Linux")
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "khep_twin"
+    try:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "khep_twin"
+    except RuntimeError:
+        raise KhepTwinError(
+            "the preload library: this user has no home folder; expected a cache folder in XDG_CACHE_HOME"
+        ) from None
     sources = sorted(SOURCES.glob("shim*"))
     content = b"".join(source.read_bytes() for source in sources)
     library_path = cache / f"khepera4-{bits}-{hashlib.sha256(content).hexdigest()[:14]}.so"

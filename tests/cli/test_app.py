@@ -1,6 +1,7 @@
 """The command line, as a user types it."""
 
 import json
+import os
 import re
 import resource
 import shlex
@@ -355,3 +356,26 @@ def test_a_warning_about_a_port_is_one_line() -> None:
     process = run_python([sys.executable, "-m", "khep_twin", "conform", "khep://default?mode=2"], timeout=60)
     assert len(process.stderr.splitlines()) == 1
     assert process.stderr.startswith("khep-twin: khep://default?mode=2: the host has its line at 9600 baud")
+
+
+TEMPORARY = """
+import os, sys, tempfile
+def refuse():
+    raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
+tempfile.gettempdir = refuse
+sys.argv = ["khep-twin", *sys.argv[1:]]
+from khep_twin.cli.app import main
+main()
+"""
+"""The command line on a system where no folder for temporary files can be written."""
+
+
+@pytest.mark.parametrize("words", ["ports", "serve default", "exec true"])
+def test_without_a_folder_for_temporary_files_a_command_ends_in_one_line(words: str, tmp_path: Path) -> None:
+    environment = {key: value for key, value in os.environ.items() if key != "XDG_RUNTIME_DIR"}
+    result = run_python(
+        [sys.executable, "-c", TEMPORARY, *words.split()], cwd=tmp_path, env=environment, timeout=60
+    )
+    expected = "no folder for temporary files can be written; expected one, which TMPDIR may name"
+    assert (result.returncode, result.stderr.splitlines()[-1]) == (1, f"khep-twin: {expected}")
+    assert "Traceback" not in result.stderr

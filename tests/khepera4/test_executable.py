@@ -123,3 +123,13 @@ def test_a_program_that_ends_without_the_preload_library_is_an_error(
     monkeypatch.setattr(DeviceServer, "clients", clients, raising=False)
     with pytest.raises(KhepTwinError, match=r"true: ended with code 0 and never loaded the preload library"):
         run_program(["/bin/true"], machine(), simulated=simulated)
+
+
+def test_a_user_without_a_home_folder_is_asked_for_a_cache_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", refuse)
+    with pytest.raises(KhepTwinError, match=r"no home folder; expected a cache folder in XDG_CACHE_HOME"):
+        run_program(["/bin/true"], machine())
