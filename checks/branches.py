@@ -10,6 +10,7 @@ branch with a change that differs before the change; or a difference that `repea
 
 import tempfile
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -34,6 +35,9 @@ from khep_twin.units import STEP_NS
 from khep_twin.world import SAMPLE_NS, World
 from tools.command_table import command_line
 
+WORDS4 = "D,90,40 N O D,-30,80 K,9,0,0,0,9,0,0,0,9 R F,9000,5000 B G E L,600,-400 U,5 S T V,0 Z A,0".split()
+"""Commands of a Khepera IV."""
+
 WORDS = "D,9,4 N O D,-3,8 L,0,2 H D,10,10 K C,900,500 B D,20,19 E P,60,-40 J,20,64,20,64 G,0,0".split()
 ARM = "T,1,E,255 T,1,D,1 T,1,E,152 T,1,D,0 T,1,G T,1,H,1 T,1,F".split()
 
@@ -43,6 +47,8 @@ FAULTS = (
     "weak:right:0.2@2.5-10.2 slip:left:0.1@3 slip:right:0.3@1-7.7 slip:left:0.05@6-12 blocked:left@2.2-5.1 "
     "blocked:right@9-9.9 brown-out@9 brown-out@2.003"
 ).split()
+
+LINE_FAULTS = "drop", "garble", "late", "brown-out"
 
 LAMPS = """
 [[lamp]]
@@ -84,7 +90,8 @@ def drive(world: World, seed: int, end_ns: int) -> None:
     while world.time_ns < end_ns:
         rng = np.random.default_rng([seed, world.time_ns])
         for robot in world.robots:
-            words = WORDS + ARM * bool(robot.firmware.turrets)
+            is_khepera = world.playpen.robots[robot.index].body.in_core
+            words = (WORDS if is_khepera else WORDS4) + ARM * bool(robot.firmware.turrets)
             robot.uart.tx.read(world.time_ns)
             robot.send(f"{rng.choice(words)}\n".encode() * int(rng.integers(1, 3)))
             match int(rng.integers(30)):
@@ -119,18 +126,18 @@ def drive(world: World, seed: int, end_ns: int) -> None:
         world.advance_to(min(world.time_ns + int(rng.integers(1, 300_000_000)), end_ns))
 
 
-def kheperas() -> list[str]:
-    """Return the shipped playpens whose robots are Kheperas, which the faults of this check need."""
-    return [
-        name for name in playpen.names() if all(robot.body.in_core for robot in Playpen.load(name).robots)
-    ]
+def faults_of(playpen_of: Playpen) -> Sequence[str]:
+    """Return the faults that all robots of a playpen may have; a Khepera IV has those of its line."""
+    if all(robot.body.in_core for robot in playpen_of.robots):
+        return FAULTS
+    return [fault for fault in FAULTS if fault.partition(":")[0].partition("@")[0] in LINE_FAULTS]
 
 
 def make(number: int, path: Path) -> float:
     """Write the log of a number; return when its run ends [s]."""
     rng = np.random.default_rng([number, 1])
     scenes = [
-        *(lambda name=name: Playpen.load(name) for name in kheperas()),
+        *(lambda name=name: Playpen.load(name) for name in playpen.names()),
         *(lambda extra=extra: arena(extra) for extra in ("", LAMPS, ROBOTS, PUSHED, LAMPS + PUSHED + ROBOTS)),
         lambda: arena(battery_used_min=41.0),
         lambda: arena(PUSHED, turrets=("gripper",)),
@@ -144,7 +151,7 @@ def make(number: int, path: Path) -> float:
         vary=rng.random() < 0.3,
         unpaced=rng.random() < 0.1,
         strict_line=rng.random() < 0.2,
-        faults=tuple(rng.choice(FAULTS, int(rng.integers(0, 5)), replace=False).tolist()),
+        faults=tuple(rng.choice(faults_of(scene), int(rng.integers(0, 5)), replace=False).tolist()),
     )
     end_s = float(rng.uniform(2, 23))
     with open_twin(scene, options) as twin:
@@ -165,10 +172,11 @@ def change_of(number: int, at_ns: int, playpen_of: Playpen) -> tuple[BranchPoint
     change = BranchPoint(
         at_ns,
         seed=int(rng.integers(1000)) if rng.random() < 0.5 else None,
-        faults=tuple(rng.choice(FAULTS, int(rng.integers(0, 3)), replace=False).tolist()),
+        faults=tuple(rng.choice(faults_of(playpen_of), int(rng.integers(0, 3)), replace=False).tolist()),
         edits=(str(rng.choice(edits)),) if rng.random() < 0.4 else (),
     )
-    return change, bool(rng.random() < 0.5)
+    # The controller is a Khepera's.
+    return change, bool(rng.random() < 0.5) and playpen_of.robots[0].body.in_core
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:

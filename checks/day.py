@@ -1,6 +1,7 @@
 """Memory of a day of `serve --log` with a host that polls as fast as the line allows.
 
     python -m checks day 24 --log day.mcap
+    python -m checks day 24 --seed 2            with a Khepera IV, as for each even seed
 
 The server's loop runs on the wire clock over a pseudo-terminal. Its host is a separate process that sends 23
 commands in each simulated second, as on the robot's line. The log is flushed each half of a simulated
@@ -53,7 +54,9 @@ def day(hours: float, log: Path, seed: int) -> float:
     start_s, first, next_ns = time.monotonic(), 0.0, WARM_NS
     with ExitStack() as stack:
         compile_all(["world"])
-        twin = stack.enter_context(open_twin("obstacles", TwinOptions(seed=seed, log=str(log))))
+        twin = stack.enter_context(
+            open_twin(("arena4", "obstacles")[seed % 2], TwinOptions(seed=seed, log=str(log)))
+        )
         twin.world.code.switch_if_ready()  # as `serve --clock wire` does
         port = stack.enter_context(closing(PtyPort(None, twin.robot.firmware.baud)))
         command = [sys.executable, "-m", "checks", "day", "--host", port.path]

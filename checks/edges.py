@@ -2,8 +2,10 @@
 
     python -m checks edges 2000
 
-Each playpen depends on its number alone, so that findings are reproducible: `--first NUMBER` starts there.
-Findings are a simulation that diverges, a robot that leaves the arena, exceeds 1.1 m/s (full speed is 1.02),
+A quarter of the playpens have Kheperas IV. Each playpen depends on its number alone, so that findings are
+reproducible: `--first NUMBER` starts there.
+Findings are a simulation that diverges, a robot that leaves the arena, exceeds 1.1 m/s (full speed is 1.02; a
+Khepera IV 1.3, full speed 1.22),
 rises 15 mm above the floor or tilts by 30 degrees, and a movable object that leaves the arena through a wall.
 A robot with a gripper is top-heavy and has an arm that pushes: its fall ends the drive without a finding. The
 same holds in playpens with movable objects, as a robot may climb on a loose board.
@@ -21,14 +23,17 @@ from khep_twin.playpen.polygon import contains, distance
 from khep_twin.world import World
 from tools.command_table import command_line
 
-FASTEST = 1.1
-"""Highest speed of a robot [m/s]."""
+FASTEST, FASTEST4 = 1.1, 1.3
+"""Highest speed of a Khepera and of a Khepera IV [m/s]."""
 
 SUNK_MM = 3.0
 """Depth to which a thin object hit by a robot sinks into a wall, and comes out again [mm]."""
 
 HIGHEST, STEEPEST_DEG = 0.015, 30.0
 """Limits of a robot's height above the floor [m], and of its tilt."""
+
+FULL_PWM = 2940
+"""Full PWM of a Khepera IV."""
 
 TOPPLED = "toppled"
 
@@ -48,7 +53,8 @@ COMMANDS = [
 def text_of(number: int) -> str:
     """Return the playpen of a number, which the check may refuse."""
     rng = random.Random(number)
-    width, height = rng.uniform(250, 500), rng.uniform(200, 400)
+    scale, robot = (2.5, 'model = "khepera4"') if number % 4 == 3 else (1, "")
+    width, height = scale * rng.uniform(250, 500), scale * rng.uniform(200, 400)
     lines = ['version = 1\nname = "edge"\n[arena]', f"width_mm = {width:.0f}", f"height_mm = {height:.0f}"]
     lines += [
         f"wall_thickness_mm = {rng.choice((1, 2, 3, 5, 8, *[10] * 5))}",
@@ -81,8 +87,8 @@ def text_of(number: int) -> str:
         if rng.random() < 0.6:
             lines += ["movable = true", f"mass_g = {rng.choice((5, 5, 20, 100, 1000, 10_000))}"]
     for _ in range(rng.choice((1, 1, 2))):
-        lines += ["[[robot]]", *_place(rng, width, height), f"heading_deg = {rng.uniform(0, 360)}"]
-        if rng.random() < 0.2:
+        lines += ["[[robot]]", *_place(rng, width, height), f"heading_deg = {rng.uniform(0, 360)}", robot]
+        if rng.random() < 0.2 and not robot:
             lines.append('turrets = ["gripper"]')
     return "\n".join(lines) + "\n"
 
@@ -111,9 +117,12 @@ def find_fault(number: int, candidate: Playpen, seconds: float = 10.0) -> str | 
         while world.time_ns < seconds * NS_PER_S:
             for index, robot in enumerate(world.robots):
                 if world.time_ns >= due_ns[index]:
-                    robot.send(b"D,%d,%d\n" % rng.choice(COMMANDS))
-                    robot.send(b"T,1,E,%d\n" % rng.randrange(256))
-                    robot.send(b"T,1,D,%d\n" % rng.randrange(2))
+                    speeds = rng.choice(COMMANDS)
+                    arm, hand = rng.randrange(256), rng.randrange(2)
+                    if candidate.robots[index].body.in_core:
+                        robot.send(b"D,%d,%d\nT,1,E,%d\nT,1,D,%d\n" % (*speeds, arm, hand))
+                    else:
+                        robot.send(b"L,%d,%d\r\n" % tuple(speed * FULL_PWM // 127 for speed in speeds))
                     due_ns[index] = world.time_ns + rng.randrange(5, 150) * units.TICK_NS
             world.advance_to(world.time_ns + units.TICK_NS)
             if finding := next(_find_faults(world, ejected), None):
@@ -156,7 +165,8 @@ def _off_its_wheels(world: World, body: int, number: int) -> Iterator[str]:
         yield f"robot {number + 1} tilts by {tilt_deg:.0f} degrees"
     elif height > HIGHEST:
         yield f"robot {number + 1} is {height * 1000:.1f} mm off the floor"
-    if (speed := math.hypot(*world.data.qvel[start : start + 2].tolist())) > FASTEST:
+    fastest = FASTEST if world.playpen.robots[number].body.in_core else FASTEST4
+    if (speed := math.hypot(*world.data.qvel[start : start + 2].tolist())) > fastest:
         yield f"robot {number + 1} goes {speed:.2f} m/s"
 
 

@@ -6,8 +6,9 @@
 `serve` is polled for its sensors by a host, in real time, until it is killed. The loss is the wall time
 before the kill that is missing in the recovered log, by its last sample and by its last reply. `run` is in
 lock-step and prints its simulated time after each cycle; the loss is the missing simulated time.
-Each log must be recovered by `khep-twin recover`, be opened by mcap's reader, and hold the replies that the
-host has received. The exit status is 1 if a log fails to, or lost more than the limit.
+Half of the robots are Kheperas IV. Each log must be recovered by `khep-twin recover`, be opened by mcap's
+reader, and hold the replies that the host has received. The exit status
+is 1 if a log fails to, or lost more than the limit.
 """
 
 import os
@@ -34,17 +35,22 @@ from tools.command_table import command_line
 MOST_LOST = {"serve": 1.0, "run": 5.0}
 """Largest loss of a log: wall time for `serve`, simulated time for `run` [s]."""
 
+PLAYPENS = "obstacles", "arena4"
+"""Playpens: a Khepera's for even seeds, a Khepera IV's for odd ones."""
+
 LATEST_KILL = 3.0
 """Latest wall time of a kill after the first output [s]."""
 
 TIMEOUT_S = 60.0
 """Timeout on a busy machine [s]."""
 
-CONTROLLER = """import os
+PROGRAM = """import os
+from khep_twin.host import Khepera, Khepera4
 
-def controller(robot):
-    robot.proximity()
-    os.write(1, b"%.9f\\n" % robot.time)
+with {host}("khep://{playpen}?log=run.mcap") as robot:
+    while True:
+        robot.proximity()
+        os.write(1, b"%.9f\\n" % robot.time)
 """
 
 
@@ -74,10 +80,10 @@ class Recovered:
     is_complete: bool
 
 
-def kill_serve(folder: Path, after: float) -> Kill:
+def kill_serve(folder: Path, after: float, playpen: str) -> Kill:
     """Serve a twin, poll it and kill it after so many seconds."""
     log = folder / "run.mcap"
-    with served("serve", "obstacles", "--log", str(log)) as (server, path):
+    with served("serve", playpen, "--log", str(log)) as (server, path):
         start = time.monotonic()
         host_replies = _poll(path, start + after)
         killed = time.monotonic()
@@ -121,13 +127,13 @@ def _poll(path: str, end_s: float) -> list[tuple[float, str]]:
         os.close(port)
 
 
-def kill_run(folder: Path, after: float) -> Kill:
-    """Run a controller in lock-step and kill it after so many seconds."""
-    log, controller = folder / "run.mcap", folder / "ask.py"
-    controller.write_text(CONTROLLER)
-    command = [sys.executable, "-m", "khep_twin", "run", str(controller), "--playpen", "obstacles"]
-    command += ["--seconds", "9999", "--log", str(log)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+def kill_run(folder: Path, after: float, playpen: str) -> Kill:
+    """Run a program in lock-step and kill it after so many seconds."""
+    log = folder / "run.mcap"
+    program = PROGRAM.format(playpen=playpen, host="Khepera4" if playpen == "arena4" else "Khepera")
+    command = [sys.executable, "-c", program]
+    pipe, null = subprocess.PIPE, subprocess.DEVNULL
+    with subprocess.Popen(command, stdout=pipe, stderr=null, cwd=folder) as process:
         assert process.stdout is not None
         output = b""
         try:
@@ -168,7 +174,8 @@ KILLS = {"serve": kill_serve, "run": kill_run}
 def kill(kind: str, seed: int, latest: float = LATEST_KILL) -> Kill:
     """Kill one run, in a separate folder, at a time drawn from the seed."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-kills-") as folder:
-        return KILLS[kind](Path(folder), random.Random(seed).uniform(0, latest))
+        playpen = PLAYPENS[seed % len(PLAYPENS)]
+        return KILLS[kind](Path(folder), random.Random(seed).uniform(0, latest), playpen)
 
 
 def main() -> int:

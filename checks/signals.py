@@ -83,6 +83,7 @@ KINDS = {
         life="series/runs.csv",
     ),
     "serve": Kind(["serve", "--log", "run.mcap", "--link", "./robot"], good=0),
+    "serve a Khepera IV": Kind(["serve", "arena4", "--log", "run.mcap", "--link", "./robot"], good=0),
     "design": Kind(["design", "--no-browser"], good=0),
     "sweep": Kind(["sweep", "study.toml", "--workers", "1"], life="out/study.json"),
     "sense": Kind(

@@ -39,7 +39,7 @@ from khep_twin.board.protocol import (
 )
 from khep_twin.board.rom import DEMO, ROMS, SELF_TEST, Rom
 from khep_twin.board.turrets import Turret, TurretKind
-from khep_twin.units import DUTY_LIMIT, N_SENSORS
+from khep_twin.units import COUNTS_LIMIT, DUTY_LIMIT, N_SENSORS
 
 Execute = TypeVar("Execute", bound=Callable[..., bytes])
 
@@ -54,6 +54,29 @@ GAIN_LIMIT = 32767
 
 ACCELERATION_LIMIT = 65535
 """Largest acceleration of command J [pulses/256 per (10 ms)^2] (assumed: a 16-bit word)."""
+
+_LARGEST = 2**42
+"""Limit of registers without a limit of their own: no arithmetic on them overflows."""
+
+_RANGES = {
+    **{
+        side + register: limits
+        for side in (LEFT, RIGHT)
+        for register, limits in (
+            (Wheel.POSITION, (-(2**31), 2**31 - 1)),
+            (Wheel.MODE, (0, len(Mode) - 1)),
+            (Wheel.MAX_SPEED, (0, SPEED_LIMIT_PULSES)),
+            (Wheel.ACCELERATION, (0, ACCELERATION_LIMIT)),
+            (Wheel.ON_TARGET, (0, 1)),
+            (Wheel.DUTY, (-DUTY_LIMIT, DUTY_LIMIT)),
+        )
+    },
+    **dict.fromkeys(range(Board.SPEED_KP, Board.LED_0), (0, GAIN_LIMIT)),
+    **dict.fromkeys((Board.LED_0, Board.LED_1), (0, 1)),
+    Board.SCAN: (0, N_SENSORS - 1),
+    **dict.fromkeys((*kernel.PROXIMITY, *kernel.AMBIENT), (0, COUNTS_LIMIT)),
+}
+"""Range of each register."""
 
 N_CONVERTER_CHANNELS = 7
 """Channels of command I (manual II, appendix A; the manual names none)."""
@@ -148,19 +171,21 @@ class Firmware:
         """Restore a state.
 
         Raises:
-            ValueError: It has other turrets, or an index register is out of its range.
+            ValueError: It has other turrets, or a register is outside its range.
         """
         turret_registers = {kind.name: turret.registers for kind, turret in self.turrets.items()}
         sizes = {name: len(registers) for name, registers in turret_registers.items()}
         if (state_sizes := {name: len(registers) for name, registers in state.turrets.items()}) != sizes:
             raise ValueError(f"turrets with registers {state_sizes}; expected {sizes}")
-        view = self.register_view
-        for register, limit in (
-            (Board.SCAN, N_SENSORS),
-            *((side + Wheel.MODE, len(Mode)) for side in (LEFT, RIGHT)),
-        ):
-            if not 0 <= view[register] < limit:
-                raise ValueError(f"register {int(register)} = {view[register]}; expected 0 to {limit - 1}")
+        for register, value in enumerate(self.register_view):
+            low, high = _RANGES.get(register, (-_LARGEST, _LARGEST))
+            if not low <= value <= high:
+                raise ValueError(f"registers[{register}] = {value}; expected {low} to {high}")
+        if state.running not in ("", DEMO) or self._processor[kernel.DEMO] != (state.running == DEMO):
+            raise ValueError(
+                f"ROM function {state.running!r}, flag {self._processor[kernel.DEMO]} of the demonstration; "
+                f"expected '' and 0, or {DEMO!r} and 1"
+            )
         for name, registers in state.turrets.items():
             turret_registers[name][:] = registers
         self.baud, self.reply_baud, self.running = state.baud, state.reply_baud, state.running

@@ -26,6 +26,7 @@ from khep_twin.firmware import Firmware
 from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
+from khep_twin.simulation.number_reader import LARGEST, read_floats, read_integers
 from khep_twin.simulation.turret_place import WorldTurretContext
 from khep_twin.simulation.world_state import BoardState, RobotSnapshot
 from khep_twin.units import SENSOR_LABELS
@@ -42,8 +43,14 @@ SAMPLED = (
 )
 """Channels of the board's registers."""
 
-_CHANGING_FIELDS = ("registers", "processor", "sensor_states", "strengths", "voltage")
-"""Fields of a robot's record that change during a run."""
+_CHANGING_FIELDS = {
+    "registers": (read_integers, -LARGEST, LARGEST),
+    "processor": (read_integers, 0, 1),
+    "sensor_states": (read_integers, step.SOUND, step.DEAD),
+    "strengths": (read_floats, 0, 1),
+    "voltage": (read_floats, -LARGEST, LARGEST),
+}
+"""Fields of a robot's record that change during a run: their reader, and the range of their numbers."""
 
 
 class KheperaRobot(Robot):
@@ -104,11 +111,10 @@ class KheperaRobot(Robot):
 
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""
-        for name in _CHANGING_FIELDS:
-            record_field, data = self._record[name], getattr(state, name)
-            if len(data) != record_field.nbytes:
-                raise ValueError(f"{len(data)} bytes of {name}; expected {record_field.nbytes}")
-            record_field[:] = np.frombuffer(data, record_field.dtype)
+        for name, (read, low, high) in _CHANGING_FIELDS.items():
+            reader = read(name, getattr(state, name))
+            self._record[name][:] = reader.take(name, len(self._record[name]), low, high)
+            reader.end()
         self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
         self._has_stopped = state.is_stopped
         self._set_led_lights(state.leds)

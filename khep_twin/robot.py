@@ -162,6 +162,10 @@ class Robot(WiredBoard, ABC):
             ValueError: The state is of another robot model or another line.
         """
 
+    def move_measurements(self, state: RobotSnapshot, qpos: NDArray[np.float64]) -> RobotSnapshot:
+        """Return a state whose measurements in progress have the positions `qpos` of another scene."""
+        return state
+
     @abstractmethod
     def act_after(self, reason: int) -> None:
         """React to the reason for which the stepping core has returned, a `step.Reason`."""
@@ -194,6 +198,8 @@ class Robot(WiredBoard, ABC):
 
     def _set_led_lights(self, leds: Sequence[int]) -> None:
         """Move each light to its LED if its state is not 0, otherwise into the body."""
+        if len(leds) != len(self._led_lights):
+            raise ValueError(f"states of {len(leds)} LEDs; expected {len(self._led_lights)}")
         self._shown_leds = list(leds)
         for is_lit, (position, hidden, led) in zip(self._shown_leds, self._led_lights, strict=True):
             position[:] = led if is_lit else hidden

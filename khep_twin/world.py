@@ -337,7 +337,7 @@ class World(NotCopied):
         try:
             self._stepper.set_state(state)
             # After the robots: the start of a wheel's fault changes the model and the motion.
-            set_physics_state(self.model, self.data, state.physics)
+            set_physics_state(self.model, self.data, state.physics, has_diverged=bool(state.failure))
             self.playpen = self.playpen.model_copy(update={"lamps": state.lamps, "lighting": state.lighting})
             self.lamps = Lamps(self.playpen, self.lamps.make_rng, self.time_ns)
             self.lamps.set_state(state.lamps_state)

@@ -2,8 +2,8 @@
 
     python -m checks fuzz-board -runs=1000000        with atheris (libFuzzer)
 
-The first byte chooses the board, 0xFE runs a control tick, 0xFD cuts the bytes into pieces; all others
-cross the line. `check` has the conditions.
+The first byte chooses the board, a Khepera IV's with the highest bit. 0xFE runs a control tick, 0xFD cuts the
+bytes into pieces; all others cross the line. `check` has the conditions.
 """
 
 from pathlib import Path
@@ -13,6 +13,40 @@ from tools.command_table import ROOT
 
 TRANSCRIPTS = ROOT / "tests" / "data" / "transcripts"
 TICK, CUT = 0xFE, 0xFD
+
+KHEPERA4 = 0x80
+"""Bit of the first byte for a Khepera IV."""
+
+KHEPERA4_COMMANDS = (
+    *(
+        b"B",
+        b"D,200,-150",
+        b"E",
+        b"F,900,-800",
+        b"G",
+        b"H,10,5,1",
+        b"I",
+        b"J,3,0,20,1,400",
+        b"K,1,2,3,4,5,6,7,8,9",
+    ),
+    *(
+        b"L,900,-900",
+        b"M",
+        b"N",
+        b"O",
+        b"P,20",
+        b"R",
+        b"S",
+        b"T",
+        b"U,31",
+        b"V,0",
+        b"X",
+        b"Z",
+        b"A,0",
+        b"A,2",
+    ),
+)
+"""Commands of kh4server."""
 
 
 def check(data: bytes) -> None:
@@ -29,6 +63,9 @@ def check(data: bytes) -> None:
     from khep_twin.firmware import Firmware
 
     choice, stream = (data[0] if data else 0), data[1:]
+    if choice & KHEPERA4:
+        check_khepera4(stream)
+        return
     rom = ROMS[list(ROMS)[choice % len(ROMS)]]
     turrets = {kind: kind.make() for kind in find_turrets(["gripper"] if choice & 0x40 else [])}
     firmware = Firmware(rom, 1, turrets)
@@ -58,8 +95,42 @@ def check(data: bytes) -> None:
     assert firmware.receive(b"\nB\n").endswith(version)
 
 
+def check_khepera4(stream: bytes) -> None:
+    """Feed one input to the server of a Khepera IV and check its reaction.
+
+    Raises:
+        AssertionError: A reply has another form, a register left its range, or the server is out of step
+            afterwards.
+    """
+    from khep_twin.khepera4.dspic import Dspic
+    from khep_twin.khepera4.motor_control import PWM_LIMIT
+    from khep_twin.khepera4.server import BINARY_BYTES, END, ERROR, Kh4Server
+
+    dspic = Dspic()
+    server, pulses = Kh4Server(dspic), 0
+    for piece in stream.replace(bytes([TICK]), bytes([CUT, TICK, CUT])).split(bytes([CUT])):
+        if piece == bytes([TICK]):
+            pulses += 70
+            pwm = dspic.tick(pulses, -pulses)
+            server.tick()
+            assert all(-PWM_LIMIT <= value <= PWM_LIMIT for value in pwm), pwm
+            continue
+        reply = server.receive(piece)
+        if reply.startswith(b"x") and len(reply) == BINARY_BYTES:
+            continue
+        is_line = reply.isascii() and reply.endswith(END) and reply.count(b"\r") == reply.count(b"\n") == 1
+        assert not reply or is_line, reply
+    for values in dspic.motor_numbers[:2]:
+        assert all(-(2**31) <= value < 2**31 for value in values), values
+    server.receive(b"\n")
+    assert server.receive(b"B\n") == b"b,B,0" + END
+    assert server.receive(b"b\n") == ERROR
+
+
 def seeds(folder: Path) -> None:
-    """Write the hosts' bytes of the transcripts as seed inputs."""
+    """Write the hosts' bytes of the transcripts, and commands of kh4server, as seed inputs."""
+    for number, command in enumerate(KHEPERA4_COMMANDS):
+        (folder / f"khepera4-{number}").write_bytes(bytes([KHEPERA4]) + command + b"\r\n\xfe")
     for transcript in TRANSCRIPTS.glob("*.txt"):
         host_lines = [line[2:] for line in transcript.read_text().splitlines() if line.startswith("> ")]
         for number, line in enumerate(host_lines):
@@ -69,5 +140,5 @@ def seeds(folder: Path) -> None:
 
 def main() -> None:
     """Run libFuzzer with options of the command line."""
-    modules = ("khep_twin", "khep_twin.firmware", "khep_twin.board.gripper_body")
+    modules = ("khep_twin", "khep_twin.firmware", "khep_twin.board.gripper_body", "khep_twin.khepera4")
     fuzz(check, seeds, modules, "-max_len=512")

@@ -1,4 +1,4 @@
-"""A fuzz target: damaged playpen files, MAT files, pictures and networks.
+"""A fuzz target: damaged playpen files, MAT files, pictures, networks and snapshots.
 
     python -m checks fuzz-files toml 1000000 --jobs 2
 
@@ -18,15 +18,24 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PIL import Image, ImageDraw
 
 from tools.command_table import ROOT, command_line
 
+if TYPE_CHECKING:
+    from khep_twin.world import World
+
 CORPUS = ROOT / "tests" / "data" / "corpus"
+PLAYPENS = ROOT / "khep_twin" / "assets" / "playpens"
 SECONDS, MEMORY = 2.0, 2**29
+
+SNAPSHOT_HEAD = 26
+"""Length of a snapshot's head [bytes]."""
 
 _TAGS = 0, 1, 4, 256, 259, 273, 277, 279, 2**16 - 1
 
@@ -35,6 +44,7 @@ TOKENS = {
         *(b"nan inf -1 0 1e999 1_0 0x10 1979-05-27 true [ ] [[ ]] { } = . , #".split()),
         *(b"\" ' \"\"\" ''' \\u0000 \\".split()),
         *(b"\n[[block]]\n \n[[robot]]\n \n[arena]\n \xff \xef\xbb\xbf \0 x_mm name a.a.a.a.a.a".split(b" ")),
+        *(b'model = "khepera4"', b'"kh4server"', b'rom = "5.02"', b'turrets = ["gripper"]'),
         *(b"[" * 3000, b"a." * 3000, b"9" * 5000, b"{a=" * 500),
     ],
     "mat": [
@@ -49,6 +59,10 @@ TOKENS = {
         *(b"PK\1\2 PK\3\4 PK\5\6 \x93NUMPY <f8 |O <U1 <U999999 >i8 <f2 |b1 True".split()),
         *(b"(99999999999,) (-1,) () (8, 1)".split(b" ")),
         *(number.to_bytes(4, "little") for number in (0, 1, 8, 2**31 - 1, 2**32 - 1, 0xD800, 0x110000)),
+    ],
+    "snapshot": [
+        *(b'null true false NaN Infinity -1 1e999 0.5 [] {} AAAAAAAA AAAAAAA= __-_ / + " [ ] , :'.split()),
+        *(b"9223372036854775807", b"9" * 400, b"[" * 3000, b"\\ud800", b"kh4server", b"\0"),
     ],
     "picture": [
         *(b"P1 P2 P3 P4 P5 P6 GIF89a BM II*\0 MM\0* II+\0".split(b" ")),
@@ -107,12 +121,49 @@ def network_target(data: bytes) -> None:
     assert len(message) < 1000, message
 
 
+def snapshot_target(data: bytes) -> None:
+    """Restore a snapshot, and continue its run."""
+    from khep_twin.errors import KhepTwinError
+
+    message = ""
+    try:
+        world, head = _snapshot_world()
+        world.restore(head + zlib.compress(data, 1))
+        world.advance(0.02)
+        world.snapshot()
+    except KhepTwinError as error:
+        message = str(error)
+    assert message.isprintable(), message
+    assert len(message) < 1000, message
+
+
+@cache
+def _snapshot_world() -> "tuple[World, bytes]":
+    """Return a world of a Khepera and two Kheperas IV, and the head of its snapshots."""
+    from khep_twin.world import World
+
+    world = World("arena4-two", compiled=False)
+    return world, world.snapshot()[:SNAPSHOT_HEAD]
+
+
+def _snapshots() -> Iterator[bytes]:
+    """Yield the texts of snapshots of a run."""
+    world, _ = _snapshot_world()
+    world.reset(seed=1)
+    for robot, command in zip(world.robots, (b"D,150,120\r\n", b"A,0\r\n", b"D,5,9\n"), strict=True):
+        robot.send(command)
+    for _ in range(4):
+        world.advance(0.1175)
+        yield zlib.decompress(world.snapshot()[SNAPSHOT_HEAD:])
+
+
 TARGETS: dict[str, Callable[[bytes], None]] = {
     "toml": toml_target,
     "mat": bitmap_target,
     "png": bitmap_target,
     "picture": bitmap_target,
     "npz": network_target,
+    "snapshot": snapshot_target,
 }
 
 PICTURES = {
@@ -130,9 +181,14 @@ PLAIN = b"P1\n# plain\n4 4\n1111 1001\n1001 1111\n", b"P2\n4 3\n255\n0 0 0 0 0 9
 
 def seeds_of(kind: str) -> list[bytes]:
     """Return the undamaged files from which inputs of a kind are derived."""
+    if kind == "snapshot":
+        return [*_snapshots()]
     if kind == "picture":
         return [*_pictures(), *PLAIN]
-    return [path.read_bytes() for path in sorted(CORPUS.glob(f"*.{kind}"))]
+    paths = sorted(CORPUS.glob(f"*.{kind}"))
+    if kind == "toml":
+        paths += sorted(PLAYPENS.glob("arena4*.toml"))
+    return [path.read_bytes() for path in paths]
 
 
 def _pictures() -> Iterator[bytes]:

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 
 from checks.fuzz.libfuzzer import fuzz
 from checks.fuzz.log_mutations import Record, parse_records
-from checks.fuzz.logs import ODD, STEP, cooked, error_text, folder, write_steps
+from checks.fuzz.logs import KHEPERA4, ODD, STEP, cooked, error_text, folder, playpen_of, write_steps
 
 MODULES = (
     "khep_twin.log.viewer.replay",
@@ -39,6 +39,9 @@ MODULES = (
     "khep_twin.lab.experiment.branch",
     "khep_twin.lab.report.report",
     "khep_twin.shadow.recording",
+    "khep_twin.khepera4",
+    "khep_twin.simulation.number_reader",
+    "khep_twin.simulation.snapshot_format",
 )
 """Modules whose branches libFuzzer looks for."""
 
@@ -51,20 +54,21 @@ WORDS = [
     *(b"%d" % value for value in ODD),
     *(b"nan inf -inf 1e308 -1e308 1e-308 0.5 1e999 NaN Infinity true null [] {} [[]]".split()),
     *(b"9" * 5000, b"<body/>", b"<include file='/etc/passwd'/>", b"]]>", b"\0", b"\xff", b'"', b"\n", b""),
-    *(b"khepera2 gripper k213 radio 6.05 box sphere plane mesh replicate file xml robot block lamp".split()),
+    *(b"khepera2 khepera4 gripper k213 radio 6.05 box sphere plane mesh replicate file xml".split()),
+    *(b"robot block lamp".split()),
 ]
 """Words that are put into texts."""
 
 
 @cache
-def records() -> tuple[Record, ...]:
+def records(playpen: str = "default") -> tuple[Record, ...]:
     """Return the records of a log of seven samples, with a movement."""
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     path = folder() / "base.mcap"
     path.unlink(missing_ok=True)
-    with open_twin("default", TwinOptions(log=str(path))) as twin:
-        twin.robot.send(b"N\nD,5,5\n")
+    with open_twin(playpen, TwinOptions(log=str(path))) as twin:
+        twin.robot.send(b"N\nD,5,5\n" if playpen == "default" else b"D,50,50\r\n")
         twin.advance_to(120_000_000)
         twin.world.log_event(0, "x")
     return tuple(parse_records(path.read_bytes()))
@@ -85,7 +89,7 @@ def changed_text(record: Record, which: int, word: bytes) -> Record:
 
 def log_of(data: bytes) -> bytes:
     """Return the log of a recipe."""
-    first = records()
+    first = records(playpen_of(data))
     if data and data[0] & IN_TEXT and len(data) > STEP:
         attachment, which, word, _ = struct.unpack("<BHHB", data[1 : 1 + STEP])
         places = [index for index, record in enumerate(first) if record.opcode == Opcode.ATTACHMENT]
@@ -105,7 +109,7 @@ def check(data: bytes) -> None:
     """
     path = folder() / "x.mcap"
     path.write_bytes(log_of(data))
-    use = USES[(data[0] if data else 0) % IN_TEXT % len(USES)]
+    use = USES[(data[0] if data else 0) % KHEPERA4 % len(USES)]
     line = error_text(use, path)
     assert line.isprintable(), line
     rest = {file.name for file in folder().iterdir()} - {"x.mcap", "base.mcap"}
@@ -189,7 +193,7 @@ USES: list[Callable[[Path], None]] = [view, repeat, branch_same, branch_changed,
 def seeds(target: Path) -> None:
     """Write seed inputs: each use, each kind of step, and words of each attachment."""
     write_steps(target, len(USES))
-    for use in range(len(USES)):
+    for use in [robot | use for robot in (0, KHEPERA4) for use in range(len(USES))]:
         for kind in range(0, 256, 24):
             text = struct.pack("<BHHB", kind // 24, 7 * kind, kind, 0)
             (target / f"text{use}-{kind}").write_bytes(bytes([use | IN_TEXT]) + text)
@@ -199,4 +203,5 @@ def main() -> None:
     """Run libFuzzer with options of the command line."""
     folder()
     records()
+    records("arena4")
     fuzz(check, seeds, MODULES, "-max_len=61", "-len_control=0", "-rss_limit_mb=6000")

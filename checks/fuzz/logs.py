@@ -2,8 +2,9 @@
 
     python -m checks fuzz-logs -runs=1000000      with atheris (libFuzzer)
 
-The first byte selects the use of the log, and whether the file as a whole is damaged at the end. The others
-are steps of six bytes: operation, record, position, and value. `check` states the conditions.
+The first byte selects the use of the log, whether it is a Khepera IV's, and whether the file as a whole is
+damaged at the end. The others are steps of six bytes: operation, record, position, and value. `check` states
+the conditions.
 """
 
 import atexit
@@ -44,18 +45,21 @@ ODD = [0, 1, -1, 7, 255, 256, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**
 DAMAGED = 0x80
 """Bit of the first byte: the last step applies to the file."""
 
+KHEPERA4 = 0x20
+"""Bit of the first byte: the log is of a Khepera IV."""
+
 SMALL = ("/scene", "/robot_description", "/channel_names")
 """Channels that are left out of the initial log, since they are slow and nothing reads them."""
 
 
 @cache
-def base() -> tuple[Record, ...]:
+def base(playpen: str = "default") -> tuple[Record, ...]:
     """Return the records of a log of two samples, with few attachments."""
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "base.mcap"
-        with open_twin("default", TwinOptions(log=str(path))) as twin:
+        with open_twin(playpen, TwinOptions(log=str(path))) as twin:
             twin.robot.send(b"N\n")
             twin.advance_to(20_000_000)
             twin.world.log_event(0, "x")
@@ -157,7 +161,9 @@ class Step:
 
 def cooked(data: bytes, first: tuple[Record, ...] | None = None) -> bytes:
     """Return the log of a recipe, made from the small log or from these records."""
-    records = list(base() if first is None else first)
+    if first is None:
+        first = base(playpen_of(data))
+    records = list(first)
     choice, steps = data[0] if data else 0, list(struct.iter_unpack("<BBHH", whole_steps(data[1:])))
     last = steps.pop() if steps and choice & DAMAGED else None
     for step in steps:
@@ -167,6 +173,11 @@ def cooked(data: bytes, first: tuple[Record, ...] | None = None) -> bytes:
         kind, which, place, value = last
         log = Step(kind, 0, (which << 16 | place) % (len(log) + 1), value).changed(log)
     return log
+
+
+def playpen_of(data: bytes) -> str:
+    """Return the playpen of a recipe's log."""
+    return "arena4" if data and data[0] & KHEPERA4 else "default"
 
 
 def whole_steps(data: bytes) -> bytes:
@@ -192,7 +203,7 @@ def check(data: bytes) -> None:
     """
     path = folder() / "x.mcap"
     path.write_bytes(cooked(data))
-    use = USES[(data[0] if data else 0) % 128 % len(USES)]
+    use = USES[(data[0] if data else 0) % KHEPERA4 % len(USES)]
     line = error_text(use, path)
     assert line.isprintable(), line
 
@@ -266,7 +277,7 @@ def seeds(target: Path) -> None:
 
 def write_steps(target: Path, n_uses: int) -> None:
     """Write seed inputs of so many uses, and of each kind of step."""
-    for use in range(n_uses):
+    for use in [robot | use for robot in (0, KHEPERA4) for use in range(n_uses)]:
         (target / f"use{use}").write_bytes(bytes([use]))
         for kind in range(0, 256, 24):
             step = struct.pack("<BBHH", kind, 3 * kind % 256, kind % 40, kind)
@@ -278,5 +289,6 @@ def main() -> None:
     """Run libFuzzer with options of the command line."""
     folder()
     base()
+    base("arena4")
     names = [f"khep_twin.log.{name}" for name in MODULES]
     fuzz(check, seeds, names, "-max_len=61", "-len_control=0", "-rss_limit_mb=2000")

@@ -20,6 +20,14 @@ DRAFT: dict[str, Any] = {
     "lamp": [{"x_mm": 500, "y_mm": 400, "power_w": 1.0}],
 }
 
+DRAFT4: dict[str, Any] = {
+    "version": 1,
+    "name": "four",
+    "arena": {"width_mm": 1500, "height_mm": 1200},
+    "robot": [{"x_mm": 700, "y_mm": 600, "heading_deg": 90, "model": "khepera4", "rom": "kh4server"}],
+}
+"""Draft of a playpen with a Khepera IV."""
+
 RUNS = 0x80
 """Bit of the first byte: a twin is started before."""
 
@@ -65,6 +73,9 @@ BASES: list[tuple[str, str, Any]] = [
     *(("POST", f"/do/{name}", arguments) for name, arguments in ACTIONS.items()),
     ("POST", "/do/start", {**ACTIONS["start"], "log": "new.mcap"}),
     ("POST", "/do/save", {**ACTIONS["save"], "file": "a.toml", "overwrite": True}),
+    *(("POST", f"/do/{name}", {**ACTIONS[name], "draft": DRAFT4}) for name in ("check", "preview", "scene")),
+    ("POST", "/do/start", {**ACTIONS["start"], "draft": DRAFT4}),
+    ("POST", "/do/library", {"name": "arena4"}),
     ("GET", "/", None),
     ("GET", "/static/model.js", None),
     ("HEAD", "/static/index.html", None),
@@ -77,7 +88,8 @@ BASES: list[tuple[str, str, Any]] = [
 NAMES = """../outside/secret.toml /etc/passwd link.toml linked/secret.toml linked pipe.toml sub sub/../a.toml
 sub/b.toml a.toml .hidden.toml a.toml/x.toml prog.py prog.py:controller sub/.toml a\b.toml ./a.toml run.mcap
 %2e%2e/secret.toml bad.toml T2 ../T1 ~/x.toml nowhere/x.toml x.mat x.csv x.mcap . .. / /dev/null socket://
-khep://x rfc2217://a:99999 default braitenberg khepera2 6.05 vision Prox9 black linear"""
+khep://x rfc2217://a:99999 default braitenberg khepera2 khepera4 kh4server arena4 6.05
+vision Prox9 black linear"""
 
 ODD: list[Any] = [
     *(None, True, False, 0, -1, 1, 2**31, 2**53 + 1, 2**63, 2**64, 10**400, 0.5, -0.0, 1e-320, 1e308),

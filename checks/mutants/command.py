@@ -25,7 +25,7 @@ from queue import Queue
 
 import coverage
 
-from checks.mutants.mutation import Mutant, mutants_of
+from checks.mutants.mutation import SourceMutant, mutants_of
 from checks.mutants.selection import BUDGET_S, Recorded, digest
 from tools.command_table import ROOT, command_line
 
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace, root: Path, recording: Path) -> int:
         recorded = Recorded(recording, Path(folder) / "0")
         choices = [(mutant, recorded.tests(mutant.path, mutant.line)) for mutant in mutants]
 
-        def outcome_of(choice: tuple[Mutant, list[str]]) -> str:
+        def outcome_of(choice: tuple[SourceMutant, list[str]]) -> str:
             tree = trees.get()
             try:
                 return outcome(tree, *choice)
@@ -95,7 +95,7 @@ def run(options: argparse.Namespace, root: Path, recording: Path) -> int:
     return 1 if n_survivors > MOST_SURVIVORS * len(mutants) else 0
 
 
-def draw(root: Path, seed: int, count: int) -> list[Mutant]:
+def draw(root: Path, seed: int, count: int) -> list[SourceMutant]:
     """Return mutants of a tree, the same for a seed."""
     paths = sorted(path for path in (root / "khep_twin").rglob("*.py") if "assets" not in path.parts)
     mutants = chain.from_iterable(
@@ -105,7 +105,7 @@ def draw(root: Path, seed: int, count: int) -> list[Mutant]:
     return random.Random(seed).sample(candidates, min(count, len(candidates)))
 
 
-def outcome(tree: Path, mutant: Mutant, tests: Sequence[str]) -> str:
+def outcome(tree: Path, mutant: SourceMutant, tests: Sequence[str]) -> str:
     """Return whether tests kill a mutant in a copy of the tree."""
     if not tests:
         return UNTESTED

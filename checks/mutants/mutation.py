@@ -28,7 +28,7 @@ SWAPPED: dict[type[ast.operator], type[ast.operator]] = {ast.Add: ast.Sub, ast.S
 
 
 @dataclass(frozen=True, order=True)
-class Mutant:
+class SourceMutant:
     """A source file with one fault.
 
     Attributes:
@@ -60,18 +60,18 @@ class Mutant:
         return "\n".join(line for line in list(lines)[2:] if not line.startswith("@@"))
 
 
-def mutants_of(path: str, source: str) -> list[Mutant]:
+def mutants_of(path: str, source: str) -> list[SourceMutant]:
     """Return all mutants of a source file, in the order of their lines."""
     offsets = [0]
     for line in source.encode().splitlines(keepends=True):
         offsets.append(offsets[-1] + len(line))
 
-    def mutant(node: ast.expr, replacement: ast.expr, fault: str) -> Mutant:
+    def mutant(node: ast.expr, replacement: ast.expr, fault: str) -> SourceMutant:
         assert node.end_lineno is not None
         assert node.end_col_offset is not None
         start = offsets[node.lineno - 1] + node.col_offset
         end = offsets[node.end_lineno - 1] + node.end_col_offset
-        return Mutant(path, node.lineno, start, end, f"({ast.unparse(replacement)})", fault)
+        return SourceMutant(path, node.lineno, start, end, f"({ast.unparse(replacement)})", fault)
 
     return sorted(mutant(*fault) for fault in _faults(ast.parse(source)))
 

@@ -192,6 +192,7 @@ PARTS = (
     files_part("png", "damaged PNGs", 100_000),
     files_part("picture", "damaged pictures of other formats", 200_000),
     files_part("npz", "damaged networks", 100_000),
+    files_part("snapshot", "damaged snapshots of a Khepera and of Kheperas IV", 100_000),
     fuzz_part("fuzz-logs", "changed logs, read, exported and recovered", 250_000, 25_000),
     fuzz_part("fuzz-log-uses", "changed logs, viewed, repeated, branched and checked", 50_000, 5_000),
     fuzz_part("fuzz-page", "requests to the designer's page", 100_000, 10_000),

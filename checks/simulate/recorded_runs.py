@@ -14,7 +14,9 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
 from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.interventions.switching import set_lamps, switch
+from khep_twin.log.attached import playpen_of
 from khep_twin.log.line_recorder import ROBOT, LineRecorder
+from khep_twin.log.reader import read_label
 from khep_twin.log.recorded import BranchPoint
 from khep_twin.ports.branching import open_log
 from khep_twin.ports.protocol_khep import Serial
@@ -22,11 +24,12 @@ from khep_twin.ports.resume import run_end_ns
 from khep_twin.ports.serve import PeriodicFlush
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
-PLAYPENS = "default", "default", "two-lamps", "gripper", "stripes", "looping-maze"
-"""Shipped playpens that are opened within 20 ms; two of them with turrets, one that sees."""
+PLAYPENS = "default", "default", "two-lamps", "gripper", "stripes", "looping-maze", "arena4"
+"""Shipped playpens that are opened within 20 ms; two with turrets, one that sees, one with a Khepera IV."""
 
 COMMANDS = (
     *(b"N\n", b"O\n", b"E\n", b"H\n", b"D,5,5\n", b"D,-3,7\r\n", b"D,0,0\n", b"L,0,2\n", b"G,0,0\n", b"B\n"),
+    *(b"R\r\n", b"D,90,60\r\n", b"A,0\r\n", b"V,0\r\n", b"G\r\n"),
     *(b"T,2,N\n", b"T,1,G\n", b"X9\n", b"\n", b"K\r", b"N"),
 )
 """Requests of a host: replies of all kinds, errors, and lines that end with the next command."""
@@ -88,6 +91,8 @@ class Run:
             at_s = rng.uniform(0.1, run_end_ns(self.parent) / NS_PER_S)
             at = "" if rng.random() < 0.2 else f"at={at_s:.9f}&"
             fault = rng.choice(("", "&fault=drop:0.05", "&fault=stuck:2,weak:left:0.5"))
+            if "stuck" in fault and not _has_kheperas(self.parent):
+                fault = "&fault=late:0.1:30"
             url = f"khep://{quote(str(self.parent))}?{at}seed={self.number}&log={path}{fault}"
         if self.parent is not None and rng.random() < 0.3:
             port = Serial.of(self._edited(self.parent, rng), 0.5)
@@ -198,6 +203,11 @@ class Run:
                 world.log_event(rng.choice((None, index)), f"note {rng.randrange(1000)}")
         except PlaypenError:
             pass  # there is no room
+
+
+def _has_kheperas(path: Path) -> bool:
+    """Return whether all robots of a log are Kheperas, which may have faults of sensors and motors."""
+    return all(robot.body.in_core for robot in playpen_of(read_label(path).attachments, path).robots)
 
 
 def _reply(command: bytes, number: int) -> bytes:

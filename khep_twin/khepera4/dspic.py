@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple
 
 from khep_twin.board.kernel import wrap
-from khep_twin.khepera4.motor_control import Motor, Settings
+from khep_twin.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT, Motor, Settings
 from khep_twin.khepera4.registers import (
     BATTERY_BYTES,
     N_BYTES,
@@ -22,6 +22,7 @@ from khep_twin.khepera4.registers import (
     Control,
     DspicRegister,
 )
+from khep_twin.simulation.number_reader import LARGEST, NumberReader
 
 N_INFRARED, N_ULTRASONIC = 12, 5
 """Infrared sensors: back left, left, front left, front, front right, right, back right, back, and of the
@@ -133,13 +134,16 @@ class Dspic:
         """Return the complete state."""
         return [*self.counts, *astuple(self._left), *astuple(self._right), *self._memory]
 
-    def set_state(self, state: Sequence[int]) -> None:
-        """Restore a state."""
-        n_numbers = len(astuple(self._left))
-        motors = [state[start : start + n_numbers] for start in (2, 2 + n_numbers)]
-        self._left, self._right = (_make_motor(numbers) for numbers in motors)
-        self.counts = state[0], state[1]
-        self._memory[:] = bytes(state[2 + 2 * n_numbers :])
+    def set_state(self, numbers: NumberReader[int]) -> None:
+        """Restore a state.
+
+        Raises:
+            ValueError: It has fewer numbers, or one is outside its range.
+        """
+        left, right = numbers.take("pulses of the encoders", 2)
+        self.counts = left, right
+        self._left, self._right = _read_motor(numbers), _read_motor(numbers)
+        self._memory[:] = bytes(numbers.take("byte of the registers", len(self._memory), 0, 255))
 
     @property
     def leds(self) -> bytes:
@@ -174,7 +178,21 @@ class Dspic:
                 registers[start : start + size] = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
 
 
-def _make_motor(numbers: Sequence[int]) -> Motor:
+_MOTOR_RANGES = {
+    "position": (-(2**31), 2**31 - 1),
+    "speed": (-LARGEST, LARGEST),
+    "pwm": (-PWM_LIMIT, PWM_LIMIT),
+    "is_on_target": (0, 1),
+    "ramp": (-(2**15), 2**15),
+    "wait": (0, 255),
+    "error": (-LARGEST, LARGEST),
+    "error_sum": (-PWM_LIMIT * GAIN_SCALE, PWM_LIMIT * GAIN_SCALE),
+}
+"""Range of each number of a motor's state."""
+
+
+def _read_motor(numbers: NumberReader[int]) -> Motor:
     """Return a motor from the numbers of its state."""
-    position, speed, pwm, is_on_target, *controller = numbers
-    return Motor(position, speed, pwm, bool(is_on_target), *controller)
+    values = {name: numbers.take(f"motor's {name}", 1, *limits)[0] for name, limits in _MOTOR_RANGES.items()}
+    is_on_target = bool(values.pop("is_on_target"))
+    return Motor(**values, is_on_target=is_on_target)

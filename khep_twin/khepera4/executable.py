@@ -28,6 +28,7 @@ PROCESSORS = {3: "x86", 8: "MIPS", 20: "PowerPC", 21: "PowerPC", 22: "s390", 40:
 _X86, _X86_64 = 3, 62
 _OBJECT, _CORE = 1, 4  # e_type
 _INTERPRETER = 3  # p_type
+_MAX_PATH = 4096
 _MAX_SCRIPTS = 5  # a script, its interpreter's script and so on
 
 
@@ -65,7 +66,7 @@ def read_executable(path: str | Path) -> Executable | None:
                 if struct.unpack_from(f"{order}I", segment) == (_INTERPRETER,):
                     offset, length = (struct.unpack_from(order + word, segment, at)[0] for at in content)
                     file.seek(offset)
-                    name = file.read(min(length, os.pathconf("/", "PC_PATH_MAX"))).rstrip(b"\0")
+                    name = file.read(min(length, _MAX_PATH)).rstrip(b"\0")
                     return Executable(bits, processor, kind, os.fsdecode(name))
             return Executable(bits, processor, kind, "")
     except (OSError, OverflowError, IndexError, struct.error):

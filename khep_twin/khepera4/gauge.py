@@ -4,9 +4,9 @@ The voltage is piecewise linear in the charge (assumed: typical of these cells) 
 the robot stops at 6.0 V (manual). The charge of a battery without a time of use stays constant.
 """
 
-from collections.abc import Sequence
 from itertools import pairwise
 
+from khep_twin.simulation.number_reader import NumberReader
 from khep_twin.units import TICK_NS
 
 CAPACITY = 3.4 * 3600
@@ -88,6 +88,13 @@ class Gauge:
         """Return the state."""
         return [self._used_charge, self._current_sum, self._ticks, self._current, self._average_current]
 
-    def set_state(self, state: Sequence[float]) -> None:
-        """Restore a state."""
-        self._used_charge, self._current_sum, self._ticks, self._current, self._average_current = state
+    def set_state(self, floats: NumberReader[float]) -> None:
+        """Restore a state.
+
+        Raises:
+            ValueError: It has fewer numbers, or one is outside its range.
+        """
+        (self._used_charge,) = floats.take("used charge", 1, 0, CAPACITY)
+        (self._current_sum,) = floats.take("sum of currents", 1)
+        (self._ticks,) = floats.take("control periods of the sum", 1, 0, CURRENT_TICKS - 1)
+        self._current, self._average_current = floats.take("measured currents", 2)

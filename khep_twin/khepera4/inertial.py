@@ -9,6 +9,7 @@ rate of turn, 95 Hz.
 from collections.abc import Sequence
 
 from khep_twin.sensing.noise import TABLES, draws
+from khep_twin.simulation.number_reader import NumberReader
 from khep_twin.units import GRAVITY, TICK_NS
 
 COUNTS_PER_G = 16_384
@@ -30,6 +31,7 @@ _KEY_MASK = 0x85EBCA6B
 
 _DEGREES_PER_RADIAN = 57.29577951308232
 _COUNTS_LIMIT = 1 << 15
+_COUNTS_RANGE = -_COUNTS_LIMIT, _COUNTS_LIMIT - 1
 
 
 class Inertial:
@@ -87,23 +89,33 @@ class Inertial:
         packets = [value for axis in (*self.accelerations, *self.rates) for value in axis]
         lengths = [len(self._partials[0][0]), len(self._partials[1][0])]
         partial = [value for kind in self._partials for axis in kind for value in axis]
-        return [self._n_rate_samples, *packets, *lengths, *partial], self._velocity
+        integers = [self._n_rate_samples, *packets, *lengths, *partial]
+        return [len(integers), *integers], self._velocity
 
-    def set_state(self, integers: Sequence[int], floats: Sequence[float]) -> None:
-        """Restore a state."""
-        numbers = iter(integers)
-        self._n_rate_samples, self._velocity = next(numbers), list(floats)
-        packets = [[next(numbers) for _ in range(PACKET_SIZE)] for _ in range(6)]
+    def set_state(self, integers: NumberReader[int], floats: NumberReader[float], time_ns: int) -> None:
+        """Restore a state of a time [ns].
+
+        Raises:
+            ValueError: It has fewer or more numbers, or one is outside its range.
+        """
+        (count,) = integers.take("length of the inertial state", 1)
+        (self._n_rate_samples,) = integers.take("gyroscope's samples", 1, 0, time_ns // _GYROSCOPE_NS)
+        packets = [integers.take("inertial value", PACKET_SIZE, *_COUNTS_RANGE) for _ in range(6)]
         self.accelerations, self.rates = packets[:3], packets[3:]
-        lengths = [next(numbers), next(numbers)]
-        self._partials = [[[next(numbers) for _ in range(count)] for _ in range(3)] for count in lengths]
+        sizes = integers.take("length of an incomplete packet", 2, 0, PACKET_SIZE - 1)
+        if count != (expected := 3 + 6 * PACKET_SIZE + 3 * sum(sizes)):
+            raise ValueError(f"an inertial state of {count} numbers; expected {expected}")
+        self._partials = [
+            [integers.take("inertial value", size, *_COUNTS_RANGE) for _ in range(3)] for size in sizes
+        ]
+        self._velocity = floats.take("velocity", 3)
 
     def _add_noise(self, time_ns: int, offset: int, values: Sequence[float], noise: float) -> list[int]:
         """Return values with noise of a standard noise [counts], rounded, and clipped to 16 bits."""
         number = 4 * (time_ns // TICK_NS) + offset
         normal = (*draws(self._tables, self._key, number)[:2], draws(self._tables, self._key, number + 1)[0])
         return [
-            min(max(round(value + noise * draw), -_COUNTS_LIMIT), _COUNTS_LIMIT - 1)
+            min(max(round(value + noise * draw), _COUNTS_RANGE[0]), _COUNTS_RANGE[1])
             for value, draw in zip(values, normal, strict=True)
         ]
 

@@ -21,7 +21,7 @@ from khep_twin import step
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL
 from khep_twin.errors import FaultError
 from khep_twin.khepera4 import infrared, ultrasonic
-from khep_twin.khepera4.channels import CHANNELS
+from khep_twin.khepera4.channels import CHANNELS, ULTRASONIC_CODES
 from khep_twin.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.khepera4.gauge import CUT_OFF, Gauge
 from khep_twin.khepera4.inertial import Inertial
@@ -34,6 +34,7 @@ from khep_twin.khepera4.ultrasonic import Ultrasonic
 from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.number_reader import NumberReader, read_floats, read_integers
 from khep_twin.simulation.world_state import BoardState, RobotSnapshot
 from khep_twin.units import BODIES
 
@@ -147,7 +148,7 @@ class Khepera4Robot(Robot):
         burst = -1 if self._burst is None else self._burst[0]
         dspic = self.dspic.state()
         sonar = burst, *self._distance_readings
-        integers = [*self._encoder_zeros, *sonar, *self.firmware.numbers, len(inertial), *inertial, *dspic]
+        integers = [*self._encoder_zeros, *sonar, *self.firmware.numbers, *inertial, *dspic]
         qpos: list[float] = [] if self._burst is None else self._burst[1].qpos.tolist()
         return RobotSnapshot(
             **self.board_state(since_ns)._asdict(),
@@ -162,27 +163,45 @@ class Khepera4Robot(Robot):
 
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""
-        if len(state.registers) != self.registers.nbytes:
-            raise ValueError(f"{len(state.registers)} bytes of registers; expected {self.registers.nbytes}")
-        numbers = iter(np.frombuffer(state.processor, np.int64).tolist())
-        floats = np.frombuffer(state.strengths).tolist()
-        self.registers[:] = np.frombuffer(state.registers, np.int64)
+        numbers, floats = (
+            read_integers("processor", state.processor),
+            read_floats("strengths", state.strengths),
+        )
+        registers, voltage = (
+            read_integers("registers", state.registers),
+            read_floats("voltage", state.voltage),
+        )
+        read_integers("sensor_states", state.sensor_states).end()
         self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
-        self._encoder_zeros = [next(numbers), next(numbers)]
-        burst = next(numbers)
-        self._distance_readings = [next(numbers) for _ in range(N_ULTRASONIC)]
-        self.firmware.numbers = [next(numbers) for _ in self.firmware.numbers]
+        self._encoder_zeros = numbers.take("zero of an encoder", 2)
+        (burst,) = numbers.take("last ultrasonic sensor", 1, -1, N_ULTRASONIC - 1)
+        self._distance_readings = numbers.take("distance", N_ULTRASONIC, 0, max(ULTRASONIC_CODES))
+        self.firmware.set_numbers(numbers)
         self._make_sensors()
-        self._inertial.set_state([next(numbers) for _ in range(next(numbers))], floats[:3])
-        self.dspic.set_state(list(numbers))
-        self._gauge.set_state(floats[3:8])
+        self._inertial.set_state(numbers, floats, self._context.time_ns)
+        self.dspic.set_state(numbers)
+        self._gauge.set_state(floats)
         self._pending_infrared = None
         self._pending_bursts = {}
         time_ns = self._context.time_ns // ultrasonic.PERIOD_NS * ultrasonic.PERIOD_NS
-        self._burst = None if burst < 0 else (burst, self._record_moment(time_ns, np.array(floats[8:])))
+        positions = floats.take("joint's position", 0 if burst < 0 else len(self._context.data.qpos))
+        self._burst = None if burst < 0 else (burst, self._record_moment(time_ns, np.array(positions)))
         self._has_stopped = state.is_stopped
         self.dspic.is_powered = not state.is_stopped
         self._set_led_lights(state.leds)
+        self.refresh()
+        for register in self.registers.tolist():
+            registers.take("register", 1, register, register)
+        voltage.take("voltage", 1, self._gauge.voltage, self._gauge.voltage)
+        for reader in (numbers, floats, registers, voltage):
+            reader.end()
+
+    def move_measurements(self, state: RobotSnapshot, qpos: NDArray[np.float64]) -> RobotSnapshot:
+        """Return a state whose last burst has the positions `qpos` of another scene."""
+        if self._burst is None:
+            return state
+        n_other = len(state.strengths) - self._burst[1].qpos.nbytes
+        return state._replace(strengths=state.strengths[:n_other] + qpos.tobytes())
 
     def reseed(self, make_rng: Callable[..., np.random.Generator]) -> None:
         """Replace the random streams."""
@@ -192,9 +211,10 @@ class Khepera4Robot(Robot):
 
     def fit_turrets(self) -> None:
         """Recreate the sensors for the present scene and random streams."""
-        inertial = self._inertial.state()
+        integers, velocity = self._inertial.state()
         self._make_sensors()
-        self._inertial.set_state(*inertial)
+        readers = NumberReader("inertial", integers), NumberReader("velocity", velocity)
+        self._inertial.set_state(*readers, self._context.time_ns)
 
     def scan(self) -> None:
         """Measure with all infrared sensors now."""

@@ -19,6 +19,7 @@ from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.firmware import FirmwareState
 from khep_twin.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
+from khep_twin.simulation.number_reader import NumberReader
 
 BAUD = 115_200
 """Speed of the serial line [baud] (manual, chapter 6)."""
@@ -53,6 +54,7 @@ front reading above which it turns in place, after so many periods in which it m
 [pulses]."""
 
 _FRONT = 3
+_PROGRAM = "kh4server"
 _INTEGER = re.compile(rb"\s*[+-]?\d+")
 
 
@@ -107,11 +109,21 @@ class Kh4Server:
 
     def state(self) -> FirmwareState:
         """Return the state without `numbers`."""
-        program = "kh4server" if self._is_running else ""
+        program = _PROGRAM if self._is_running else ""
         return FirmwareState(self.baud, self.reply_baud, program, self._line, {})
 
     def set_state(self, state: FirmwareState) -> None:
-        """Restore a state."""
+        """Restore a state without `numbers`.
+
+        Raises:
+            ValueError: It is of another robot.
+        """
+        program = _PROGRAM if state.running else ""
+        if state._replace(partial_line=b"") != FirmwareState(BAUD, BAUD, program, b"", {}):
+            raise ValueError(
+                f"baud = {state.baud}, {state.reply_baud}, program {state.running!r}, turrets "
+                f"{sorted(state.turrets)}; expected {BAUD} baud, {_PROGRAM!r} or '', without turrets"
+            )
         self._is_running = bool(state.running)
         self._line = state.partial_line
 
@@ -120,10 +132,15 @@ class Kh4Server:
         """State of the Braitenberg vehicle."""
         return [self._is_wandering, self._is_turning, self._n_still, *self._last_position]
 
-    @numbers.setter
-    def numbers(self, numbers: Sequence[int]) -> None:
-        is_wandering, is_turning, self._n_still, left, right = numbers
-        self._is_wandering, self._is_turning = bool(is_wandering), bool(is_turning)
+    def set_numbers(self, numbers: NumberReader[int]) -> None:
+        """Restore `numbers`.
+
+        Raises:
+            ValueError: They are fewer, or one is outside its range.
+        """
+        self._is_wandering, self._is_turning = map(bool, numbers.take("flag of the vehicle", 2, 0, 1))
+        (self._n_still,) = numbers.take("periods without motion", 1, 0)
+        left, right = numbers.take("vehicle's position", 2, -(2**31), 2**31 - 1)
         self._last_position = left, right
 
     def receive(self, data: bytes) -> bytes:

@@ -164,14 +164,15 @@ def order_events(
 ) -> Iterator[RecordedEvent]:
     """Yield the host events of a log's chunks, sorted by time within each flush of the recorder.
 
-    khep_twin writes one chunk per flush, with at most one message of each robot. For chunks of other tools, a
-    flush ends before the second message of a robot, and after an event of `FLUSHING_KINDS`.
+    khep_twin writes one chunk per flush, with at most one message of each robot, in the robots' order: a
+    flush ends before a later chunk that continues with an earlier robot. For chunks of other tools, it ends
+    before the second message of a robot, and after an event of `FLUSHING_KINDS`.
     """
     indices_by_topic = {f"/{name}/host_events": index for index, name in enumerate(robots)}
     pending: list[RecordedEvent] = []
     trigger: RecordedEvent | None = None
     pending_robots: set[int] = set()
-    flush_chunk = 0
+    flush_chunk = last_chunk = last_index = last_ns = 0
     for chunk, entries in enumerate(chunks):
         for entry in entries:
             if (index := indices_by_topic.get(entry.topic)) is None:
@@ -183,13 +184,17 @@ def order_events(
             if not events:
                 continue
             start_ns, end_ns = events[0][0], events[-1][0]
-            if index in pending_robots or (
-                trigger and start_ns >= trigger[0] and (chunk > flush_chunk or end_ns > trigger[0])
+            is_next_chunk = chunk > last_chunk and index < last_index and start_ns >= last_ns
+            if (
+                index in pending_robots
+                or is_next_chunk
+                or (trigger and start_ns >= trigger[0] and (chunk > flush_chunk or end_ns > trigger[0]))
             ):
                 yield from _sort_events(pending, trigger)
                 pending, trigger, pending_robots = [], None, set[int]()
             pending += events
             pending_robots.add(index)
+            last_chunk, last_index, last_ns = chunk, index, max(last_ns, end_ns)
             if events[-1][2].kind in FLUSHING_KINDS:
                 trigger, flush_chunk = events[-1], chunk
     yield from _sort_events(pending, trigger)

@@ -192,7 +192,12 @@ def transfer_world(new: World, old: World, old_playpen: Playpen, change: BranchP
     transfer_state((old.model, old.data), scene, list(new_poses))
     for body, (x_mm, y_mm, heading_deg) in new_poses.items():
         place_body(scene, body, metres(x_mm), metres(y_mm), math.radians(heading_deg))
-    state = old.state()._replace(physics=physics_state(*scene))
+    state = old.state()
+    robot_states = zip(old.robots, state.robots, strict=True)
+    state = state._replace(
+        physics=physics_state(*scene),
+        robots=tuple(robot.move_measurements(saved, new.data.qpos) for robot, saved in robot_states),
+    )
     changed_playpen = set_values(old_playpen, change.edits)
     new.set_state(state)
     if (changed_playpen.lamps, changed_playpen.lighting) != (old_playpen.lamps, old_playpen.lighting):

@@ -51,12 +51,23 @@ def physics_state(model: mujoco.MjModel, data: mujoco.MjData) -> PhysicsState:
     return PhysicsState(values.tobytes(), data.sensordata.tobytes(), tuple(asleep), tuple(warnings))
 
 
-def set_physics_state(model: mujoco.MjModel, data: mujoco.MjData, state: PhysicsState) -> None:
+def set_physics_state(
+    model: mujoco.MjModel, data: mujoco.MjData, state: PhysicsState, *, has_diverged: bool = False
+) -> None:
     """Restore a state of the physics.
+
+    Args:
+        model: Model of the scene.
+        data: State of the scene.
+        state: State to restore.
+        has_diverged: Whether the run has ended, whose numbers may be infinite or not a number.
 
     Raises:
         ValueError: The state is of another scene, or MuJoCo cannot continue from it.
     """
+    for name, array in (("integration", state.integration), ("sensors", state.sensors)):
+        if len(array) % 8:
+            raise ValueError(f"physics.{name} = {len(array)} bytes; expected a multiple of 8")
     values, sensors = np.frombuffer(state.integration), np.frombuffer(state.sensors)
     size = mujoco.mj_stateSize(model, _INTEGRATION), model.nsensordata
     sizes = len(values), len(sensors), len(state.asleep), len(state.warnings)
@@ -66,6 +77,10 @@ def set_physics_state(model: mujoco.MjModel, data: mujoco.MjData, state: Physics
     sleepers = [tree for tree, next_tree in enumerate(state.asleep) if next_tree >= 0]
     if sorted(next_tree for next_tree in state.asleep if next_tree >= 0) != sleepers:
         raise ValueError(f"sleeping trees {list(state.asleep)}; expected rings of them")
+    for name, numbers in (("integration", values), ("sensors", sensors)):
+        if not (has_diverged or np.isfinite(numbers).all()):
+            index = int(np.flatnonzero(~np.isfinite(numbers))[0])
+            raise ValueError(f"physics.{name}[{index}] = {numbers[index]}; expected a finite number")
     mujoco.mj_resetData(model, data)
     mujoco.mj_setState(model, data, values, _INTEGRATION)
     _check_history(model, data)

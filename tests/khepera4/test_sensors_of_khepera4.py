@@ -8,13 +8,13 @@ import pytest
 from khep_twin.board.fault_injection import parse_fault
 from khep_twin.errors import CalibrationError
 from khep_twin.interventions.move_robot import place_robot, scan
-from khep_twin.khepera4.inertial import COUNTS_PER_G, DEGREES_PER_COUNT
+from khep_twin.khepera4.inertial import COUNTS_PER_G, DEGREES_PER_COUNT, Inertial
 from khep_twin.khepera4.machine import Machine
 from khep_twin.khepera4.registers import Control, DspicRegister
 from khep_twin.khepera4.robot import PULSES_PER_TURN, Khepera4Robot
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
-from khep_twin.units import GRAVITY
+from khep_twin.units import GRAVITY, TICK_NS
 from khep_twin.world import World
 
 WHITE_CM = {
@@ -155,6 +155,24 @@ def test_the_gyroscope_measures_the_rate_of_a_turn_in_place() -> None:
     rate_deg = np.mean(words(world, DspicRegister.GYROSCOPE + 40, 10)) * DEGREES_PER_COUNT
     speed = 200 / 0.010 / PULSES_PER_TURN * math.tau * 0.021
     assert rate_deg == pytest.approx(math.degrees(2 * speed / 0.1054), rel=0.01)
+
+
+def test_each_axis_of_both_sensors_draws_once_from_the_numbers_of_its_own_period(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    numbers: list[int] = []
+
+    def draws(tables: object, key: object, number: int) -> tuple[float, float]:
+        numbers.append(number)
+        return 0.0, 0.0
+
+    monkeypatch.setattr("khep_twin.khepera4.inertial.draws", draws)
+    sensors = Inertial((1, 2), is_noisy=True)
+    for period in range(1, 200):
+        sensors.tick(period * TICK_NS, [1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0], [0.0] * 3, [0.0] * 3)
+        assert len(numbers) in (2, 4)
+        assert numbers == [*range(4 * period, 4 * period + len(numbers))]
+        numbers.clear()
 
 
 def test_inertial_values_come_in_packets_of_ten_the_newest_first() -> None:

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from checks.fuzz.board import check, seeds
+from checks.fuzz.board import KHEPERA4, check, seeds
 from checks.fuzz.libfuzzer import run_libfuzzer
 from khep_twin.firmware import Firmware
+from khep_twin.khepera4.server import Kh4Server
 
 SHARE = 2_000
 
@@ -38,3 +39,16 @@ def test_a_board_that_answers_wrongly_is_noticed(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Firmware, "receive", lambda self, data: wrong if data else b"")
     with pytest.raises((AssertionError, UnicodeDecodeError)):
         check(b"\x00B\n")
+
+
+@settings(max_examples=100, derandomize=True, database=None)
+@given(st.binary(max_size=100))
+def test_any_bytes_are_answered_by_a_khepera_iv(data: bytes) -> None:
+    check(bytes([KHEPERA4]) + data)
+
+
+@pytest.mark.parametrize("wrong", [b"", b"b,B,0\n", b"\xe9\r\n", b"b,B,0\r\nx", b"b,C,0\r\n"])
+def test_a_khepera_iv_that_answers_wrongly_is_noticed(monkeypatch: pytest.MonkeyPatch, wrong: bytes) -> None:
+    monkeypatch.setattr(Kh4Server, "receive", lambda self, data: wrong if data else b"")
+    with pytest.raises(AssertionError):
+        check(bytes([KHEPERA4]) + b"B\n")

@@ -7,7 +7,7 @@ import pytest
 from checks.fuzz.files import TARGETS, mutate, seeds_of
 from checks.fuzz.libfuzzer import run_target
 
-SHARE = {"toml": 500, "mat": 300, "png": 300, "picture": 150, "npz": 300}
+SHARE = {"toml": 500, "mat": 300, "png": 300, "picture": 150, "npz": 300, "snapshot": 60}
 
 
 @pytest.mark.parametrize("kind", TARGETS)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from checks.fuzz.libfuzzer import run_libfuzzer
-from checks.fuzz.logs import STEP, base, check, cooked, seeds
+from checks.fuzz.logs import KHEPERA4, STEP, base, check, cooked, seeds
 from khep_twin.log.reader import read_log, read_series
 
 SHARE = 2_000
@@ -37,3 +37,9 @@ def test_the_log_to_begin_with_is_read_to_its_end(tmp_path: Path) -> None:
     assert len(base()) > 5
     assert len(read_log(path).robots["khepera0"].proximity) == 2
     assert read_series(path).lines["/events"][0].text == "x"
+
+
+def test_the_log_of_a_khepera_iv_is_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "base.mcap"
+    path.write_bytes(cooked(bytes([KHEPERA4])))
+    assert "/khepera0/battery" in read_series(path).series
