@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from shares import share
-from twins import SECOND, metric, planes_at, readings, setup_of
+from twins import CIRCLE, SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.log.exchanges import Exchange
@@ -135,16 +135,7 @@ def test_a_thing_that_is_not_in_the_playpen_is_no_fault_where_other_robots_drive
     driven.drive(4)
     x, y, heading = driven.robot.poses[0].tolist()
     place = x + 0.05 * math.cos(heading), y + 0.05 * math.sin(heading)
-    circle = [
-        plane_data.CENTRE_X,
-        plane_data.CENTRE_Y,
-        plane_data.HALF_LENGTH,
-        plane_data.HALF_WIDTH,
-        plane_data.TOP,
-        plane_data.TOUCHABLE,
-        plane_data.REFLECTANCE,
-    ]
-    driven.robot.obstacles[:, -1, circle] = *place, 0.02, -1, 0.05, 1, 1
+    driven.robot.obstacles[:, -1, CIRCLE] = *place, 0.02, -1, 0.05, 1, 1
     driven.robot.remeasure()
     driven.drive(3)
     assert driven.names == []

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_of
+from twins import ALL, AT_THE_CRATE, CIRCLE, SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.randomness import stream
@@ -122,16 +122,7 @@ def test_a_thing_that_was_added_is_found_where_it_is() -> None:
     turning = Turning()
     since_ns = turning.turn(2)
     x, y, _ = turning.robot.poses[0].tolist()
-    circle = [
-        plane_data.CENTRE_X,
-        plane_data.CENTRE_Y,
-        plane_data.HALF_LENGTH,
-        plane_data.HALF_WIDTH,
-        plane_data.TOP,
-        plane_data.TOUCHABLE,
-        plane_data.REFLECTANCE,
-    ]
-    turning.robot.obstacles[:, -1, circle] = x - 0.02, y + 0.05, 0.012, -1, 0.05, 1, 1
+    turning.robot.obstacles[:, -1, CIRCLE] = x - 0.02, y + 0.05, 0.012, -1, 0.05, 1, 1
     turning.robot.remeasure()
     turning.turn(2)
     tracker = turning.run_search(since_ns, [*CHANGES, FaultChange(Displaced(), True)])

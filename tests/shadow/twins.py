@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import Twins
@@ -15,6 +16,17 @@ from khep_twin.shadow.start import Spread, draw_particles
 
 Integers = NDArray[np.int64]
 Pose = tuple[float, float, float]
+
+CIRCLE = [
+    plane_data.CENTRE_X,
+    plane_data.CENTRE_Y,
+    plane_data.HALF_LENGTH,
+    plane_data.HALF_WIDTH,
+    plane_data.TOP,
+    plane_data.TOUCHABLE,
+    plane_data.REFLECTANCE,
+]
+"""Columns of an obstacle that make it a round object."""
 
 SECOND = 1_000_000_000
 ALL = np.ones(8, np.bool_)

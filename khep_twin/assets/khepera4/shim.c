@@ -53,26 +53,14 @@ struct private protect(int fd) {
     return socket;
 }
 
-int copy_in(void *target, const void *source, size_t size) {
+int copy_memory(void *target, const void *source, size_t size) {
     struct iovec to = {target, size}, from = {(void *)source, size};
     if (!size || process_vm_readv(getpid(), &to, 1, &from, 1, 0) == (ssize_t)size)
         return 0;
-    if (errno == EPERM || errno == ENOSYS) { /* a container that forbids this call */
-        memcpy(target, source, size);
-        return 0;
-    }
-    return c_result(-EFAULT);
-}
-
-int copy_out(void *target, const void *source, size_t size) {
-    struct iovec from = {(void *)source, size}, to = {target, size};
-    if (!size || process_vm_writev(getpid(), &from, 1, &to, 1, 0) == (ssize_t)size)
-        return 0;
-    if (errno == EPERM || errno == ENOSYS) {
-        memcpy(target, source, size);
-        return 0;
-    }
-    return c_result(-EFAULT);
+    if (errno != EPERM && errno != ENOSYS)
+        return c_result(-EFAULT);
+    memcpy(target, source, size); /* in a container that forbids this call */
+    return 0;
 }
 
 /* Connections -------------------------------------------------------------------------------------------- */

@@ -68,8 +68,7 @@ HIDDEN int is_open(struct private);
 HIDDEN uint64_t socket_inode(int fd);
 
 /* Copy as the kernel does: return 0, or -1 and EFAULT for an address that the program cannot access. */
-HIDDEN int copy_in(void *target, const void *source, size_t size);
-HIDDEN int copy_out(void *target, const void *source, size_t size);
+HIDDEN int copy_memory(void *target, const void *source, size_t size);
 
 HIDDEN enum node node_of_fd(int fd, int *slave);
 HIDDEN enum node node_of_path(const char *path);

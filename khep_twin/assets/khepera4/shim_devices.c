@@ -72,7 +72,7 @@ static int transfer(struct i2c_msg *messages, uint32_t count) {
         uint16_t words[3] = {message->addr, message->flags, message->len};
         memcpy(position, words, sizeof words);
         position += sizeof words;
-        if (copy_in(is_read ? reply : position, message->buf, message->len))
+        if (copy_memory(is_read ? reply : position, message->buf, message->len))
             result = -EFAULT;
         position += is_read ? 0 : message->len;
     }
@@ -80,7 +80,7 @@ static int transfer(struct i2c_msg *messages, uint32_t count) {
         result = exchange(TRANSFER, count, out, length, reply, n_read, NULL);
     for (uint32_t i = 0; result >= 0 && i < count; i++)
         if (messages[i].flags & I2C_M_RD) {
-            if (copy_out(messages[i].buf, reply, messages[i].len))
+            if (copy_memory(messages[i].buf, reply, messages[i].len))
                 result = -EFAULT;
             reply += messages[i].len;
         }
@@ -100,15 +100,15 @@ static int transfer_all(void *argument) {
     struct i2c_rdwr_ioctl_data data;
     struct i2c_msg messages[I2C_RDWR_IOCTL_MAX_MSGS];
     unsigned char count;
-    if (copy_in(&data, argument, sizeof data))
+    if (copy_memory(&data, argument, sizeof data))
         return -EFAULT;
     if (!data.msgs || !data.nmsgs || data.nmsgs > I2C_RDWR_IOCTL_MAX_MSGS)
         return -EINVAL;
-    if (copy_in(messages, data.msgs, data.nmsgs * sizeof *messages))
+    if (copy_memory(messages, data.msgs, data.nmsgs * sizeof *messages))
         return -EFAULT;
     for (uint32_t i = 0; i < data.nmsgs; i++)
         if (messages[i].flags & I2C_M_RECV_LEN && messages[i].len) {
-            if (copy_in(&count, messages[i].buf, 1))
+            if (copy_memory(&count, messages[i].buf, 1))
                 return -EFAULT;
             if (!(messages[i].flags & I2C_M_RD) || !count || messages[i].len < count + I2C_SMBUS_BLOCK_MAX)
                 return -EINVAL;
@@ -122,7 +122,7 @@ static int transfer_smbus(int slave, void *argument) {
     struct i2c_smbus_ioctl_data smbus;
     union i2c_smbus_data data = {.block = {0}};
     unsigned char out[I2C_SMBUS_BLOCK_MAX + 2], in[I2C_SMBUS_BLOCK_MAX + 2] = {0};
-    if (copy_in(&smbus, argument, sizeof smbus))
+    if (copy_memory(&smbus, argument, sizeof smbus))
         return -EFAULT;
     int is_read = smbus.read_write == I2C_SMBUS_READ, is_broken = smbus.size == I2C_SMBUS_I2C_BLOCK_BROKEN;
     int size = is_broken ? I2C_SMBUS_I2C_BLOCK_DATA : (int)smbus.size, n_out = 0, n_in = 0;
@@ -139,7 +139,7 @@ static int transfer_smbus(int slave, void *argument) {
     if (has_data && !smbus.data)
         return -EINVAL;
     if (has_data && (is_call || size == I2C_SMBUS_I2C_BLOCK_DATA || !is_read) &&
-        copy_in(&data, smbus.data, data_size))
+        copy_memory(&data, smbus.data, data_size))
         return -EFAULT;
     if (is_broken && is_read)
         data.block[0] = I2C_SMBUS_BLOCK_MAX;
@@ -164,7 +164,7 @@ static int transfer_smbus(int slave, void *argument) {
     if (is_block && !skips_count && in[0] > I2C_SMBUS_BLOCK_MAX)
         return -EPROTO;
     memcpy(data.block + skips_count, in, skips_count ? n_in : data_size);
-    return is_read && copy_out(smbus.data, &data, data_size) ? -EFAULT : 0;
+    return is_read && copy_memory(smbus.data, &data, data_size) ? -EFAULT : 0;
 }
 
 static int control_i2c(int fd, int slave, unsigned long request, void *argument) {
@@ -177,7 +177,7 @@ static int control_i2c(int fd, int slave, unsigned long request, void *argument)
         mark_node(fd, I2C, (uintptr_t)argument);
         return 0;
     case I2C_FUNCS:
-        return copy_out(argument, &functions, sizeof functions) ? -EFAULT : 0;
+        return copy_memory(argument, &functions, sizeof functions) ? -EFAULT : 0;
     case I2C_RDWR:
         return transfer_all(argument);
     case I2C_SMBUS:
@@ -201,13 +201,13 @@ static int control_gpio(unsigned long request, void *argument) {
         return -ENOTTY;
     if (number == REQUEST || number == FREE || number == INPUT)
         return 0;
-    if (copy_in(&pin, argument, sizeof pin))
+    if (copy_memory(&pin, argument, sizeof pin))
         return -EFAULT;
     if (is_read) {
         int64_t value = 0;
         int result = exchange(GPIO_GET, pin.gpio, NULL, 0, NULL, 0, &value);
         pin.value = value;
-        return result < 0 || !copy_out(argument, &pin, sizeof pin) ? result : -EFAULT;
+        return result < 0 || !copy_memory(argument, &pin, sizeof pin) ? result : -EFAULT;
     }
     return is_write ? exchange(GPIO_SET, pin.gpio, &pin.value, sizeof pin.value, NULL, 0, NULL) : -ENOTTY;
 }
@@ -267,7 +267,7 @@ static ssize_t transfer_buffers(int slave, int is_read, const struct iovec *buff
         return c_result(-EINVAL);
     for (int i = 0; i < count; i++) {
         struct iovec buffer;
-        ssize_t n = copy_in(&buffer, buffers + i, sizeof buffer)
+        ssize_t n = copy_memory(&buffer, buffers + i, sizeof buffer)
                         ? -1
                         : transfer_one(slave, is_read, buffer.iov_base, buffer.iov_len);
         if (n < 0)

@@ -288,7 +288,7 @@ static long wait_word(uint32_t *word, int operation, uint32_t value, const struc
     uint32_t current;
     int64_t stop_ns = NEVER;
     int is_shared = !(operation & FUTEX_PRIVATE_FLAG) && is_shared_memory(word);
-    if (copy_in(&current, word, sizeof current) || (limit && copy_in(&time, limit, sizeof time)))
+    if (copy_memory(&current, word, sizeof current) || (limit && copy_memory(&time, limit, sizeof time)))
         return -1;
     if (limit && (time.tv_sec < 0 || time.tv_nsec < 0 || time.tv_nsec >= BILLION))
         return c_result(-EINVAL);

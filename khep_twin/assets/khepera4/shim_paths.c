@@ -16,7 +16,7 @@ static const char *copy_path(const char *path, char *copy) {
     while (length < PATH_MAX) {
         size_t count = page - (uintptr_t)(path + length) % page;
         count = count < PATH_MAX - length ? count : PATH_MAX - length;
-        if (copy_in(copy + length, path + length, count))
+        if (copy_memory(copy + length, path + length, count))
             return path;
         if (memchr(copy + length, 0, count))
             return copy;

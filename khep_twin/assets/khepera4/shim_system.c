@@ -31,7 +31,7 @@ static int call_clock(long number, const long *arguments, long *result) {
     case SYS_ppoll:
         return *result = ppoll(P(0), arguments[1], P(2), P(3)), 1;
     case SYS_pselect6:
-        if (arguments[5] && copy_in(&mask, P(5), sizeof mask))
+        if (arguments[5] && copy_memory(&mask, P(5), sizeof mask))
             return *result = -1, 1;
         return *result = pselect(I(0), P(1), P(2), P(3), P(4), mask.signals), 1;
     case SYS_epoll_pwait:

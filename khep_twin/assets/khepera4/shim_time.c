@@ -127,14 +127,14 @@ unsigned int sleep(unsigned int seconds) {
 static int sleep_for(enum sleep kind, const struct timespec *requested, struct timespec *left) {
     struct timespec time;
     int64_t remaining = 0;
-    if (copy_in(&time, requested, sizeof time))
+    if (copy_memory(&time, requested, sizeof time))
         return EFAULT;
     if (time.tv_sec < 0 || time.tv_nsec < 0 || time.tv_nsec >= BILLION)
         return EINVAL;
     struct limit limit = {kind == ABSOLUTE ? since_start(&time) : ns_of(&time)};
     int error = -wait_until(kind, limit, NULL, 0, NULL, &remaining);
     time = time_of(remaining > 0 ? remaining : 0);
-    if (error && left && kind == RELATIVE && copy_out(left, &time, sizeof time))
+    if (error && left && kind == RELATIVE && copy_memory(left, &time, sizeof time))
         return EFAULT;
     return error;
 }
@@ -208,7 +208,7 @@ static int read_limit(const struct timespec *limit, int64_t *ns) {
     *ns = -1;
     if (!limit)
         return 0;
-    if (copy_in(&time, limit, sizeof time))
+    if (copy_memory(&time, limit, sizeof time))
         return -1;
     if (time.tv_sec < 0 || time.tv_nsec < 0 || time.tv_nsec >= BILLION)
         return c_result(-EINVAL);
@@ -244,7 +244,7 @@ static int select_for(int count, fd_set *sets[3], int64_t ns, const sigset_t *ma
     if (count < 0 || count > FD_SETSIZE)
         return -EINVAL;
     for (int k = 0; k < 3; k++)
-        if (sets[k] && copy_in(&copies[k], sets[k], (count + 7) / 8))
+        if (sets[k] && copy_memory(&copies[k], sets[k], (count + 7) / 8))
             return -EFAULT;
     struct pollfd fds[FD_SETSIZE];
     int n_fds = 0, n_ready = 0;
@@ -276,7 +276,7 @@ int select(int count, fd_set *in, fd_set *out, fd_set *odd, struct timeval *limi
     struct timeval time = {0, 0};
     if (!simulated)
         return REAL(select)(count, in, out, odd, limit);
-    if (limit && copy_in(&time, limit, sizeof time))
+    if (limit && copy_memory(&time, limit, sizeof time))
         return -1;
     if (time.tv_sec < 0 || time.tv_usec < 0)
         return c_result(-EINVAL);
@@ -379,7 +379,7 @@ int semtimedop(int id, struct sembuf *operations, size_t count, const struct tim
     struct sembuf copies[count < 500 ? count : 500];
     if (!simulated || !limit || count > 500)
         return REAL(semtimedop)(id, operations, count, limit);
-    if (read_limit(limit, &ns) || copy_in(copies, operations, count * sizeof *copies))
+    if (read_limit(limit, &ns) || copy_memory(copies, operations, count * sizeof *copies))
         return -1;
     for (size_t i = 0; i < count; i++)
         copies[i].sem_flg |= IPC_NOWAIT;

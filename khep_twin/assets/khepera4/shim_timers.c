@@ -209,7 +209,7 @@ int getitimer(__itimer_which_t which, struct itimerval *value) {
     if (!simulated || which != ITIMER_REAL)
         return REAL(getitimer)(which, value);
     struct timeval left = us_of(remaining_ns(&timers[0], &period));
-    return copy_out(value, &(struct itimerval){us_of(period), left}, sizeof *value);
+    return copy_memory(value, &(struct itimerval){us_of(period), left}, sizeof *value);
 }
 
 int setitimer(__itimer_which_t which, const struct itimerval *value, struct itimerval *old) {
@@ -217,17 +217,17 @@ int setitimer(__itimer_which_t which, const struct itimerval *value, struct itim
     if (!simulated || which != ITIMER_REAL)
         return REAL(setitimer)(which, value, old);
     struct itimerval copy;
-    if (copy_in(&copy, value, sizeof copy))
+    if (copy_memory(&copy, value, sizeof copy))
         return -1;
     int64_t left = set_alarm(ns_of_us(&copy.it_value), ns_of_us(&copy.it_interval), &period);
-    return old ? copy_out(old, &(struct itimerval){us_of(period), us_of(left)}, sizeof *old) : 0;
+    return old ? copy_memory(old, &(struct itimerval){us_of(period), us_of(left)}, sizeof *old) : 0;
 }
 
 static int set_timer(struct timer *timer, int absolute, const struct itimerspec *value,
                      struct itimerspec *old) {
     struct itimerspec copy;
     int64_t period, now_ns = now(), due;
-    if (copy_in(&copy, value, sizeof copy))
+    if (copy_memory(&copy, value, sizeof copy))
         return -1;
     due = copy.it_value.tv_sec || copy.it_value.tv_nsec;
     if (copy.it_value.tv_nsec >= BILLION || copy.it_value.tv_sec < 0 || copy.it_value.tv_nsec < 0)
@@ -235,12 +235,12 @@ static int set_timer(struct timer *timer, int absolute, const struct itimerspec 
     if (due)
         due = absolute ? since_start(&copy.it_value) : now_ns + ns_of(&copy.it_value);
     int64_t left = set_due(timer, now_ns, due, ns_of(&copy.it_interval), &period);
-    return old ? copy_out(old, &(struct itimerspec){time_of(period), time_of(left)}, sizeof *old) : 0;
+    return old ? copy_memory(old, &(struct itimerspec){time_of(period), time_of(left)}, sizeof *old) : 0;
 }
 
 static int get_timer(struct timer *timer, struct itimerspec *value) {
     int64_t period, left = remaining_ns(timer, &period);
-    return copy_out(value, &(struct itimerspec){time_of(period), time_of(left)}, sizeof *value);
+    return copy_memory(value, &(struct itimerspec){time_of(period), time_of(left)}, sizeof *value);
 }
 
 /* The number of a timer is its index. */
@@ -337,7 +337,7 @@ ssize_t read_timer(int fd, void *content, size_t size) {
         count += more;
     if (blocks)
         wait_turn();
-    return copy_out(content, &count, sizeof count) ? -1 : (ssize_t)sizeof count;
+    return copy_memory(content, &count, sizeof count) ? -1 : (ssize_t)sizeof count;
 }
 
 int timerfd_settime(int fd, int flags, const struct itimerspec *value, struct itimerspec *old) {
