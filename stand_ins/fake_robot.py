@@ -26,6 +26,7 @@ class FakeRobot:
         answers: Answers by letter; other capitals are acknowledged by their lower-case letter.
         silent: Whether it sends nothing.
         prefix: Bytes to send before the next answer, once.
+        delay: Time before each answer [s].
     """
 
     def __init__(self) -> None:
@@ -33,6 +34,7 @@ class FakeRobot:
         self.answers = dict(ANSWERS)
         self.silent = False
         self.prefix = b""
+        self.delay = 0.0
         # No stray host of another test uses this address.
         self._server = socket.create_server(("127.7.7.7", 0))
         self._hangs_up = threading.Event()
@@ -88,5 +90,6 @@ class FakeRobot:
             self.requests.append(line)
             answer = self.answers.get(line[0], line[0].lower()).encode() + b"\r\n"
             prefix, self.prefix = self.prefix, b""
+            time.sleep(self.delay)
             if not self.silent:
                 client.sendall(prefix + answer)

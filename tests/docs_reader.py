@@ -212,7 +212,7 @@ class Reader:
         if ROBOT in command:
             link = self.folder / "robot-link"
             if not link.is_symlink():
-                self._serve(f"khep-twin serve default --clock wire --link {link}", {str(link)})
+                self._serve(f"khep-twin serve default --speed 20 --link {link}", {str(link)})
             command = command.replace(ROBOT, str(link))
             words = shlex.split(command, comments=True)
         if SERVES.search(" ".join(words)):

@@ -7,6 +7,7 @@ import typer
 
 from khep_twin.cli.completion import logs, ports
 from khep_twin.cli.options import Force, check_new, refuse, usage
+from khep_twin.errors import PortError
 from khep_twin.files.atomic import unusable, write_atomic
 from khep_twin.lab.conformance.model import RobotModel
 
@@ -52,7 +53,13 @@ def conform(
         if move:
             movements = dict.fromkeys(check.moves for check in checks(True, model) if check.moves)
             typer.echo(f"the robot {', '.join(movements)}", err=True)
-        outcome = check_port(port, move=move, baudrate=baudrate, model=model)
+        try:
+            outcome = check_port(port, move=move, baudrate=baudrate, model=model)
+        except PortError as error:
+            if error.key != "model":
+                raise
+            message = error.plain.removesuffix(str(error.expected))
+            raise PortError(f"{message}--model {error.value}") from None
     typer.echo(outcome.text())
     if report is not None:
         write_atomic(report, outcome.json().encode("utf-8"), force)

@@ -55,13 +55,13 @@ class EndpointOptions:
         )
 
     @contextmanager
-    def announce(self, ports: Sequence["HostPort"], subject: str) -> Generator[None]:
-        """Register the service for `khep-twin ports`; print its paths, also to the file descriptor."""
+    def announce(self, ports: Sequence["HostPort"], subject: str, speed: float) -> Generator[None]:
+        """Register the service and its speed (`ServedPort`); print its paths, also to the file descriptor."""
         from khep_twin.ports.service_registry import registered_ports
 
         with ExitStack() as stack:
             try:
-                stack.enter_context(registered_ports([port.path for port in ports], subject))
+                stack.enter_context(registered_ports([port.path for port in ports], subject, speed))
             except PortError as error:
                 notify(f"not listed by khep-twin ports: {error}")
             instruction = "hosts open the paths in the next lines"
@@ -130,6 +130,7 @@ def relay_robot(
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.ports.idle_polls import IdlePolls
     from khep_twin.ports.relay import Device, relay, start_wall_clock
+    from khep_twin.ports.service_registry import served_speed
 
     with closing(Device(port, baud)) as device, endpoint.open({0: baud}) as ports, ExitStack() as stack:
         clock = start_wall_clock()
@@ -142,7 +143,7 @@ def relay_robot(
         print_kept_log(recorder)
         if make_listener is not None:
             listeners.append(make_listener(clock))
-        stack.enter_context(endpoint.announce(ports, f"robot at {port}"))
+        stack.enter_context(endpoint.announce(ports, f"robot at {port}", served_speed(port)))
         polls = IdlePolls() if poll else None
         relay(device, ports[0], listeners, polls, stop=stop, notify=notify)
         duration_ns, dropped_bytes = clock(), ports[0].dropped

@@ -224,7 +224,7 @@ def _run_series(
     from khep_twin.lab.experiment.series import run_series
 
     first = 1 if folder is None else robot_source.first_run(len(folder.rows), controller)
-    last = 0
+    last, is_late = 0, False
     awaited = "stopping the motors, waiting for the end of this cycle"
     with stopping(awaited, robot_source.hold) as is_interrupted, progress_bar() as show:
 
@@ -241,6 +241,9 @@ def _run_series(
                     last = run_result.number
                     is_new = folder is None or folder.save(run_result)
                     typer.echo(run_result.text(plan.runs) + ("" if is_new else "  as before"))
+                    if not is_late and (notice := run_result.delay_text()):
+                        is_late = True
+                        notify(notice)
                     if user_function is not None and is_new:
                         call_on_run_end(user_function, run_result)
                     if has_no_reader():

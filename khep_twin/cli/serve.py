@@ -217,7 +217,7 @@ def _serve_twin(
         if speed_factor > 1 or speed_factor == WIRE_SPEED or len(twin.world.robots) >= MANY_ROBOTS:
             # Load compiled code before the first host opens, as that takes half a second.
             twin.world.code.switch_if_ready()
-        with endpoint.announce(ports, f"twin in {name}"):
+        with endpoint.announce(ports, f"twin in {name}", speed_factor):
             pacer = serve_twin(twin, ports, speed_factor, stop=stop, notify=notify)
         dropped_bytes = sum(port.dropped for port in ports)
     if pacer.slips:

@@ -38,7 +38,7 @@ def found_ports() -> list[FoundPort]:
     Raises:
         PortError: The directory of the servers' registry entries is accessible to other users.
     """
-    twins = [FoundPort(path, description, twin=True) for path, description in served_ports()]
+    twins = [FoundPort(path, description, twin=True) for path, description, _ in served_ports()]
     adapters = [
         # pyserial describes a built-in port as "n/a".
         FoundPort(port.device, "serial port" if port.description == "n/a" else port.description, twin=False)

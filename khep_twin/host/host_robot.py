@@ -10,7 +10,7 @@ import serial
 from khep_twin.errors import PortError
 from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand
-from khep_twin.host.line import KHEPERA, Dialect, Line
+from khep_twin.host.line import KHEPERA, Dialect, Line, LineTimes
 
 Value = TypeVar("Value")
 
@@ -36,15 +36,15 @@ class HostRobot:
     def __init__(
         self,
         url: StrPath | serial.SerialBase,
-        timeout: float,
+        timeout: float | None,
         baudrate: int | Literal["auto"],
         retries: int,
         dialect: Dialect = KHEPERA,
     ) -> None:
-        if not 0 <= timeout < math.inf:
+        if timeout is not None and not 0 <= timeout < math.inf:
             raise ValueError(f"timeout = {timeout}; expected a finite number from 0")
         try:
-            self._line = Line(url, timeout / 2, baudrate, retries, dialect)
+            self._line = Line(url, timeout, baudrate, retries, dialect)
         except PortError as error:
             raise error.with_traceback(None) from None  # a short traceback: it ends at this line
         self.name: str = self._line.name
@@ -99,11 +99,41 @@ class HostRobot:
 
     @property
     def time(self) -> float:
-        """Time of the port [s]: simulated on khep://, otherwise of the wall clock."""
+        """Time of the port [s]: simulated on khep://, otherwise of the wall clock, times a server's speed."""
         return self._line.time
 
+    @property
+    def clock_speed(self) -> float:
+        """Simulated seconds per second of a server's wall time, as in `ServedPort`; 1 for a robot."""
+        return self._line.clock_speed
+
+    @property
+    def line_times(self) -> LineTimes:
+        """Times of all exchanges so far."""
+        return self._line.times
+
+    def check_clock(self, subject: str) -> None:
+        """Refuse something that needs the port's time, which a server with the wire clock has not.
+
+        Raises:
+            PortError: The robot's time does not pass while the host waits, or at an unknown speed.
+        """
+        self._line.check_clock(subject)
+
+    def check_model(self) -> None:
+        """Refuse a robot of another kind, by its reply to B.
+
+        Raises:
+            PortError: The robot is of another kind.
+        """
+        self._line.check_model()
+
     def sleep(self, duration: float) -> None:
-        """Wait for a duration [s] in the port's time."""
+        """Wait for a duration [s] in the port's time.
+
+        Raises:
+            PortError: The port is that of a server with `--clock wire` or `--speed max`.
+        """
         self._line.sleep(duration)
 
     def ask(self, request: str) -> str:

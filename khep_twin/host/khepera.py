@@ -45,9 +45,10 @@ class Khepera(HostRobot):
 
     Args:
         url: URL of the port, or an open port of pyserial, which keeps its timeout. timeout: Longest wait for
-        a silent robot [s], in the port's time: half of it for a reply, half for a probe. baudrate: Baud rate,
-        9600 in the robot's running mode 1; "auto" tries all. retries: Number of repetitions of a read; more
-        than one lengthen the wait for a silent robot. wheel_base: Distance of the wheels [m], for `turn`.
+        a silent robot [s], in the port's time: half of it for a reply, half for a probe; by default 0.5 s for
+        a reply and 5 s in all. baudrate: Baud rate, 9600 in the robot's running mode 1; "auto" tries all.
+        retries: Number of repetitions of a read; more than one lengthen the wait for a silent robot.
+        wheel_base: Distance of the wheels [m], for `turn`.
 
     Raises:
         PortError: The port cannot be opened, or there is no reply with "auto".
@@ -57,7 +58,7 @@ class Khepera(HostRobot):
     def __init__(
         self,
         url: StrPath | serial.SerialBase,
-        timeout: float = 1.0,
+        timeout: float | None = None,
         baudrate: int | Literal["auto"] = 9600,
         *,
         retries: int = 1,

@@ -62,7 +62,7 @@ class Khepera4(HostRobot):
 
     Args:
         url: URL of the port, or an open port of pyserial, which keeps its timeout.
-        timeout: Longest wait for a silent robot [s], in the port's time.
+        timeout: Longest wait for a silent robot [s], in the port's time, as for a `Khepera`.
         baudrate: Baud rate.
         retries: Number of repetitions of a read.
         wheel_base: Distance of the wheels [m], for `turn`.
@@ -75,7 +75,7 @@ class Khepera4(HostRobot):
     def __init__(
         self,
         url: StrPath | serial.SerialBase,
-        timeout: float = 1.0,
+        timeout: float | None = None,
         baudrate: int = 115_200,
         *,
         retries: int = 1,

@@ -135,7 +135,7 @@ def _find_link(name: str) -> str:
     if os.path.dirname(name):
         return ""
     with suppress(PortError):
-        return next((path for path, _ in served_ports() if os.path.basename(path) == name), "")
+        return next((port.path for port in served_ports() if os.path.basename(port.path) == name), "")
     return ""
 
 

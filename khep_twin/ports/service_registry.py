@@ -9,21 +9,38 @@ from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import urlsplit
 
-from khep_twin.errors import PortError
-from khep_twin.machine import lock
+from khep_twin.errors import NO_TEMPORARY_FOLDER, PortError
+from khep_twin.machine import lock, remove
 from khep_twin.signals import register_cleanup
 
 _ENTRY_SUFFIX = ".served"
 
 
+class ServedPort(NamedTuple):
+    """Port of a running server.
+
+    Attributes:
+        path: Path or URL that hosts open.
+        subject: Name of the served playpen or device.
+        speed: Simulated seconds per second of wall time; inf without pacing, 0 for the wire clock.
+    """
+
+    path: str
+    subject: str
+    speed: float = 1.0
+
+
 @contextmanager
-def registered_ports(paths: Sequence[str], subject: str) -> Generator[None, None, None]:
+def registered_ports(paths: Sequence[str], subject: str, speed: float = 1.0) -> Generator[None, None, None]:
     """Register ports within the context, for `served_ports`.
 
     Args:
         paths: Paths or URLs that hosts open, one for each robot.
         subject: Name of the served playpen or device.
+        speed: Speed of the server, as in `ServedPort`.
 
     Raises:
         PortError: The directory or the entry cannot be written.
@@ -31,15 +48,15 @@ def registered_ports(paths: Sequence[str], subject: str) -> Generator[None, None
     folder = private_folder()
     for entry_path in folder.glob(f"*{_ENTRY_SUFFIX}"):
         if not _is_locked(entry_path):
-            entry_path.unlink(missing_ok=True)
+            remove(entry_path)
     # Named by thread: a web page may serve the next twin while its last one still hangs.
     entry_path = folder / f"{threading.get_native_id()}{_ENTRY_SUFFIX}"
     lines = [path if "://" in path else os.path.abspath(path) for path in paths]
     with ExitStack() as stack:
-        remove = partial(entry_path.unlink, missing_ok=True)
-        stack.callback(register_cleanup(remove))
-        stack.callback(remove)
-        text = "\n".join([" ".join(subject.split()), *lines])
+        remove_entry = partial(remove, entry_path)
+        stack.callback(register_cleanup(remove_entry))
+        stack.callback(remove_entry)
+        text = "\n".join([" ".join(subject.split()), str(speed), *lines])
         try:
             # Without a buffer, which would be written again on closing if the disk is full.
             file = stack.enter_context(entry_path.open("wb", buffering=0))
@@ -52,15 +69,34 @@ def registered_ports(paths: Sequence[str], subject: str) -> Generator[None, None
         yield
 
 
-def served_ports() -> list[tuple[str, str]]:
-    """Return the ports of this user's running servers: path and name of the served playpen or device."""
-    ports: list[tuple[str, str]] = []
+def served_ports() -> list[ServedPort]:
+    """Return the ports of this user's running servers."""
+    ports: list[ServedPort] = []
     for entry_path in sorted(private_folder().glob(f"*{_ENTRY_SUFFIX}")):
-        with suppress(FileNotFoundError):  # the server may end meanwhile
+        # The server may end meanwhile; an entry of another version may have no speed.
+        with suppress(FileNotFoundError, ValueError):
             if _is_locked(entry_path):
-                subject, *paths = entry_path.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
-                ports += [(path, subject) for path in paths]
+                text = entry_path.read_text(encoding="utf-8", errors="surrogateescape")
+                subject, speed, *paths = text.split("\n")
+                ports += [ServedPort(path, subject, float(speed)) for path in paths]
     return ports
+
+
+def served_speed(url: str) -> float:
+    """Return the speed of the server at a port, as in `ServedPort`; 1.0 for any other port."""
+    with suppress(PortError, OSError, ValueError):
+        place = _place(url)
+        return next((port.speed for port in served_ports() if _place(port.path) == place), 1.0)
+    return 1.0
+
+
+def _place(url: str) -> object:
+    """Return the place of a port, equal for all links to a terminal and names of this machine."""
+    if "://" not in url:
+        return os.path.realpath(url)
+    address = urlsplit(url)
+    host = "127.0.0.1" if address.hostname in ("localhost", "::1") else address.hostname
+    return address.scheme, host, address.port
 
 
 def _is_locked(entry_path: Path) -> bool:
@@ -85,7 +121,10 @@ def private_folder() -> Path:
     user = os.getuid() if sys.platform != "win32" else 0
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     name = "khep_twin" if runtime else f"khep_twin-{user}"
-    folder = Path(runtime or tempfile.gettempdir()) / name
+    try:
+        folder = Path(runtime or tempfile.gettempdir()) / name
+    except FileNotFoundError as error:
+        raise PortError(NO_TEMPORARY_FOLDER) from error
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()

@@ -3,6 +3,7 @@
 import csv
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -569,3 +570,17 @@ def test_a_fork_of_a_controller_leaves_the_log_whole(tmp_path: Path) -> None:
     process = subprocess.run([*PROGRAM, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert process.returncode == 0, process.stderr
     assert good("repeat", "run.mcap", folder=tmp_path).startswith("identical: 8.")
+
+
+def test_cycles_that_take_longer_than_their_bytes_are_reported_once(tmp_path: Path) -> None:
+    """A busy machine's replies come late; a stand-in's by a delay that is far above the line's times."""
+    with FakeRobot() as robot:
+        robot.delay = 0.02
+        words = ("run", "--port", robot.url, "--baudrate", "115200", "--cycles", "2", "--runs", "2")
+        result = khep_twin(*words, folder=tmp_path)
+    assert result.returncode == 0, result.stderr
+    notice = r"khep-twin: cycles took \d+ ms on average; expected 4 ms: this machine, the twin's or .*\n"
+    assert re.fullmatch(notice, result.stderr), result.stderr
+    with FakeRobot() as robot:
+        result = khep_twin(*words[:2], robot.url, "--baudrate", "300", "--cycles", "1", folder=tmp_path)
+    assert result.stderr == ""

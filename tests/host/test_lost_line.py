@@ -120,7 +120,7 @@ def test_a_host_that_fails_itself_keeps_its_own_error(fake: FakeRobot) -> None:
 
 
 def test_motors_that_cannot_be_stopped_are_reported_at_the_end(fake: FakeRobot) -> None:
-    with pytest.raises(PortError, match="the motors may still run"), Khepera(fake.url):
+    with pytest.raises(PortError, match="the motors may still run"), Khepera(fake.url, 0.5):
         fake.silent = True
 
 
@@ -128,7 +128,7 @@ def test_a_silent_robot_ends_within_the_timeout(fake: FakeRobot) -> None:
     with Khepera(fake.url, timeout=0.4) as robot:
         fake.silent = True
         start = time.monotonic()
-        with pytest.raises(PortTimeout, match=r"no reply to 'N' within 0.2 s; is the robot on"):
+        with pytest.raises(PortTimeout, match=r"no reply to 'N' within 0.4 s; is the robot on"):
             robot.proximity()
         assert time.monotonic() - start >= 0.4
         # One try for the reply and one probe, and no more.
@@ -191,9 +191,8 @@ class StalledPort(serial.SerialBase):
     def write(self, data: bytes) -> int:
         for request in data.split():
             self._count += 1
-            reply = {b"B": b"b,5.02,5.01", b"H": b"h,%d,0" % self._count}.get(
-                request[:1], request[:1].lower()
-            )
+            reads = {b"B": b"b,5.02,5.01", b"H": b"h,%d,0" % self._count, b"E": b"e,0,0", b"K": b"k,1,1"}
+            reply = reads.get(request[:1], request[:1].lower())
             self._lines.append(reply + b"\r\n")
         return len(data)
 
@@ -206,6 +205,7 @@ class StalledPort(serial.SerialBase):
         self._lines.clear()
 
 
+@pytest.mark.filterwarnings("ignore:stalled. the reply to 'H' took:UserWarning")
 @pytest.mark.parametrize("until_s", [0.5, 1.0, 2.0, 2.5, 3.0, 10.0])
 def test_answers_that_come_late_are_never_taken_for_new_ones(until_s: float) -> None:
     port = StalledPort(round(until_s * 1e9))
@@ -218,6 +218,42 @@ def test_answers_that_come_late_are_never_taken_for_new_ones(until_s: float) -> 
                 assert port.time_ns < (until_s + 2) * 1e9
         for _ in range(3):
             assert robot.position() == (port._count, 0)
+
+
+@pytest.mark.parametrize("until_s", [1.0, 2.0, 4.5])
+def test_an_order_whose_answer_comes_late_is_done_and_the_delay_reported_once(until_s: float) -> None:
+    port = StalledPort(round(until_s * 1e9))
+    with Khepera(port) as robot:
+        with pytest.warns(
+            UserWarning, match=f"stalled: the reply to 'D,5,5' took {until_s} s; expected at"
+        ) as caught:
+            robot.set_speed(5, 5)
+        port._until_ns = port.time_ns + 1_500_000_000
+        robot.set_speed(6, 6)
+        assert robot.position() == (port._count, 0)
+    assert len(caught) == 1
+
+
+def test_any_line_whose_answer_comes_late_has_it() -> None:
+    port = StalledPort(2_000_000_000)
+    with Khepera(port) as robot, pytest.warns(UserWarning, match="the reply to 'I,1' took 2.0 s"):
+        assert robot.ask("I,1") == "i"
+
+
+def test_a_silent_robot_is_reported_after_five_seconds_with_the_line_that_was_sent() -> None:
+    port = StalledPort(10**12)
+    robot = Khepera(port)
+    with pytest.raises(PortTimeout, match=r"no reply to 'D,5,5' within 5 s; is the robot on"):
+        robot.set_speed(5, 5)
+    assert port.time_ns == 5_000_000_000
+    assert port._count <= 6
+
+
+def test_a_final_stop_that_is_confirmed_late_is_no_error() -> None:
+    port = StalledPort(0)
+    with Khepera(port) as robot:
+        robot.set_speed(5, 5)
+        port._until_ns = port.time_ns + 2_000_000_000
 
 
 def test_a_mode_that_no_rom_has_is_refused(fake: FakeRobot) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from khep_twin.errors import PortError
 from khep_twin.ports import service_registry
-from khep_twin.ports.service_registry import registered_ports, served_ports
+from khep_twin.ports.service_registry import registered_ports, served_ports, served_speed
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +18,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_what_is_registered_is_served_until_the_end(folder: Path) -> None:
     with registered_ports(["/dev/pts/1"], "default  playpen"):
-        assert served_ports() == [("/dev/pts/1", "default playpen")]
+        assert served_ports() == [("/dev/pts/1", "default playpen", 1.0)]
     assert not [*folder.iterdir()]
 
 
@@ -45,3 +45,20 @@ def test_a_server_that_ends_while_it_is_listed_is_not_listed(
 
     monkeypatch.setattr(service_registry, "_is_locked", ended_at_once)
     assert served_ports() == []
+
+
+def test_the_speed_of_a_server_is_that_of_each_name_of_its_port(folder: Path) -> None:
+    link = folder / "khepera"
+    link.symlink_to("/dev/pts/1")
+    with registered_ports([str(link), "socket://127.0.0.1:5000"], "default", 0.25):
+        for name in (str(link), "/dev/pts/1", "socket://localhost:5000"):
+            assert served_speed(name) == 0.25
+        for name in ("/dev/pts/2", "socket://localhost:5001", "rfc2217://127.0.0.1:5000", "socket://[::1"):
+            assert served_speed(name) == 1.0
+
+
+def test_an_entry_without_a_speed_is_not_listed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service_registry, "_is_locked", lambda _: True)
+    (folder / "1.served").write_text("default\n/dev/pts/1")
+    assert served_ports() == []
+    assert served_speed("/dev/pts/1") == 1.0

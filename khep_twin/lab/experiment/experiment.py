@@ -14,6 +14,7 @@ from khep_twin.lab.experiment.controllers import (
     name_of,
     source_file,
 )
+from khep_twin.lab.experiment.periodic_controllers import PeriodicController
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,11 +25,15 @@ class Outcome:
         cycles: Number of calls of the controller.
         duration: Duration of the run in the port's time [s].
         complete: True unless the run was stopped early.
+        cycle_time: Mean time of a cycle; of a controller without a period, that of its exchanges [s].
+        expected_cycle_time: Period of the controller, or the time of the bytes if that is longer [s].
     """
 
     cycles: int
     duration: float
     complete: bool = True
+    cycle_time: float = 0.0
+    expected_cycle_time: float = 0.0
 
 
 def run(
@@ -55,14 +60,18 @@ def run(
     Raises:
         ValueError: Neither cycles nor seconds are given, or one is not above 0.
         ControllerError: The controller failed, or lets no time pass.
+        PortError: The port failed, or has no time for seconds.
     """
     if cycles is None and seconds is None:
         raise ValueError("no cycles and no seconds; expected one of them")
     if (cycles is not None and cycles < 1) or (seconds is not None and not seconds > 0):
         raise ValueError(f"cycles = {cycles}, seconds = {seconds}; expected numbers above 0")
+    if seconds is not None:
+        robot.check_clock(f"a run of {seconds:g} s instead of cycles")
     controller = as_controller(controller)
     should_stop = stop or (lambda: False)
     start = previous_time = robot.time
+    start_times = robot.line_times
     n_cycles, completed = 0, 0.0
 
     def end_cycle() -> bool:
@@ -97,7 +106,7 @@ def run(
             while is_running:
                 call(controller.cycle, robot)
                 is_running = end_cycle()
-        duration = robot.time - start
+        duration, times = robot.time - start, robot.line_times
         robot.set_speed(0, 0)
         call(controller.end, robot)
     except BaseException:
@@ -105,4 +114,8 @@ def run(
         with suppress(KhepTwinError):
             robot.set_speed(0, 0)
         raise
-    return Outcome(n_cycles, duration, completed >= 1)
+    period = controller.period if isinstance(controller, PeriodicController) else 0.0
+    line_time, byte_time = times.exchanges - start_times.exchanges, times.bytes - start_times.bytes
+    cycle_time = (duration if period else line_time) / max(n_cycles, 1)
+    expected_cycle_time = max(period, byte_time / max(n_cycles, 1))
+    return Outcome(n_cycles, duration, completed >= 1, cycle_time, expected_cycle_time)

@@ -33,6 +33,11 @@ class PeriodicController(Controller):
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
 
+    @property
+    def period(self) -> float:
+        """Control period [s]."""
+        return self._period_ns / NS_PER_S
+
     def decide(self, robot: Khepera) -> tuple[float, float]:
         """Read the robot's sensors; return the speeds of the left and right wheel [pulses/10 ms]."""
         raise NotImplementedError(f"{type(self).__name__} needs a decide(self, robot)")

@@ -126,9 +126,10 @@ class _Comparison(Observer):
 
     def line_differences(self, recorded: RecordedRun) -> list[Divergence]:
         """Return the first difference of each robot's transcript."""
-        self._transcript.write()
-        if not recorded.is_truncated:
-            self._transcript.write_partial_lines(recorded.end_ns)
+        if recorded.is_truncated:
+            self._transcript.write()
+        else:
+            self._transcript.finish(recorded.end_ns)
         end_ns = recorded.end_ns if self.difference is None else self.difference.time_ns
         differences: list[Divergence] = []
         for name, recorded_lines in zip(self._names, recorded.lines, strict=True):

@@ -213,7 +213,10 @@ def _run_one(
 
     def make_series_run(outcome: Outcome) -> SeriesRun:
         metrics = host_metrics.metrics() | ({} if ground_truth is None else ground_truth.metrics())
-        return SeriesRun(number, start, outcome.cycles, outcome.duration, metrics, copy_variables(controller))
+        variables = copy_variables(controller)
+        # A twin in this process waits for its host.
+        cycle_times = (outcome.cycle_time, outcome.expected_cycle_time) if twin is None else ()
+        return SeriesRun(number, start, outcome.cycles, outcome.duration, metrics, variables, *cycle_times)
 
     _log_event(twin, f"run {number} begins")
     robot.listen(host_metrics)

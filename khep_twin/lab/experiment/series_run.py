@@ -9,6 +9,9 @@ from khep_twin.errors import ControllerError
 from khep_twin.lab.experiment.measures import UNITS
 from khep_twin.lab.experiment.start_poses import StartPose
 
+_LONGEST_CYCLE = 1.25
+"""Mean time of a cycle without a notice, as a multiple of the expected one."""
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
@@ -49,6 +52,8 @@ class SeriesRun:
         duration: Duration in the port's time [s].
         metrics: Metrics by name (`khep_twin.lab.experiment.measures`).
         variables: Variables of the controller at the run's end.
+        cycle_time: Mean time of a cycle, as in `Outcome` [s].
+        expected_cycle_time: Expected time of a cycle, as in `Outcome` [s].
     """
 
     number: int
@@ -57,6 +62,17 @@ class SeriesRun:
     duration: float
     metrics: Mapping[str, float]
     variables: Mapping[str, object] = field(default_factory=dict[str, object])
+    cycle_time: float = 0.0
+    expected_cycle_time: float = 0.0
+
+    def delay_text(self) -> str:
+        """Return a notice that the cycles took longer than expected, as a line of text; empty otherwise."""
+        if self.cycle_time <= _LONGEST_CYCLE * self.expected_cycle_time or not self.expected_cycle_time:
+            return ""
+        return (
+            f"cycles took {self.cycle_time * 1e3:.0f} ms on average; expected "
+            f"{self.expected_cycle_time * 1e3:.0f} ms: this machine, the twin's or the line is slow"
+        )
 
     def text(self, runs: int) -> str:
         """Return the run, one of `runs`, as a line of text; a single run has a line for each metric."""

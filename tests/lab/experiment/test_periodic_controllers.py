@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import serial
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
@@ -17,7 +18,9 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.experiment import run
-from khep_twin.lab.experiment.periodic_controllers import NetworkController
+from khep_twin.lab.experiment.periodic_controllers import NetworkController, PeriodicController
+from khep_twin.lab.experiment.series import OneRobot, run_series
+from khep_twin.lab.experiment.series_run import Plan
 
 PLAYPEN = "khep://two-lamps?seed=3&noise=on"
 
@@ -143,3 +146,48 @@ def test_a_file_of_a_network_is_a_controller_with_its_name_and_content(tmp_path:
         with pytest.raises(ControllerError, match=rf"{name}: cannot be read: .*{message}"):
             find_controller(str(tmp_path / name))
     assert network_file.read(tmp_path / "best.npz").seed == 5
+
+
+class LatePort(serial.SerialBase):
+    """A port in a fake clock's time, whose robot takes a duration for each reply."""
+
+    name, baudrate, timeout, is_open = "late", 9600, 0.5, True
+
+    def __init__(self, delay_ns: int) -> None:
+        self.time_ns, self._delay_ns, self._reply = 0, delay_ns, b""
+
+    def write(self, data: bytes) -> int:
+        self._reply = b"n,0,0,0,0,0,0,0,0\r\n" if data == b"N\n" else data.strip()[:1].lower() + b"\r\n"
+        return len(data)
+
+    def read_until(self, expected: bytes = b"\n", size: int | None = None) -> bytes:
+        self.time_ns += self._delay_ns
+        return self._reply
+
+    def sleep(self, duration: float) -> None:
+        self.time_ns += round(duration * 1e9)
+
+    def close(self) -> None: ...
+
+
+class Still(PeriodicController):
+    """Controller that reads the sensors and stands still."""
+
+    def decide(self, robot: Khepera) -> tuple[float, float]:
+        robot.proximity()
+        return 0.0, 0.0
+
+
+def test_a_run_has_the_time_of_its_cycles_and_the_expected_one() -> None:
+    """The cycle of a busy machine, by a port whose fake clock adds to each reply."""
+    port = LatePort(45_000_000)
+    with Khepera(port) as robot:
+        outcome = run(Still(40_000_000), robot, cycles=2)
+        assert (outcome.cycle_time, outcome.expected_cycle_time) == pytest.approx((0.09, 0.04))
+        (series,) = run_series(Still(40_000_000), OneRobot(robot), Plan(cycles=2))
+        assert series.delay_text().startswith("cycles took 90 ms on average; expected 40 ms: ")
+        outcome = run(lambda robot: robot.proximity(), robot, cycles=2)
+        # N, its line feed, and a reply of 19 bytes.
+        assert (outcome.cycle_time, outcome.expected_cycle_time) == pytest.approx((0.045, 21 * 11 / 9600))
+        (series,) = run_series(Still(90_000_000), OneRobot(robot), Plan(cycles=2))
+        assert series.delay_text() == ""

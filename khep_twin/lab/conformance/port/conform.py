@@ -99,13 +99,20 @@ def conform(
         model: Model of the robot.
 
     Raises:
-        PortError: The port cannot be opened.
+        PortError: The port cannot be opened, its robot is of another model, or time passes there at a speed
+        other than 1.
     """
     if baudrate is not None and baudrate < 1:
         raise PortError(key="baudrate", value=baudrate, expected="the speed of the line, such as 9600")
     open_port, default_baud = _HOSTS[model]
     # A broken robot may not even acknowledge the last stop, which must not prevent the report.
     with closing(open_port(url, baudrate=baudrate or default_baud)) as robot:
+        robot.check_clock("checks")
+        if robot.clock_speed != 1:
+            raise PortError(
+                f"{url}: checks at a server with --speed {robot.clock_speed:g}; expected --speed 1"
+            )
+        robot.check_model()
         return examine(CheckedPort(robot.port), url, move=move, model=model)
 
 
