@@ -3,14 +3,16 @@
 Modules that a system lacks are None here. Linux is tested, macOS and Windows are not (docs/install.md).
 """
 
+import errno
 import os
 import queue
 import select
 import sys
 import threading
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -32,6 +34,11 @@ with suppress(ImportError):
 
 RENAMES_OPEN_FILES = sys.platform != "win32"
 """Whether a file can be renamed and removed while a process has it open."""
+
+_READERS_S = 2.0
+"""Longest wait for other processes to close a file that is renamed or removed (assumed) [s]."""
+
+_RETRY_INTERVAL_S = 0.05
 
 FOLDER_LOCK = ".lock"
 """Name of the file that is locked in place of its folder, on systems that cannot open folders."""
@@ -75,10 +82,11 @@ def lock(file: IO[Any] | int, *, shared: bool = False, waits: bool = False) -> N
         kind = _fcntl.LOCK_SH if shared else _fcntl.LOCK_EX
         _fcntl.flock(descriptor, kind if waits else kind | _fcntl.LOCK_NB)
     elif _msvcrt is not None:
-        try:
-            _lock_byte(descriptor, _msvcrt.LK_LOCK if waits else _msvcrt.LK_NBLCK)
-        except PermissionError as error:
-            raise BlockingIOError(*error.args) from None
+        # LK_LOCK gives up after 10 s.
+        while not _try_lock_byte(descriptor):
+            if not waits:
+                raise BlockingIOError(errno.EWOULDBLOCK, "another process has locked the file")
+            time.sleep(_RETRY_INTERVAL_S)
 
 
 def unlock(file: IO[Any] | int) -> None:
@@ -88,6 +96,24 @@ def unlock(file: IO[Any] | int) -> None:
         _fcntl.flock(descriptor, _fcntl.LOCK_UN)
     elif _msvcrt is not None:
         _lock_byte(descriptor, _msvcrt.LK_UNLCK)
+
+
+def rename(source: Path, target: Path) -> None:
+    """Rename a file, and replace another one of the new name; on Windows, wait for their readers.
+
+    Raises:
+        OSError: It cannot be renamed.
+    """
+    _retry_while_open(partial(os.replace, source, target))
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it exists; on Windows, wait for its readers.
+
+    Raises:
+        OSError: It cannot be removed.
+    """
+    _retry_while_open(partial(path.unlink, missing_ok=True))
 
 
 def open_folder(folder: Path) -> int:
@@ -178,12 +204,33 @@ def lower_priority(process: int = 0, by: int = 19) -> None:
         os.setpriority(os.PRIO_PROCESS, process, min(priority, 19))
 
 
+def _retry_while_open(act: Callable[[], None]) -> None:
+    """Rename or remove a file; on Windows, repeat it while another process has the file open."""
+    deadline_s = time.monotonic() + _READERS_S
+    while True:
+        try:
+            return act()
+        except PermissionError:
+            if RENAMES_OPEN_FILES or time.monotonic() > deadline_s:
+                raise
+            time.sleep(_RETRY_INTERVAL_S)
+
+
 def _read_all(descriptor: int, input_bytes: "queue.SimpleQueue[bytes]") -> None:
     """Read an input byte by byte until its end."""
     byte = b"-"
     while byte:
         byte = os.read(descriptor, 1)
         input_bytes.put(byte)
+
+
+def _try_lock_byte(descriptor: int) -> bool:
+    """Lock one byte of a file on Windows; return False if another process has locked it."""
+    try:
+        _lock_byte(descriptor, _msvcrt.LK_NBLCK)
+    except PermissionError:
+        return False
+    return True
 
 
 def _lock_byte(descriptor: int, kind: int) -> None:

@@ -1,48 +1,117 @@
-"""Systems without pseudo-terminals, inotify and Unix's locks: all code that needs none of them runs."""
+"""Windows, simulated: code without terminals runs, except the features that docs/install.md excludes."""
 
+import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
+from typing import Any
 
 import pytest
 import serial
 from forked import run_python
 
-HIDING = """
-import builtins, runpy, sys
+from khep_twin.web import documents as documents_module
+from khep_twin.web.documents import Documents
 
-HIDDEN = {"fcntl", "termios", "tty", "pty", "resource", "curses", "grp", "pwd"}
-importing = builtins.__import__
-
-
-def hidden(name, globals=None, *rest, **named):
-    # The modules that others need, such as pyserial on this system, stay.
-    if name.split(".")[0] in HIDDEN and str((globals or {}).get("__name__", "")).startswith("khep_twin"):
-        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-    return importing(name, globals, *rest, **named)
-
-
-builtins.__import__ = hidden
-"""
+SIMULATION = (
+    f"import runpy, sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nimport windows_simulation\n"
+)
+"""Start of a program on the simulated system."""
 
 COMMAND = "sys.argv[0] = 'khep-twin'\nrunpy.run_module('khep_twin', run_name='__main__')"
 
-ALONE = {"khep_twin.ports.pty", "khep_twin.ports.terminal_hosts", "khep_twin.__main__"}
+ALONE = {*(f"khep_twin.ports.{name}" for name in ("link", "pty", "terminal_hosts")), "khep_twin.__main__"}
 """Modules that are for terminals alone, and the one that runs the command."""
 
 
-def run(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a program without those modules."""
-    command = [sys.executable, "-c", HIDING + program, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+STUDY = """version = 1
+name = "small"
+playpens = ["default"]
+controllers = ["braitenberg"]
+seeds = 3
+seconds = 0.2
+rollouts_per_task = 2
+output = "out"
+"""
+
+RUNS = """
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import pyarrow.parquet as pq
+from mcap.writer import MCAP0_MAGIC
+
+from khep_twin import machine
+from khep_twin.errors import KhepTwinError
+from khep_twin.files.atomic import write_atomic
+from khep_twin.log.tail import GrowingLog
+from khep_twin.ports.relay import _wait_for_bytes
+from khep_twin.ports.service_registry import registered_ports, served_ports
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.sweep import study
+from khep_twin.sweep.sweep import run_sweep
+from khep_twin.web.paced_twin import PacedTwin
+
+log = Path("run.mcap")
+# A second log replaces the first one, beside the remains of a crash.
+for _ in range(2):
+    Path("run.mcap.part").write_bytes(MCAP0_MAGIC)
+    with open_twin("default", TwinOptions(log=str(log))) as twin, GrowingLog(log) as growing:
+        PacedTwin(twin, [], lambda: None).advance_to(60_000_000)
+        twin.recorder.flush()
+        n_entries = len(growing.read_new())
+        twin.close()
+        while not growing.is_finished:
+            n_entries += len(growing.read_new())
+        assert n_entries > 30
+with open_twin("default", TwinOptions(log="stopped.mcap")) as twin:
+    twin.recorder.discard()
+print(*sorted(path.name for path in Path().glob("*.mcap*")))
+
+Path("study.toml").write_text(Path("study.txt").read_text())
+print(pq.read_metadata(run_sweep(study.load(Path("study.toml")))).num_rows)
+
+device, port = SimpleNamespace(descriptor=None), SimpleNamespace(descriptors=lambda has_room: ())
+_wait_for_bytes(device, port, True, False, 0)
+with registered_ports(["socket://127.0.0.1:1"], "default"):
+    print(*served_ports()[0][:2])
+
+first, second = (Path("lock").open("wb") for _ in range(2))
+machine.lock(first)
+threading.Timer(0.1, first.close).start()
+machine.lock(second, waits=True)
+
+# A file that another program reads for a moment is replaced; after a while the error is one line.
+reader = Path("study.toml").open()
+threading.Timer(0.1, reader.close).start()
+write_atomic(Path("study.toml"), b"new")
+machine._READERS_S = 0.0
+with Path("study.toml").open():
+    try:
+        write_atomic(Path("study.toml"), b"newer")
+    except KhepTwinError as error:
+        print(error)
+print(Path("study.toml").read_text(), *Path().glob(".study*"))
+"""
+
+
+def run(
+    program: str, *arguments: str, folder: Path | None = None, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run a program on the simulated system."""
+    command = [sys.executable, "-c", SIMULATION + program, *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=300, check=False, cwd=folder, **options
+    )
 
 
 @contextmanager
-def served(*arguments: str) -> Iterator[str]:
-    """Serve a twin without those modules; return the line that names what hosts open."""
-    command = [sys.executable, "-c", HIDING + COMMAND, "serve", "default", *arguments]
+def served(*arguments: str) -> Generator[str]:
+    """Serve a twin without terminals; return the line that names the port for hosts."""
+    command = [sys.executable, "-c", SIMULATION + COMMAND, "serve", "default", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             assert process.stdout is not None
@@ -90,6 +159,44 @@ def test_a_twin_is_driven_in_lock_step_and_its_log_is_read_recovered_and_repeate
     assert process.stdout.splitlines()[1] == "run.recovered.mcap 1 None"
 
 
+def test_open_files_are_not_renamed_or_removed_and_only_sockets_are_waited_for(tmp_path: Path) -> None:
+    (tmp_path / "study.txt").write_text(STUDY)
+    process = run(RUNS, folder=tmp_path, env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)})
+    assert process.stdout.splitlines() == [
+        "run.mcap run.mcap.part.1 run.mcap.part.2",
+        "3",
+        "socket://127.0.0.1:1 default",
+        "study.toml: cannot be written: The process cannot access the file, as it is open",
+        "new",
+    ], process.stderr
+
+
+def test_a_prompt_reads_a_line_of_an_input_that_cannot_be_waited_for() -> None:
+    program = (
+        "from khep_twin.cli.options import ask_line\n"
+        "print([ask_line('?', lambda: False) for _ in range(3)], ask_line('?', lambda: True))"
+    )
+    assert "[b'one\\n', b'two', b''] None" in run(program, input="one\ntwo").stdout
+
+
+def test_a_console_without_a_character_shows_its_code() -> None:
+    program = f"import os\n{COMMAND}"
+    process = run(
+        program, "playpen", "check", "\u03c0.toml", env={**os.environ, "PYTHONIOENCODING": "cp1252"}
+    )
+    assert (process.returncode, "Traceback" in process.stderr) == (1, False)
+    assert "\\u03c0.toml: " in process.stderr
+
+
+def test_the_page_names_files_with_slashes(monkeypatch: pytest.MonkeyPatch) -> None:
+    documents = Documents(Path())
+    documents.root = PureWindowsPath("C:/pens")  # type: ignore[assignment]
+    folders: list[tuple[str, list[str], list[str]]] = [("C:/pens/a", [], ["b.toml"])]
+    monkeypatch.setattr(documents_module, "Path", PureWindowsPath)
+    monkeypatch.setattr("os.walk", {documents.root: folders}.__getitem__)
+    assert documents.names() == ["a/b.toml"]
+
+
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 @pytest.mark.parametrize("kind", ["rfc2217", pytest.param("tcp", marks=pytest.mark.long)])
 def test_hosts_on_the_network_are_served(kind: str) -> None:
@@ -125,7 +232,7 @@ def test_a_command_without_its_package_names_what_installs_it(
     package: str, words: list[str], tmp_path: Path
 ) -> None:
     program = f"import runpy, sys\nsys.modules[{package!r}] = None\n{COMMAND}"
-    command = [sys.executable, "-c", program, *words]
+    command: list[object] = [sys.executable, "-c", program, *words]
     process = run_python(command, timeout=300, cwd=tmp_path)
     assert process.returncode == 1
     assert process.stderr.startswith(f"khep-twin: {package} is not installed; to install it: "), (

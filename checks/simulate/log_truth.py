@@ -1,6 +1,7 @@
 """True content of a run, collected independently of its recorder, and the comparison of a log with it."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -148,17 +149,16 @@ class Truth:
                 return f"{topic}: {wrong}"
         for name in self.names:
             lines = _lines(log_messages, f"/{name}/serial")
-            expected = self.lines.get(name, [])
-            rests = sorted(
-                _transcript_line(*key[1:], rest) for key, rest in self._rests.items() if key[0] == name
-            )
-            if self.begun_ns >= 0:
-                del lines[len(lines) - len(rests) * self.closing :]
-            elif self.closing and rests and (is_complete or len(lines) > len(expected)):
-                ends = sorted(line[1:] for line in lines[len(expected) :])
-                if ends != rests:
-                    return f"/{name}/serial: ends with {ends}, not {rests}"
-                del lines[len(expected) :]
+            expected = sorted(self.lines.get(name, []), key=itemgetter(0))
+            if self.closing and (is_complete or len(lines) > len(expected) or self.begun_ns >= 0):
+                for key, rest in sorted(self._rests.items()):
+                    rest_line = _transcript_line(key[1], rest)
+                    # A reply on the line at the end may be later.
+                    numbers = [number for number, line in enumerate(lines) if line[1:] == rest_line]
+                    if key[0] == name and numbers:
+                        del lines[numbers[-1]]
+                    elif key[0] == name and self.begun_ns < 0:
+                        return f"/{name}/serial: without the incomplete line {rest_line}"
             if wrong := self._first_wrong(expected, lines, has_gaps, must_ns):
                 return f"/{name}/serial: {wrong}"
             events = [

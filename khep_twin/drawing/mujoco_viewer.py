@@ -42,11 +42,14 @@ class MujocoViewer(Observer):
         real_time: True to slow down a world that runs ahead of the wall clock.
 
     Raises:
-        KhepTwinError: There is no screen, or no OpenGL to draw on it.
+        KhepTwinError: There is no screen, or no OpenGL to draw on it; or this is not mjpython on macOS.
     """
 
     def __init__(self, *, real_time: bool) -> None:
-        check_screen("--viewer", _REMEDY)
+        if sys.platform == "darwin":
+            _check_mjpython()
+        else:
+            check_screen("--viewer", _REMEDY)
         self._real_time = real_time
         self._handle: Any = None
         self._model: mujoco.MjModel | None = None
@@ -115,6 +118,14 @@ class MujocoViewer(Observer):
 def has_screen() -> bool:
     """Return whether there may be a screen; on Linux the environment names it."""
     return sys.platform != "linux" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+
+
+def _check_mjpython() -> None:
+    """Raise a `KhepTwinError` without mjpython, which leaves the main thread to the window on macOS."""
+    from mujoco import viewer
+
+    if viewer._MJPYTHON is None:
+        raise KhepTwinError(f"--viewer: this is python, expected mjpython -m khep_twin on macOS; {_REMEDY}")
 
 
 def check_screen(option: str, remedy: str) -> None:

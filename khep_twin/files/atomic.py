@@ -13,11 +13,11 @@ from typing import BinaryIO, NamedTuple
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.paths import StrPath
 from khep_twin.invocation import quoted
-from khep_twin.machine import flags
+from khep_twin.machine import flags, remove, rename
 from khep_twin.signals import block_signals, register_cleanup
 
-_NO_HARD_LINKS = errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK
-"""Errors of file systems without hard links, such as FAT."""
+_NO_HARD_LINKS = errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL
+"""Errors of file systems without hard links, such as FAT; EINVAL is that of Windows."""
 
 _NO_FOLDER_SYNC = errno.EINVAL, errno.ENOTSUP
 """Errors of file systems that cannot synchronize a folder, such as some network file systems."""
@@ -34,6 +34,8 @@ def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
         _check_regular(os.stat(path))
     except FileNotFoundError as error:
         raise FileNotFoundError(errno.ENOENT, f"{error.strerror}{_suggestion(path)}", str(path)) from None
+    except ValueError as error:  # a name with a null byte, or with characters that no file name has
+        raise OSError(errno.EINVAL, str(error), str(path)) from None
     descriptor = os.open(path, flags("O_RDONLY", "O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC"))
     try:
         _check_regular(os.fstat(descriptor))
@@ -132,7 +134,7 @@ def part_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
     target = resolve(path)
     with block_signals():
         part = _new_part(target)
-        remove_part = partial(part.unlink, missing_ok=True)
+        remove_part = partial(remove, part)
         cancel_removal = register_cleanup(remove_part)
     try:
         with part.open("w+b") as file:
@@ -144,7 +146,7 @@ def part_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
         final_path = target
         previous = Identity.of(target)
         if replace:
-            os.replace(part, target)
+            rename(part, target)
         else:
             final_path = rename_into_place(part, target, previous if previous and not previous.size else None)
         synchronize_folder(target.parent)
@@ -183,7 +185,7 @@ def rename_into_place(part: Path, target: Path, previous: Identity | None, infix
         OSError: It cannot be renamed.
     """
     if previous is not None and Identity.of(target) in (previous, None):
-        os.replace(part, target)
+        rename(part, target)
         return target
     path = target
     while True:
@@ -218,9 +220,9 @@ def _rename_to_new(part: Path, name: Path) -> None:
         if error.errno not in _NO_HARD_LINKS:
             raise
         os.close(os.open(name, flags("O_WRONLY", "O_CREAT", "O_EXCL")))
-        os.replace(part, name)
+        rename(part, name)
     else:
-        os.unlink(part)
+        remove(part)
 
 
 def synchronize_folder(folder: Path) -> None:

@@ -90,11 +90,12 @@ def read(kind: str, name: str | Path, error_type: type[KhepTwinError]) -> tuple[
         with open_regular(path) as file:
             data = file.read(SIZE_LIMIT + 1)
     except FileNotFoundError:
-        expected = f"the path of a file or a shipped name; {choices(name, names(kind))}"
+        expected = "the path of a file"
+        if shipped_names := names(kind):
+            expected += f" or a shipped name; {choices(name, shipped_names)}"
         raise error_type("no such file", file=source, expected=expected) from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise error_type(f"cannot be read: {reason}", file=source) from None
+    except OSError as error:
+        raise error_type(f"cannot be read: {error.strerror}", file=source) from None
     if len(data) > SIZE_LIMIT:
         raise error_type(f"larger than {SIZE_LIMIT} bytes, the most that is read", file=source)
     try:
@@ -243,6 +244,9 @@ def _to_data(table: TomlTable, *, exclude_defaults: bool = False) -> Table:
 def _problems(model: type[BaseModel], error: ValidationError, data: Mapping[str, Any]) -> Iterator[Problem]:
     for problem in error.errors(include_url=False):
         location = problem["loc"]
+        min_length: int = problem.get("ctx", {}).get("min_length", 0)
+        if problem["type"] == "too_short" and len(problem["input"]) >= min_length:
+            continue  # pydantic does not count wrong values, which are problems themselves
         if problem["type"] == "value_error" and not location:
             # A model's validator includes the locations in its messages.
             cause = problem.get("ctx", {})["error"]

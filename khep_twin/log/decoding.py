@@ -78,10 +78,10 @@ def read_errors(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        hint = f"; to make one: {command('run', '--log', path)}"
         is_missing = isinstance(error, FileNotFoundError) and path.suffix == ".mcap"
         needs_hint = is_missing and "did you mean" not in str(error)
-        raise LogError(f"{path}: cannot be read: {error.strerror}", hint if needs_hint else "") from error
+        hint = f"; to make one: {command('run', '--log', path)}" if needs_hint else ""
+        raise LogError(f"cannot be read: {error.strerror}", hint, file=path) from error
 
 
 def first_line(error: KhepTwinError) -> str:

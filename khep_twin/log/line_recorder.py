@@ -108,8 +108,8 @@ class LineRecorder(FileRecorder):
     def close(self) -> None:
         """Complete the file and rename it to its path."""
         if self._file.open:
+            self._transcript.finish(self._clock())
             self._write()
-            self._transcript.write_partial_lines(self._clock())
             self._file.finish()
 
     def _write(self) -> None:

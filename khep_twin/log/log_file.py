@@ -26,7 +26,7 @@ from khep_twin.files.atomic import (
 )
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.output import Output
-from khep_twin.machine import RENAMES_OPEN_FILES, flags, lock, n_forks
+from khep_twin.machine import RENAMES_OPEN_FILES, flags, lock, n_forks, remove, rename
 from khep_twin.signals import block_signals, register_cleanup
 
 
@@ -120,7 +120,7 @@ def rename_unfinished(part: Path) -> Path | None:
         # While it is locked, no other run renames it or starts under its name.
         if not RENAMES_OPEN_FILES:
             file.close()
-        os.rename(part, new_path)
+        rename(part, new_path)
         return new_path
 
 
@@ -197,7 +197,7 @@ class LogFile(Output):
                 # While it is locked, the name is that of no other run's file.
                 self._close_before_rename()
                 with suppress(OSError):
-                    self.part.unlink(missing_ok=True)
+                    remove(self.part)
                 with suppress(OSError):
                     self._close()
 

@@ -136,16 +136,18 @@ class WorldRecorder:
         if self._log.open:
             with self._log.error_guard():
                 self._write(snapshot)
-                self._transcript.write_partial_lines(self._world.time_ns)
+                self._transcript.finish(self._world.time_ns)
                 self._log.finish()
 
     def _resume(self, state: RecorderState) -> None:
         """Resume from the state of the recorder of a previous log."""
         count = len(self._reply_hashes.values)
-        if len(state.answered) != count or any(robot >= count for robot, _, _ in state.rests):
+        if len(state.answered) != count or any(
+            robot >= count for *_, robot, _, _ in (*state.rests, *state.early_lines)
+        ):
             raise ValueError(f"a recorder's state of {len(state.answered)} robots; expected {count}")
         self._reply_hashes.values[:] = state.answered
-        self._transcript.resume(state.rests)
+        self._transcript.resume(state.rests, state.early_lines)
         self._lamps.resume(state)
 
     def _write(self, snapshot: bool = False) -> None:
@@ -161,7 +163,7 @@ class WorldRecorder:
         for channel in self._layout.channels:
             messages = channel.messages(times_ns, table)
             self._log.add_rows(channel.topic, channel.schema, times_ns, messages)
-        self._transcript.write()
+        self._transcript.write(self._world.time_ns)
         for index, robot in enumerate(self._world.robots):
             events, self._host_events[index] = self._host_events[index], []
             if events:
@@ -172,8 +174,9 @@ class WorldRecorder:
             hash_values = hash_samples(reply_hashes, self._layout.states(table))
             self._log.add("/state", INTEGERS, samples[0].time_ns, states_message(hash_values))
         if snapshot:
-            lamps = self._lamps.n_sets, self._lamps.is_recorded
-            state = RecorderState(tuple(self._reply_hashes.values), self._transcript.partial_lines, *lamps)
+            lamps, transcript = (self._lamps.n_sets, self._lamps.is_recorded), self._transcript
+            lines = transcript.partial_lines, *lamps, transcript.early_lines
+            state = RecorderState(tuple(self._reply_hashes.values), *lines)
             message = snapshot_message(self._world, state)
             self._log.add(SNAPSHOT_TOPIC, BYTES, self._world.time_ns, message)
 

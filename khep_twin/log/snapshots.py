@@ -17,7 +17,7 @@ from pydantic import Base64UrlBytes, Field
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.channels import array_message, bytes_message
-from khep_twin.log.decoding import read_array
+from khep_twin.log.decoding import LATEST_NS, read_array
 from khep_twin.robot import Robot
 from khep_twin.simulation.snapshot_format import pack, unpack
 from khep_twin.simulation.world_state import WorldState
@@ -37,12 +37,17 @@ class RecorderState(NamedTuple):
         rests: Incomplete lines of the transcripts: robot, whether to the robot, bytes.
         lamps_sets: Number of sets of lamps so far.
         lamps_change: Whether the powers of the present set are recorded.
+        early_lines: Complete lines that end later: time [ns], robot, whether to the robot, bytes.
     """
 
     answered: tuple[Annotated[int, Field(ge=0, lt=2**32)], ...]
     rests: tuple[tuple[Annotated[int, Field(ge=0)], bool, Base64UrlBytes], ...]
     lamps_sets: Annotated[int, Field(ge=1, le=10**6)]
     lamps_change: bool
+    early_lines: tuple[
+        tuple[Annotated[int, Field(ge=0, le=LATEST_NS)], Annotated[int, Field(ge=0)], bool, Base64UrlBytes],
+        ...,
+    ] = ()
 
 
 class LoggedState(NamedTuple):

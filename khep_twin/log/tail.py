@@ -7,11 +7,13 @@ Only the file is read, at no cost to the run. Each `read_new` parses the complet
           +-----------------+-----------------+-> LogError: invalid record, or the writer's lock is gone
 """
 
+import errno
 import os
 import time
 from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Self
+from typing import BinaryIO, Self
 
 from mcap.opcode import Opcode
 from mcap.records import Metadata
@@ -24,7 +26,7 @@ from khep_twin.log.decoding import DecodeError, read_errors
 from khep_twin.log.entries import Entry, EntryReader, Label, make_label, run_metadata
 from khep_twin.log.reader import read_label
 from khep_twin.log.record_bytes import HEAD, RecordBytes, parse_record
-from khep_twin.machine import lock, unlock
+from khep_twin.machine import RENAMES_OPEN_FILES, lock, unlock
 
 _BLOCK_BYTES = 1 << 22  # per read
 
@@ -51,10 +53,15 @@ class GrowingLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path.with_suffix("") if path.suffix == ".part" else path
-        target = resolve(self.path)
-        self.part = target.with_name(f"{target.name}.part")
+        self._target = resolve(self.path)
+        self.part = self._target.with_name(f"{self._target.name}.part")
+        self._kept_file: BinaryIO | None = None
+        self._offset = 0
         try:
-            self._file = open_regular(self.part, buffering=0)
+            with open_regular(self.part, buffering=0) as file:
+                self._status = os.fstat(file.fileno())
+            if RENAMES_OPEN_FILES:
+                self._kept_file = self._open()
         except FileNotFoundError:
             if not self.path.exists():
                 raise
@@ -74,7 +81,8 @@ class GrowingLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
+        if self._kept_file is not None:
+            self._kept_file.close()
 
     def label(self) -> Label | None:
         """Return metadata and attachments of the log; None until they are written."""
@@ -90,8 +98,10 @@ class GrowingLog:
         Raises:
             LogError: The file is no log of khep_twin, or its run ended without finishing it.
         """
-        with read_errors(self.part):
-            block = self._file.read(_BLOCK_BYTES)
+        with read_errors(self.part), self._opened() as file:
+            file.seek(self._offset)
+            block = file.read(_BLOCK_BYTES)
+            self._offset = file.tell()
         self.is_behind = len(block) == _BLOCK_BYTES
         if not block:
             self._check_writer()
@@ -102,6 +112,25 @@ class GrowingLog:
             return list(self._parse_buffer())
         except DecodeError as error:
             raise LogError(f"{self.part}: {error}") from None
+
+    @contextmanager
+    def _opened(self) -> Generator[BinaryIO]:
+        """Open the file for one read, unless its run can rename it while it is open."""
+        if self._kept_file is not None:
+            yield self._kept_file
+            return
+        with self._open() as file:
+            yield file
+
+    def _open(self) -> BinaryIO:
+        """Open the file, also after its run has renamed it."""
+        for path in (self.part, self._target):
+            with suppress(FileNotFoundError):
+                file = open_regular(path, buffering=0)
+                if os.path.samestat(os.fstat(file.fileno()), self._status):
+                    return file
+                file.close()
+        raise FileNotFoundError(errno.ENOENT, "its run has ended, and another one has its name")
 
     def _parse_buffer(self) -> Generator[Entry, None, None]:
         """Parse the complete records; a partial one remains in the buffer."""
@@ -148,13 +177,14 @@ class GrowingLog:
             return
         self._last_growth_s = time.monotonic()
         # A run locks its file. On a file system without locks, the end of a run is never detected.
-        try:
-            lock(self._file, shared=True)
-        except OSError:
-            return
-        unlock(self._file)
-        if os.fstat(self._file.fileno()).st_size > self._file.tell():
-            return
+        with read_errors(self.part), self._opened() as file:
+            try:
+                lock(file, shared=True)
+            except OSError:
+                return
+            unlock(file)
+            if os.fstat(file.fileno()).st_size > self._offset:
+                return
         raise LogError(
             f"{self.part}: its run has ended without finishing it; "
             f"to recover it: {command('recover', self.part)}"

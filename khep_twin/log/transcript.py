@@ -1,14 +1,21 @@
-"""Transcript of serial lines: received bytes, written as complete lines at the time of their end."""
+"""Transcript of serial lines: received bytes, written as complete lines in the order of their ends."""
 
+from bisect import bisect_right
 from collections.abc import Iterable
+from operator import itemgetter
 from typing import Protocol
 
+from khep_twin.clock import NEVER_NS
 from khep_twin.log.channels import Level, LineFrame
 
 _LINE_ENDS = b"\r\n"
 _LINE_LIMIT = 1024
 _PRINTABLE = bytes(code for code in range(0x20, 0x7F) if code != ord("\\"))
 _FRAMES = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to_robot in (True, False)}
+
+
+_Line = tuple[int, int, bool, bytes]
+"""Time of its end [ns], robot, whether to the robot, and bytes of a line."""
 
 
 class LineSink(Protocol):
@@ -24,7 +31,8 @@ class Transcript:
     def __init__(self, log: LineSink, robots: list[str]) -> None:
         self._log = log
         self._robots = robots
-        self._received: list[tuple[int, int, bool, bytes]] = []
+        self._received: list[_Line] = []
+        self._early_lines: list[_Line] = []
         self._partial_lines: dict[tuple[int, bool], bytes] = {}
 
     @property
@@ -32,17 +40,47 @@ class Transcript:
         """Bytes of incomplete lines after the last `write`: robot, whether to the robot, bytes."""
         return tuple((*key, partial_line) for key, partial_line in sorted(self._partial_lines.items()))
 
-    def resume(self, partial_lines: Iterable[tuple[int, bool, bytes]]) -> None:
-        """Resume with incomplete lines, as `partial_lines` of another transcript returns them."""
+    @property
+    def early_lines(self) -> tuple[_Line, ...]:
+        """Lines later than the last `write`: time of the end [ns], robot, whether to the robot, bytes."""
+        return tuple(self._early_lines)
+
+    def resume(self, partial_lines: Iterable[tuple[int, bool, bytes]], early_lines: Iterable[_Line]) -> None:
+        """Resume with incomplete and early lines, as another transcript returns them."""
         self._partial_lines = {(robot, to_robot): line for robot, to_robot, line in partial_lines}
+        self._early_lines = list(early_lines)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Record bytes for the next `write`."""
         self._received.append((time_ns, robot, to_robot, data))
 
-    def write(self) -> None:
-        """Write the lines that the recorded bytes complete."""
+    def write(self, end_ns: int = NEVER_NS) -> None:
+        """Write the lines that the recorded bytes complete until a time [ns], in order of time.
+
+        A reply is recorded when its transmission starts, and may end after the host's next line.
+        """
+        lines = self._early_lines + self._take_lines()
+        lines.sort(key=itemgetter(0))
+        n_due = bisect_right(lines, end_ns, key=itemgetter(0))
+        self._early_lines = lines[n_due:]
         messages_by_robot: list[tuple[list[int], list[bytes]]] = [([], []) for _ in self._robots]
+        for time_ns, robot, to_robot, line in lines[:n_due]:
+            times_ns, messages = messages_by_robot[robot]
+            times_ns.append(time_ns)
+            messages.append(_encode_line(time_ns, to_robot, line))
+        for robot, (times_ns, messages) in enumerate(messages_by_robot):
+            if messages:
+                self._log.add_lines(f"/{self._robots[robot]}/serial", times_ns, messages)
+
+    def finish(self, time_ns: int) -> None:
+        """Write all lines, and incomplete ones as lines that end at a time [ns]."""
+        self._early_lines += self._take_lines()
+        self._early_lines += [(time_ns, *partial_line) for partial_line in self.partial_lines]
+        self.write()
+
+    def _take_lines(self) -> list[_Line]:
+        """Return the lines that the recorded bytes complete."""
+        complete_lines: list[_Line] = []
         received, self._received = self._received, []
         for time_ns, robot, to_robot, data in received:
             text = self._partial_lines.pop((robot, to_robot), b"") + data if self._partial_lines else data
@@ -50,20 +88,8 @@ class Transcript:
             # A line beyond the limit is noise, or comes from a host that sends no line ends.
             if text[-1:] not in _LINE_ENDS and len(lines[-1]) <= _LINE_LIMIT:
                 self._partial_lines[robot, to_robot] = lines.pop()
-            times_ns, messages = messages_by_robot[robot]
-            for line in lines:
-                if line:
-                    times_ns.append(time_ns)
-                    messages.append(_encode_line(time_ns, to_robot, line))
-        for robot, (times_ns, messages) in enumerate(messages_by_robot):
-            if messages:
-                self._log.add_lines(f"/{self._robots[robot]}/serial", times_ns, messages)
-
-    def write_partial_lines(self, time_ns: int) -> None:
-        """Write incomplete lines."""
-        for (robot, to_robot), partial_line in self._partial_lines.items():
-            message = _encode_line(time_ns, to_robot, partial_line)
-            self._log.add_lines(f"/{self._robots[robot]}/serial", [time_ns], [message])
+            complete_lines += [(time_ns, robot, to_robot, line) for line in lines if line]
+        return complete_lines
 
 
 def _encode_line(time_ns: int, to_robot: bool, line: bytes) -> bytes:

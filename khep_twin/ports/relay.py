@@ -21,6 +21,7 @@ import serial
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PORT_FAILURES, PortError
+from khep_twin.machine import wait_readable
 from khep_twin.ports.host_port import HostPort, NoticeLimit
 from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.network import address_fault
@@ -317,7 +318,7 @@ def _wait_for_bytes(device: Device, port: HostPort, has_room: bool, has_pending:
     """Wait for bytes to forward and room for them, at most `held_s` while pending bytes are held [s]."""
     descriptors = list(port.descriptors(has_room))
     if device.descriptor is None:
-        select.select(descriptors, [], [], _POLL_INTERVAL_S)
+        wait_readable(descriptors, _POLL_INTERVAL_S)
     else:
         writable = [device.descriptor] if has_pending and not held_s else []
         timeout_s = min(held_s or LONGEST_WAIT_S, LONGEST_WAIT_S)

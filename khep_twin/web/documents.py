@@ -88,7 +88,7 @@ class Documents:
 
     def relative(self, text: str) -> str:
         """Return a text with file names relative to the folder."""
-        return text.replace(f"{self.root}/", "")
+        return text.replace(f"{self.root}{os.sep}", "")
 
     def new_path(self, name: str, *suffixes: str) -> Path:
         """Return the path of a new file; an empty file may be replaced.
@@ -129,7 +129,7 @@ class Documents:
                 for file in files
                 if file.endswith(suffixes or ".toml")
                 and not file.startswith(".")
-                and (name := str((Path(folder) / file).relative_to(self.root))).isprintable()
+                and (name := (Path(folder) / file).relative_to(self.root).as_posix()).isprintable()
             ]
             if len(names) >= _LIST_LIMIT or n_files > _SEARCH_LIMIT:
                 break

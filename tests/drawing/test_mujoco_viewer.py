@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 from khep_twin.cli.app import app
 from khep_twin.drawing import mujoco_viewer
 from khep_twin.drawing.mujoco_viewer import MujocoViewer
+from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.world import World
@@ -140,6 +141,15 @@ def test_a_run_goes_on_when_its_window_is_closed(windows: list[Window]) -> None:
     windows[0].close()
     world.advance_to(10**12 // 100)
     assert len(windows[0].pictures) <= 1
+
+
+def test_on_macos_the_viewer_without_mjpython_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "darwin")
+    with pytest.raises(
+        KhepTwinError, match=r"^--viewer: this is python, expected mjpython -m khep_twin"
+    ) as error:
+        MujocoViewer(real_time=False)
+    assert len(str(error.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize("words", [["run"], ["serve"]])

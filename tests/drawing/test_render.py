@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from khep_twin import playpen as playpens
+from khep_twin.drawing import render as render_module
 from khep_twin.drawing.render import HEIGHT, WIDTH, render
 from khep_twin.errors import KhepTwinError
 
@@ -61,3 +62,23 @@ def test_where_a_library_does_not_render_the_next_one_does(monkeypatch: pytest.M
     monkeypatch.setattr("khep_twin.drawing.render._libraries", lambda: ["glfw"])
     with pytest.raises(KhepTwinError, match=r"there is no OpenGL to render with \(glfw: \w+\); expected"):
         render(playpens.parse(ARENA, "seen"), Path("seen.png"))
+
+
+@pytest.mark.parametrize(
+    ("platform", "display", "requested", "libraries"),
+    [
+        ("linux", "", "", ["egl", "osmesa"]),
+        ("linux", ":0", "", ["glfw"]),
+        ("darwin", "", "", ["glfw"]),
+        ("win32", "", "", ["glfw"]),
+        ("linux", ":0", "EGL", ["egl"]),
+        ("darwin", "", "unknown", ["glfw"]),
+    ],
+)
+def test_a_picture_is_drawn_by_the_library_of_the_system_or_the_requested_one(
+    monkeypatch: pytest.MonkeyPatch, platform: str, display: str, requested: str, libraries: list[str]
+) -> None:
+    monkeypatch.setattr(render_module.sys, "platform", platform)
+    monkeypatch.setenv("DISPLAY", display)
+    monkeypatch.setenv("MUJOCO_GL", requested)
+    assert render_module._libraries() == libraries

@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import os
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,17 +18,17 @@ def test_the_remains_of_a_crash_are_locked_until_they_are_renamed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise a second run moves the file that the first has made under the name since."""
-    part, rename, refused = tmp_path / "run.mcap.part", os.rename, list[str]()
+    part, rename, refused = tmp_path / "run.mcap.part", os.replace, list[str]()
     part.write_bytes(MCAP0_MAGIC)
 
     def amid(before: Path, after: Path) -> None:
-        monkeypatch.setattr(os, "rename", rename)
+        monkeypatch.setattr(os, "replace", rename)
         with pytest.raises(LogError) as error:
             rename_unfinished(part)
         refused.append(str(error.value))
         rename(before, after)
 
-    monkeypatch.setattr(os, "rename", amid)
+    monkeypatch.setattr(os, "replace", amid)
     assert rename_unfinished(part) == tmp_path / "run.mcap.part.1"
     assert refused == [f"{part}: another run is writing it; expected another name for the log"]
 
@@ -116,12 +117,12 @@ def test_a_file_that_appears_under_a_logs_name_meanwhile_is_kept(
     assert sorted(tmp_path.iterdir()) == sorted({path, file, kept_log})
 
 
-@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("link_error", [None, errno.EPERM, errno.ENOTSUP, errno.EINVAL])
 def test_a_log_takes_the_place_of_what_was_there_at_its_beginning(
-    links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    link_error: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if not links:
-        monkeypatch.setattr(os, "link", _no_links)
+    if link_error is not None:
+        monkeypatch.setattr(os, "link", partial(_no_links, error=link_error))
     for before in (None, b"", MCAP0_MAGIC):
         if before is not None:
             (tmp_path / "run.mcap").write_bytes(before)
@@ -132,5 +133,5 @@ def test_a_log_takes_the_place_of_what_was_there_at_its_beginning(
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 
 
-def _no_links(*_: object) -> None:
-    raise OSError(errno.EPERM, "this file system has no hard links")
+def _no_links(*_: object, error: int = errno.EPERM) -> None:
+    raise OSError(error, "this file system has no hard links")
