@@ -67,7 +67,7 @@ class World(NotCopied):
         playpen: Playpen, its name or path; robots with spots start at a random one. A `SceneModel` is already
             compiled, and may have another step.
         seed: Seed of every random stream.
-        noise: True for noisy sensors.
+        noise: True for noisy sensors, or a scale of their noise.
         unpaced: True for lines without delay.
         vary: True to draw each robot's parameters at random around its calibration.
         strict_line: True to garble the bytes between a robot and a host with different baud rates.
@@ -99,7 +99,7 @@ class World(NotCopied):
         playpen: PlaypenLike | SceneModel,
         *,
         seed: int = 0,
-        noise: bool = True,
+        noise: float = True,
         vary: bool = False,
         unpaced: bool = False,
         strict_line: bool = False,
@@ -140,7 +140,7 @@ class World(NotCopied):
         self,
         seed: int = 0,
         *,
-        noise: bool = True,
+        noise: float = True,
         vary: bool = False,
         starts: Sequence[Start] | None = None,
         lamps: Sequence[Lamp] | None = None,
@@ -149,19 +149,25 @@ class World(NotCopied):
 
         Args:
             seed: Seed of every random stream.
-            noise: True for noisy sensors.
+            noise: True for noisy sensors, or a scale of their noise.
             vary: True to draw each robot's parameters at random around its calibration.
             starts: Start of each robot; by default the playpen's.
             lamps: Lamps that replace those of the playpen.
 
         Raises:
+            ValueError: The noise is out of range.
             DivergedError: The physics leaves its bounds at the start.
         """
         self._rewind(seed, noise, vary, starts, lamps)
         self._stepper.begin(self.robots)
 
     def _rewind(
-        self, seed: int, noise: bool, vary: bool, starts: Sequence[Start] | None, lamps: Sequence[Lamp] | None
+        self,
+        seed: int,
+        noise: float,
+        vary: bool,
+        starts: Sequence[Start] | None,
+        lamps: Sequence[Lamp] | None,
     ) -> None:
         """Return to time 0, with the robots switched off; arguments are those of `reset`."""
         forms, simulation = self._forms, self.simulation

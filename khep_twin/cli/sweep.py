@@ -59,7 +59,8 @@ def sweep(
     file = studies.load(study)
     if check:
         work = work_of(file)
-        counts = f"{work.n_episodes} episodes of {file.study.seconds:g} s in {len(work.tasks)} tasks"
+        seconds = " or ".join(f"{seconds:g}" for seconds in file.study.values("seconds"))
+        counts = f"{work.n_episodes} episodes of {seconds} s in {len(work.tasks)} tasks"
         typer.echo(f"{file.study.name}: {counts}")
         return
     executor = run_locally(workers)

@@ -8,8 +8,9 @@
 
     many = khep_twin.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
 
-`make` and `make_vec` are Gymnasium's functions. A program with `gymnasium.make` also imports `khep_twin`, or
-names it: `gymnasium.make("khep_twin:khep_twin/ObstacleAvoidance-v0")` (`registration`).
+`make` and `make_vec` are Gymnasium's functions, except that a new time replaces the limit of a spec. A
+program with `gymnasium.make` also imports `khep_twin`, or names it:
+`gymnasium.make("khep_twin:khep_twin/ObstacleAvoidance-v0")` (`registration`).
 
 Observation: the task's terms, each number normalized to -1 to 1 (`tasks.TERMS` defines order and ranges).
 Action: speeds of left and right wheel, -1 to 1; 1 is 20 pulses/10 ms, 160 mm/s.
@@ -29,7 +30,7 @@ from khep_twin.copies import CopiedByArguments
 from khep_twin.drawing.mujoco_viewer import has_screen
 from khep_twin.envs.arguments import check_choice
 from khep_twin.envs.info import Info, end_info, ground_truth, start_info, step_info
-from khep_twin.envs.registration import TimeLimitedSpec, register
+from khep_twin.envs.registration import TimeLimitedSpec, register, remove_stale_limit
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_episode import TaskEpisode
@@ -40,16 +41,26 @@ from khep_twin.one_thread import one_thread
 
 try:
     import gymnasium
+    from gymnasium.envs.registration import EnvSpec
     from gymnasium.spaces import Box, Space
+    from gymnasium.vector import VectorEnv
 except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
 
 if TYPE_CHECKING:
     from khep_twin.drawing.window import PictureWindow
 
-make, make_vec = gymnasium.make, gymnasium.make_vec
-
 RENDER_MODES = ("human", "rgb_array")
+
+
+def make(id: str | EnvSpec, *arguments: Any, **options: Any) -> gymnasium.Env[Any, Any]:
+    """Return an environment as `gymnasium.make` does; a new time replaces the limit of a spec."""
+    return gymnasium.make(remove_stale_limit(id, options), *arguments, **options)
+
+
+def make_vec(id: str | EnvSpec, *arguments: Any, **options: Any) -> VectorEnv[Any, Any, Any]:
+    """Return a vector environment as `gymnasium.make_vec` does; a new time replaces the limit of a spec."""
+    return gymnasium.make_vec(remove_stale_limit(id, options), *arguments, **options)
 
 
 def spaces(setup: TaskSetup) -> tuple[Space[Any], Space[Any]]:

@@ -8,7 +8,7 @@ extra `rl` reads entry points of packages, so a program imports `khep_twin`, or 
 
 import dataclasses
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -18,6 +18,9 @@ KHEPERA_4_TASKS = ("KheperaIVObstacleAvoidance", "KheperaIVLineFollowing")
 """Tasks of `khepera4.TASKS`, which needs Gymnasium."""
 
 _REGISTRY = "gymnasium.envs.registration"
+
+_TIME_OPTIONS = frozenset({"task", "seconds", "period_ns"})
+"""Options on which the number of steps of an episode depends."""
 
 
 def register() -> None:
@@ -61,6 +64,19 @@ class TimeLimitedSpec:
     def spec(self, spec: Any) -> None:
         limit = {"max_episode_steps": self.max_episode_steps}
         self._spec = None if spec is None else dataclasses.replace(spec, **limit)
+
+
+def remove_stale_limit(spec: Any, options: Mapping[str, Any]) -> Any:
+    """Return a spec of a task without its limit in steps if options change the time; an id unchanged.
+
+    Gymnasium would end the episodes of the new environment at the limit of the previous one.
+    """
+    if isinstance(spec, str) or options.keys().isdisjoint(_TIME_OPTIONS):
+        return spec
+    if not spec.id.startswith("khep_twin/"):
+        return spec
+    arguments = {name: value for name, value in spec.kwargs.items() if name != "max_episode_steps"}
+    return dataclasses.replace(spec, max_episode_steps=None, kwargs=arguments)
 
 
 class _RegistrationFinder(MetaPathFinder, Loader):

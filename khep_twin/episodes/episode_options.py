@@ -13,6 +13,7 @@ from khep_twin.episodes.line import LineTimes, check_line
 from khep_twin.errors import value_text
 from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
+from khep_twin.sensing.noise import check_scale
 
 Home = tuple[float, float, float, float]
 """Home of a robot: x, y, radius and duration of a battery charge [s]."""
@@ -23,7 +24,7 @@ class EpisodeOptions:
     """Options of an episode besides its seed.
 
     Attributes:
-        noise: Whether sensors are noisy.
+        noise: Whether sensors are noisy, or a scale of their noise.
         vary: Whether to draw each robot's parameters at random around its calibration.
         start: Start x, y [mm] and heading [deg], or one for each robot; None for the playpen's.
         lamps: Lamps that replace those of the playpen.
@@ -33,10 +34,10 @@ class EpisodeOptions:
             that take no time.
 
     Raises:
-        ValueError: The home or the line is invalid.
+        ValueError: The noise, the home or the line is invalid.
     """
 
-    noise: bool = True
+    noise: float = True
     vary: bool = False
     start: Start | Sequence[Start] | None = None
     lamps: Sequence[Lamp] | None = None
@@ -45,7 +46,8 @@ class EpisodeOptions:
     line: LineTimes = None
 
     def __post_init__(self) -> None:
-        """Check home and line."""
+        """Check noise, home and line."""
+        check_scale(self.noise)
         check_line(self.line)
         if self.home is not None:
             check_numbers("home", self.home, "x, y, radius [mm] and duration of a charge [s]", (4,))

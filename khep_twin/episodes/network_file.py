@@ -88,7 +88,7 @@ def read(path: Path) -> NetworkContent:
         with open_regular(path) as file:
             return decode(file.read(SIZE_LIMIT + 1), path)
     except OSError as error:
-        raise ControllerError(f"{path}: cannot be read: {error.strerror}") from None
+        raise ControllerError(f"cannot be read: {error.strerror}", file=path) from None
 
 
 def decode(data: bytes, path: Path) -> NetworkContent:
@@ -100,7 +100,7 @@ def decode(data: bytes, path: Path) -> NetworkContent:
     try:
         return _check_arrays(path, read_arrays(data))
     except ValueError as error:
-        raise ControllerError(f"{path}: cannot be read: {error}") from None
+        raise ControllerError(f"cannot be read: {error}", file=path) from None
 
 
 def write(path: Path, content: NetworkContent, replace: bool = False) -> None:

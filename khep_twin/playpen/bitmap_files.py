@@ -86,13 +86,12 @@ def read(path: StrPath, variable: str | None = None, solid: int | None = None) -
     try:
         with open_regular(Path(path)) as file:
             data = file.read(SIZE_LIMIT + 1)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise BitmapError(f"{path}: cannot be read: {reason}") from None
+    except OSError as error:
+        raise BitmapError(f"cannot be read: {error.strerror}", file=path) from None
     try:
         return decode(data, variable, solid)
     except (BitmapError, MatError) as error:
-        raise BitmapError(f"{path}: {error}") from None
+        raise BitmapError(error, file=path) from None
 
 
 def decode(data: bytes, variable: str | None = None, solid: int | None = None) -> Bitmap:

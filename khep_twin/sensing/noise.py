@@ -1,7 +1,8 @@
 """Noise of the sensors, and the random draws behind it: a counter-based generator, and quantiles.
 
 Three functions compute the noise of a conversion from its draws and the robot's calibration:
-`proximity_noise`, `ambient_noise` and `idle_counts`. Replace their bodies for another model of noise.
+`proximity_noise`, `ambient_noise` and `idle_counts`. Replace their bodies for another model of noise. A run
+may scale all of the noise: True is a scale of 1, the calibrated noise, and False is 0, none.
 
 The draws of a conversion depend only on a robot's key and the number of the conversion: the generator has no
 state, and conversions may be drawn in any order. The generator is Philox-2x32-10 (Salmon, Moraes,
@@ -11,11 +12,17 @@ interpolation between quantiles; plain and compiled code give the same values, b
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
+from numbers import Real
 from statistics import NormalDist
+from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
 
 from khep_twin.compilable import compilable
+from khep_twin.errors import value_text
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.robot_sensors import Ambient, Proximity
 
@@ -27,7 +34,13 @@ N_CELLS = 1024
 """Cells of equal probability between two quantiles."""
 
 Tables = Sequence[Sequence[float]]
-"""Quantiles of the normal and of the exponential distribution (2, N_CELLS + 1); all 0 for no noise."""
+"""Quantiles of the normal and of the exponential distribution, times a scale (2, N_CELLS + 1)."""
+
+MAX_SCALE = 100
+"""Largest scale of the noise (assumed)."""
+
+Scale = Annotated[float, Field(ge=0, le=MAX_SCALE)]
+"""Scale of the noise, a factor of its standard deviations."""
 
 _BITS, _POSITION_BITS = 10, 11
 """Bits of a draw that choose its cell, and bits of its position in the cell."""
@@ -44,6 +57,18 @@ def key_words(key: int) -> tuple[int, int]:
     return key & _WORD, key >> 32
 
 
+def check_scale(noise: object) -> float:
+    """Return a scale of the noise as a number: 1 for True, 0 for False.
+
+    Raises:
+        ValueError: It is neither True, False nor a number in range.
+    """
+    scale: Any = noise
+    if isinstance(noise, Real | np.bool_) and 0 <= scale <= MAX_SCALE:
+        return float(scale)
+    raise ValueError(f"noise = {value_text(scale)}; expected True, False, or a scale from 0 to {MAX_SCALE}")
+
+
 def quantiles() -> list[list[float]]:
     """Return the quantiles of both distributions.
 
@@ -57,16 +82,16 @@ def quantiles() -> list[list[float]]:
     return [[-extreme, *edges, extreme], [*exponential, exponential[-1] + 2]]
 
 
-def no_noise() -> list[list[float]]:
-    """Return tables whose draws are all 0."""
-    return [[0.0] * (N_CELLS + 1) for _ in range(2)]
+@lru_cache(maxsize=64)
+def compiled_tables(scale: float) -> NDArray[np.float64]:
+    """Return the tables of `draws` for a scale of the noise, for compiled code (2, N_CELLS + 1)."""
+    return scale * np.array(quantiles())
 
 
-TABLES = no_noise(), quantiles()
-"""Tables for `draws`, indexed by whether there is noise."""
-
-TABLE_ARRAYS = tuple(np.array(tables) for tables in TABLES)
-"""The same tables for compiled code (2, N_CELLS + 1)."""
+@lru_cache(maxsize=64)
+def plain_tables(scale: float) -> list[list[float]]:
+    """Return the same tables for plain code."""
+    return compiled_tables(scale).tolist()
 
 
 @compilable

@@ -12,7 +12,16 @@ A broadcast message is neither acknowledged nor repeated (manual of the radio ba
 
 import math
 
-from khep_twin.board.radio import CAPACITY, ENTRY_SIZE, NAMES, REVISION, VERSION, RadioElectronics, RadioPhase
+from khep_twin.board.radio import (
+    CAPACITY,
+    ENTRY_SIZE,
+    NAMES,
+    RANGES,
+    REVISION,
+    VERSION,
+    RadioElectronics,
+    RadioPhase,
+)
 from khep_twin.board.radio import RadioRegister as Register
 from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.sensing.noise import philox
@@ -85,7 +94,7 @@ class RadioBody:
             if peer is self or not isinstance(peer, RadioBody) or not self._is_reached_by(peer, time_ns):
                 continue
             received = view[Register.RECEIVED]
-            if not 0 <= received < CAPACITY:
+            if received >= CAPACITY:
                 view[Register.HAS_OVERRUN] = 1
                 continue
             entry = Register.BUFFER + received * ENTRY_SIZE
@@ -104,7 +113,7 @@ class RadioBody:
         if math.dist(self.position, peer.position) > self._range:
             return False
         low, high = self._context.key
-        draw, _ = philox(sender[Register.TRANSMISSIONS] & _WORD, (high + peer.number) & _WORD, low)
+        draw, _ = philox(sender[Register.TRANSMISSIONS], (high + peer.number) & _WORD, low)
         return draw >= self._loss
 
 
@@ -116,5 +125,6 @@ RADIO = TurretKind(
     make=RadioElectronics,
     fit=RadioBody,
     names=NAMES,
+    ranges=RANGES,
 )
 """The radio turret, as registered under the entry point "khep_twin.turrets"."""

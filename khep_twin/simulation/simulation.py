@@ -17,7 +17,7 @@ from khep_twin.randomness import key, stream
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, HiddenSector, Light, LightLaw
-from khep_twin.sensing.noise import TABLE_ARRAYS, TABLES, key_words
+from khep_twin.sensing.noise import Scale, check_scale, compiled_tables, key_words, plain_tables
 from khep_twin.step import RobotState, Simulated, StepInputs, Timing
 from khep_twin.units import N_SENSORS
 
@@ -82,12 +82,14 @@ class SimulationState(NamedTuple):
         phase: Part of the current step that is done, a `step.Phase`.
         keys: Key of each robot's random draws; empty without noise.
         n_conversions: Number of conversions of each robot so far.
+        noise: Scale of the noise, if there are keys.
     """
 
     steps: Annotated[int, Field(ge=0, lt=2**62)]
     phase: Annotated[int, Field(ge=step.Phase.DONE, le=step.Phase.TICKED)]
     keys: tuple[Annotated[int, Field(ge=0, lt=2**64)], ...]
     n_conversions: Annotated[int, Field(ge=0, lt=2**62)]
+    noise: Scale = 1.0  # the default is that of snapshots without it
 
 
 class Simulation:
@@ -114,10 +116,11 @@ class Simulation:
         self.records: Any = as_records(robots, robots[0]) if robots else np.zeros(0, np.int64)
         self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
         self._keys: tuple[int, ...] = ()
+        self._noise = 0.0
         self._powers_end = 0
         self._uses_compiled = self._has_varied = False
         self.plain = Simulated(scene.plain(), timing, NO_LIGHT, (), self.counters.data)
-        self.inputs = StepInputs([[]], TABLES[0])
+        self.inputs = StepInputs([[]], plain_tables(0.0))
         self._core: Advance = plain_advance
         self._scene_args: tuple[Any, ...] = ()
         self._set_plain(robots)
@@ -128,9 +131,9 @@ class Simulation:
         return self.plain.counters[step.STEPS]
 
     @property
-    def is_noisy(self) -> bool:
-        """True if sensors are noisy."""
-        return bool(self._keys)
+    def noise(self) -> float:
+        """Scale of the sensors' noise; 0 without noise."""
+        return self._noise if self._keys else 0.0
 
     def key_words(self, number: int) -> tuple[int, int]:
         """Return the words of the key of a robot's random draws; 0 without noise."""
@@ -162,14 +165,18 @@ class Simulation:
             self._scene_args = self._scene.compiled(), as_records([timing], timing), *_light_records(light)
         self._bind_arguments()
 
-    def reset(self, seed: int, *, noise: bool, vary: bool) -> None:
+    def reset(self, seed: int, *, noise: float, vary: bool) -> None:
         """Return to step 0; the scene's state must be reset afterwards.
 
         Args:
             seed: Seed of the robots' random streams.
-            noise: Whether sensors are noisy.
+            noise: Whether sensors are noisy, or a scale of their noise.
             vary: Whether to draw each robot at random around its calibration.
+
+        Raises:
+            ValueError: The noise is out of range.
         """
+        self._noise = check_scale(noise)
         if vary or self._has_varied:
             self._scene.vary_robots((lambda robot: stream(seed, "robot", robot, "spread")) if vary else None)
             self.refresh_scene()
@@ -183,7 +190,7 @@ class Simulation:
         if len(self.records):
             self.records["strengths"] = 1
         self.counters[:] = 0
-        self._set_keys(self._make_keys(seed) if noise else ())
+        self._set_keys(self._make_keys(seed) if self._noise else ())
 
     def refresh_scene(self) -> None:
         """Update the arguments after a change of the scene."""
@@ -195,7 +202,7 @@ class Simulation:
     def state(self) -> SimulationState:
         """Return the state besides scene, robots and lamps."""
         steps, phase, _, drawn = self.counters.tolist()
-        return SimulationState(steps, phase, self._keys, drawn)
+        return SimulationState(steps, phase, self._keys, drawn, self._noise)
 
     def set_state(self, state: SimulationState) -> None:
         """Restore a state; the lamps must be set afterwards.
@@ -206,6 +213,7 @@ class Simulation:
         if len(state.keys) not in (0, self._scene.n_robots):
             raise ValueError(f"random draws of {len(state.keys)} robots; expected {self._scene.n_robots}")
         self.counters[:] = state.steps, state.phase, 0, state.n_conversions
+        self._noise = state.noise
         self._set_keys(state.keys)
 
     def reseed(self, seed: int) -> None:
@@ -320,7 +328,7 @@ class Simulation:
             self.records,
             self.counters,
             powers,
-            TABLE_ARRAYS[bool(self._keys)],
+            compiled_tables(self.noise),
         )
 
     def _make_keys(self, seed: int) -> tuple[int, ...]:
@@ -332,7 +340,7 @@ class Simulation:
         self._keys = keys
         for record, number in zip(self.records, self._scene.core_robots, strict=True):
             record["noise"] = self.key_words(number)
-        self.inputs = self.inputs._replace(tables=TABLES[bool(keys)])
+        self.inputs = self.inputs._replace(tables=plain_tables(self.noise))
         self._bind_arguments()
 
 

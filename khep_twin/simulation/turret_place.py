@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from khep_twin.board.turrets import TurretBody, TurretKind
 from khep_twin.playpen import Playpen
+from khep_twin.renamed import renamed_attribute
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.simulation import Simulation
 
@@ -85,9 +86,11 @@ class WorldTurretContext:
         return low ^ (self._kind.number + 1) * _TURRET_KEY & 0xFFFFFFFF, high
 
     @property
-    def is_noisy(self) -> bool:
-        """True if sensors are noisy."""
-        return self._world.simulation.is_noisy
+    def noise(self) -> float:
+        """Scale of the sensors' noise; 0 without noise."""
+        return self._world.simulation.noise
+
+    is_noisy = renamed_attribute("is_noisy", "noise")
 
     @property
     def settings(self) -> Mapping[str, float]:

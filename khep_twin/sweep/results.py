@@ -146,8 +146,8 @@ class SweepFolder:
             write_atomic(file, (json.dumps(description, indent=2) + "\n").encode())
         elif previous.get("digest") != work.digest:
             raise StudyError(
-                f"{self._path}: holds results of another study, or of this one before it changed; expected a "
-                "new folder"
+                f"{self._path}: holds results of another study, of another version, or of this study before "
+                "it changed; expected a new folder"
             )
         elif not resume:
             raise StudyError(

@@ -16,11 +16,10 @@ from khep_twin.playpen.starts import Start
 from khep_twin.signals import is_interruption
 from khep_twin.sweep.programs import Program, driver_of, function_of
 from khep_twin.sweep.shards import Shard, Work
+from khep_twin.sweep.study import NS_PER_MS
 
 Columns = Mapping[str, object]
 """Values of each episode by column name; None or NaN for no value."""
-
-NS_PER_MS = 1_000_000
 
 
 def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
@@ -29,14 +28,15 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
     The results do not depend on the number of threads; None stands for one per core.
     """
     study, group = work.study, work.groups[task.group]
+    point = group.point
     controller = work.controllers[group.controller]
     setup = _make_setup(
         work.playpens[group.playpen],
-        group.lighting,
-        study.planar,
-        study.line_baud is not None,
-        study.step_ms,
-        study.period_ms,
+        point.lighting,
+        point.planar,
+        point.line_baud > 0,
+        point.step_ms,
+        point.period_ms,
     )
     indices = np.arange(task.first - group.first, task.first - group.first + task.count)
     combinations, seeds = np.divmod(indices, study.seeds)
@@ -50,13 +50,13 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         setup,
         driver_of(controller.driver),
         seeds.tolist(),
-        study.seconds,
+        point.seconds,
         genes=controller.genomes[genome_indices],
         starts=starts,
-        line=study.line_baud,
+        line=point.line_baud or None,
         options=EpisodeOptions(
-            noise=group.noise,
-            vary=group.vary,
+            noise=point.noise,
+            vary=point.vary,
             home=None if home is None else (home.x_mm, home.y_mm, home.radius_mm, home.charge_s),
         ),
         device=study.device,
@@ -70,9 +70,7 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         "controller": [controller.name] * count,
         "genome": genome_indices,
         "seed": seeds,
-        "noise": np.full(count, group.noise),
-        "vary": np.full(count, group.vary),
-        "lighting": [group.lighting] * count,
+        **{name: [value] * count for name, value in point._asdict().items()},
         "start": start_names,
         "start_x_mm": np.array([start[0] for start in starts], np.float64),
         "start_y_mm": np.array([start[1] for start in starts], np.float64),
@@ -119,9 +117,9 @@ def _start_pose(setup: EpisodeSetup, name: str, seed: int) -> Start:
 
 @lru_cache(maxsize=4)
 def _make_setup(
-    playpen_toml: str, lighting: str, planar: bool, at_line: bool, step_ms: float | None, period_ms: int
+    playpen_toml: str, lighting: str, planar: bool, at_line: bool, step_ms: float, period_ms: int
 ) -> EpisodeSetup:
     override = "off" if lighting == "off" else None
     study_playpen = start_poses.with_lighting(playpen.parse(playpen_toml, "a study's playpen"), override)
-    step_ns, period_ns = None if step_ms is None else round(step_ms * NS_PER_MS), period_ms * NS_PER_MS
+    step_ns, period_ns = round(step_ms * NS_PER_MS), period_ms * NS_PER_MS
     return EpisodeSetup(study_playpen, step_ns=step_ns, period_ns=period_ns, planar=planar, at_line=at_line)

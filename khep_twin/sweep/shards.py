@@ -1,8 +1,8 @@
 """A study as work: all its episodes in a fixed order, divided into independent tasks.
 
-Episodes are numbered from 0 by playpen, controller, noise, vary, lighting, genome, start and seed; the last
-varies fastest. A task (`Shard`) is a range of these numbers in which only genome, start and
-seed vary. Its results depend only on the study.
+Episodes are numbered from 0 by playpen, controller, point of the grid (`Point`), genome, start and seed; the
+last varies fastest. A task (`Shard`) is a range of these numbers in which only genome, start and seed vary.
+Its results depend only on the study.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.sweep.programs import Program, function_of, genomes_of
-from khep_twin.sweep.study import Study, StudyFile, study_error
+from khep_twin.sweep.study import COLUMNS, Point, Study, StudyFile, study_error
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +45,7 @@ class Group:
     Attributes:
         playpen: Index of the study's playpen.
         controller: Index of the study's controller.
-        noise: Whether sensors are noisy.
-        vary: Whether each episode has another robot of the same model.
-        lighting: "all" or "off".
+        point: Point of the study's grid.
         starts: Texts of the starts; "playpen" and "random" depend on the seed.
         first: Number of the first episode.
         count: Number of episodes.
@@ -55,9 +53,7 @@ class Group:
 
     playpen: int
     controller: int
-    noise: bool
-    vary: bool
-    lighting: str
+    point: Point
     starts: tuple[str, ...]
     first: int
     count: int
@@ -126,14 +122,11 @@ def work_of(file: StudyFile) -> Work:
     controllers = tuple(_load_controllers(file))
     groups: list[Group] = []
     first_episode = 0
-    grid = study.grid
     starts = [tuple(_start_texts(file, model)) for model in playpens]
-    points = itertools.product(
-        range(len(playpens)), range(len(controllers)), grid.noise, grid.vary, grid.lighting
-    )
-    for index, controller, noise, vary, lighting in points:
+    ranges = range(len(playpens)), range(len(controllers)), tuple(study.points())
+    for index, controller, point in itertools.product(*ranges):
         count = len(controllers[controller].genomes) * len(starts[index]) * study.seeds
-        groups.append(Group(index, controller, noise, vary, lighting, starts[index], first_episode, count))
+        groups.append(Group(index, controller, point, starts[index], first_episode, count))
         first_episode += count
     tasks: list[Shard] = []
     for number, group in enumerate(groups):
@@ -156,9 +149,10 @@ def _load_playpen(file: StudyFile, name: str) -> Playpen:
         model = Playpen.load(name if name in playpen.names() else file.folder / name)
         if len(model.robots) > 1:
             raise PlaypenError(f"{model.name}: {len(model.robots)} robots; expected one in a study")
-        setup = EpisodeSetup(model, planar=file.study.planar)  # raises early for unsupported features
-        if file.study.device == "cuda" and (reason := find_unsupported(setup, Braitenberg(), None)):
-            raise PlaypenError(f'device = "cuda": {reason}')
+        for planar in file.study.values("planar"):
+            setup = EpisodeSetup(model, planar=planar)  # raises early for unsupported features
+            if file.study.device == "cuda" and (reason := find_unsupported(setup, Braitenberg(), None)):
+                raise PlaypenError(f'device = "cuda": {reason}')
     except KhepTwinError as error:
         raise study_error(file, ("playpens",), f'playpens: "{name}"', error) from None
     return model
@@ -209,9 +203,9 @@ def _start_texts(file: StudyFile, model: Playpen) -> Iterator[str]:
 
 
 def _digest(work: Work, calibrations: list[str]) -> str:
-    """Return a hash of everything that results depend on: the study, its files, and the versions."""
+    """Return a hash of all that results depend on: the study, its files, the columns, and the versions."""
     study = work.study.model_dump(mode="json", exclude={"output"})
-    content: list[object] = [__version__, mujoco.__version__, study]
+    content: list[object] = [__version__, mujoco.__version__, sorted(COLUMNS), study]
     content += [list(work.playpens), calibrations, [[name, measure.text] for name, measure in work.measures]]
     for controller in work.controllers:
         genomes = hashlib.sha256(controller.genomes.tobytes()).hexdigest()

@@ -20,7 +20,7 @@ from khep_twin.sensing.line_faces import (
 )
 from khep_twin.sensing.line_image import take_image
 from khep_twin.sensing.line_scene import N_COLUMNS, N_RAYS, Eye, LineScene
-from khep_twin.sensing.noise import TABLE_ARRAYS, TABLES, Tables
+from khep_twin.sensing.noise import Tables, compiled_tables, plain_tables
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.units import K213_PIXELS, ROOM_LUX
 
@@ -67,7 +67,7 @@ class LineCamera:
         noise_key: tuple[int, int],
         image_number: int,
         *,
-        noisy: bool = True,
+        noise: float = True,
         compiled: bool = False,
     ) -> int:
         """Take an image; return the reading of the light sensor.
@@ -80,7 +80,7 @@ class LineCamera:
             exposure_ms: Duration of the scan [ms]; 0 to choose it by the current light.
             noise_key: Words of the key of the random draws.
             image_number: Number of the image, which selects its draws.
-            noisy: Whether the image is noisy.
+            noise: Whether the image is noisy, or a scale of its noise.
             compiled: Whether to use compiled code as soon as it is ready.
         """
         if len(lamps) != self._n_lamps:
@@ -91,12 +91,12 @@ class LineCamera:
         if compiled and self._compiled is None and self._n_images % _CHECK_INTERVAL == 0:
             self._compiled = when_ready("vision")
         self._n_images += 1
-        tables: Any = TABLES[noisy]
         if compiled and self._compiled is not None:
-            arrays = TABLE_ARRAYS[noisy]
+            tables: Any = compiled_tables(noise)
             return self._compiled(
-                *self._compiled_args, tuple(eye), exposure_ms, arrays, self._key, image_number, pixels
+                *self._compiled_args, tuple(eye), exposure_ms, tables, self._key, image_number, pixels
             )
+        tables = plain_tables(noise)
         return capture(*self._plain_args, eye, exposure_ms, tables, self._key.data, image_number, pixels.data)
 
     def _prepare(self, n_lamps: int) -> None:

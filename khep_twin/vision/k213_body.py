@@ -3,7 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-from khep_twin.board.k213 import PIXELS, REVISION, TICK_MS, VERSION, K213Electronics, K213Register
+from khep_twin.board.k213 import PIXELS, RANGES, REVISION, TICK_MS, VERSION, K213Electronics, K213Register
 from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.sensing.line_faces import fixed_faces, moving_faces, read_poses
 from khep_twin.units import K213_NUMBER, K213_PIXELS
@@ -38,7 +38,7 @@ class K213Body:
             view[K213Register.SCAN] * TICK_MS,
             context.key,
             view[K213Register.SCANS],
-            noisy=context.is_noisy,
+            noise=context.noise,
             compiled=context.is_compiled,
         )
 
@@ -60,5 +60,6 @@ K213 = TurretKind(
         *(f"pixel_{k}" for k in range(K213_PIXELS)),
     ),
     image=PIXELS,
+    ranges=RANGES,
 )
 """The K213, as registered under the entry point "khep_twin.turrets"."""

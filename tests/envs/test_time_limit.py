@@ -48,6 +48,41 @@ def test_a_limit_in_steps_shortens_the_episodes_of_one_and_of_many() -> None:
     assert khep_twin.make(NAME, max_episode_steps=3, **OPTIONS).spec.max_episode_steps == 3
 
 
+def n_steps(environment: Any) -> int:
+    """Return the number of steps of an episode."""
+    environment.reset(seed=1)
+    for n_steps in range(1, 100):
+        if np.all(environment.step(np.zeros(environment.action_space.shape, np.float32))[3]):
+            return n_steps
+    raise AssertionError("an episode of more than 100 steps")
+
+
+def test_an_environment_of_another_ones_spec_with_another_time_has_the_new_limit() -> None:
+    seconds, limit = 1.0, 20
+    spec = khep_twin.make(NAME, **OPTIONS).spec
+    assert khep_twin.make(spec, seconds=0.2).spec.max_episode_steps == 4
+    for source in (spec, khep_twin.make(spec).spec, type(spec).from_json(spec.to_json())):
+        other = khep_twin.make(source, seconds=seconds)
+        assert n_steps(other) == other.spec.max_episode_steps == limit
+    own_limit = gymnasium.make(spec, max_episode_steps=-1, seconds=seconds)
+    assert n_steps(own_limit) == own_limit.spec.max_episode_steps == limit
+    assert khep_twin.make(spec, period_ns=20_000_000).spec.max_episode_steps == 25
+    vector = khep_twin.make_vec(NAME, num_envs=2, **OPTIONS)
+    for source in (vector.spec, khep_twin.make_vec(vector.spec).spec):
+        other = khep_twin.make_vec(source, seconds=seconds)
+        assert n_steps(other) == other.spec.max_episode_steps == limit
+    synchronous = khep_twin.make_vec(spec, num_envs=2, vectorization_mode="sync", seconds=seconds)
+    assert n_steps(synchronous) == limit
+    other = gymnasium.make_vec(vector.spec, seconds=seconds, max_episode_steps=None)
+    assert n_steps(other) == other.spec.max_episode_steps == limit
+
+
+def test_a_spec_keeps_its_own_limit_without_another_time() -> None:
+    spec = khep_twin.make(NAME, max_episode_steps=3, **OPTIONS).spec
+    assert n_steps(khep_twin.make(spec)) == 3
+    assert n_steps(khep_twin.make(spec, seconds=1.0, max_episode_steps=5)) == 5
+
+
 class Window:
     """A window that records its pictures."""
 

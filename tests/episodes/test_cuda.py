@@ -85,9 +85,27 @@ def test_other_controllers_with_sampled_paths_equal_those_on_the_cpu(driver: Dri
 
 def test_robots_lamps_and_starts_may_differ_between_episodes() -> None:
     starts = [(200.0, 200.0, 90.0), (300.0, 150.0, 0.0), (150.0, 400.0, -40.0)]
-    options = EpisodeOptions(vary=True, home=(200.0, 200.0, 100.0, 1.0))
+    options = EpisodeOptions(noise=0.5, vary=True, home=(200.0, 200.0, 100.0, 1.0))
     results = compare(planar("obstacles"), Braitenberg(), lamps=LAMPS, starts=starts, options=options)
     assert len(set(results.metrics["light_seeking"].tolist())) > 1
+
+
+def test_the_scale_of_the_noise_may_differ_between_episodes() -> None:
+    from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
+
+    setup = planar("obstacles")
+    batch = CardBatch([PreparedEpisode(setup, Braitenberg())] * 4, Braitenberg())
+    options = [EpisodeOptions(noise=noise) for noise in (True, 0.5, False, 2.0)]
+    for index, episode_options in enumerate(options):
+        batch.begin(index, 1, episode_options)
+    assert not batch.switch_on()
+    assert not batch.step(range(4), setup.steps_per_period)
+    episode = Episode(setup, Braitenberg(), compiled=False)
+    for registers, episode_options in zip(batch.registers.tolist(), options, strict=True):
+        episode.begin(1, episode_options)
+        episode.step(setup.steps_per_period)
+        assert registers[0] == episode.registers.tolist()
+    assert len({str(registers) for registers in batch.registers.tolist()}) == 4
 
 
 def test_pushed_objects_and_a_line_are_supported_on_a_gpu() -> None:

@@ -69,7 +69,9 @@ def episode_of(
         pytest.param(arena(), {"seed": 1}, id="mixed surfaces"),
         pytest.param(arena(SHADOWS), {"seed": 2, "vary": True}, id="a lamp that blinks and fades"),
         pytest.param(arena(SHADOWS), {"noise": False}, id="without noise"),
-        pytest.param(arena(model="khepera2", calibration="khepera2", rom="khepera2"), {}, id="khepera2"),
+        pytest.param(
+            arena(model="khepera2", calibration="khepera2", rom="khepera2"), {"noise": 0.5}, id="khepera2"
+        ),
         pytest.param(arena(battery_used_min=41.3), {"seed": 3}, id="cells that run out"),
         pytest.param(Playpen.load("two-lamps"), {"seed": 4}, id="two lamps"),
         pytest.param(Playpen.load("light-seeking"), {"seed": 5}, id="light seeking"),
@@ -80,6 +82,26 @@ def test_an_episode_equals_a_world_bitwise(scene: Playpen, options: dict[str, An
     assert episode.registers.tolist() == world.robots[0].registers.tolist()
     assert episode.joints.tobytes() == world.data.qpos.tobytes()
     assert episode.pose == world.robots[0].pose
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_the_noise_of_readings_is_in_proportion_to_its_scale(planar: bool) -> None:
+    setup = EpisodeSetup(arena(), planar=planar)
+    episode, readings = Episode(setup, ConstantSpeed(), compiled=False), dict[str, Any]()
+    for noise in (0.0, False, 0.25, 0.5, 1.0, True):
+        samples: list[list[int]] = []
+        episode.begin(3, EpisodeOptions(noise=noise, start=(50.0, 300.0, 180.0)))
+        for _ in range(20):
+            episode.run(0.02)
+            samples.append(
+                [*episode.registers[AMBIENT].tolist(), *episode.registers[PROXIMITY][2:4].tolist()]
+            )
+        readings[f"{noise}"] = np.array(samples)
+    np.testing.assert_array_equal(readings["True"], readings["1.0"])
+    np.testing.assert_array_equal(readings["False"], readings["0.0"])
+    half, quarter = (readings[scale] - readings["0.0"] for scale in ("0.5", "0.25"))
+    assert half.std() > 3
+    np.testing.assert_allclose(half, quarter * 2, atol=2)  # readings are rounded
 
 
 @with_numba

@@ -66,7 +66,7 @@ def test_the_image_in_a_plane_equals_that_in_mujoco(compiled: bool) -> None:
         c, s = np.cos(heading), np.sin(heading)
         eye = Eye(x + K213_EYE_AHEAD * c, y + K213_EYE_AHEAD * s, K213_EYE_HEIGHT, c, s)
         camera = LineCamera(fixed_faces(model), moving_faces(model, setup.indices.base), read_poses(data))
-        assert camera.take(eye, expected, [LAMP], 300.0, 0, (0, 0), 0, noisy=False) == light
+        assert camera.take(eye, expected, [LAMP], 300.0, 0, (0, 0), 0, noise=False) == light
         assert np.abs(pixels - expected).max() <= 1
         assert expected.max() - expected.min() > 100
 

@@ -342,7 +342,7 @@ def test_compiled_episodes_equal_plain_ones_after_other_episodes_and_in_parts(st
     fast.begin(9, EpisodeOptions(start=(40.0, 290.0, 170.0)))
     fast.run(1.0)
     for episode in (plain, fast):
-        episode.begin(1)
+        episode.begin(1, EpisodeOptions(noise=step_ns / units.STEP_NS / 2))
     plain.run(2.0)
     for _ in range(100):
         fast.run(0.02)

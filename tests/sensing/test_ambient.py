@@ -182,6 +182,17 @@ def test_light_that_changes_between_the_two_conversions_of_a_sensor_is_added_to_
     assert change > 20
 
 
+def test_light_that_rises_between_the_two_conversions_raises_the_proximity() -> None:
+    world = under(400, 52, 1000 - 27.5 - 24)
+    near, low = scans(world)
+    sensor, scale = 3, 1023 / (KHEPERA1.dark_counts - KHEPERA1.floor_counts)
+    phase, times = world.simulation.plain.light.law.flicker_phase, 0.02 * np.arange(100) + 0.0025 * sensor
+    before, after = (np.cos(2 * np.pi * (104 * (times + delay) + phase)) for delay in (0, 0.00125))
+    rise = np.ptp(low[:, sensor]) / 2 * scale * (after - before)
+    changes = near[:, sensor] - near[:, sensor].mean()
+    np.testing.assert_allclose(changes, rise - rise.mean(), atol=0.15 * np.ptp(rise))
+
+
 def test_in_light_that_saturates_a_receiver_nothing_flickers() -> None:
     text = scene(LAMP.replace("x_mm = 700", "x_mm = 345") + "flicker = 0.5\n", "[lighting]\nmains_hz = 52\n")
     near, low = scans(World(playpen.parse(text, "scene"), noise=False))

@@ -1,12 +1,15 @@
 """Random draws of the sensors; noise of the sampled robot and of its twin in a twin of its room."""
 
+import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from shares import share
 
-from khep_twin.sensing.noise import draws, key_words, no_noise, philox, quantiles
+from khep_twin.episodes.episode_options import EpisodeOptions
+from khep_twin.sensing.noise import check_scale, draws, key_words, philox, plain_tables, quantiles
 from studies.noise_fits import ORDERS, PERIOD, differences, ripple, twin
 
 DISTANCES_MM = tuple(range(11, 39, 4))
@@ -76,7 +79,25 @@ def test_draws_have_the_moments_of_their_distributions_and_no_relation_to_each_o
 
 
 def test_a_draw_without_noise_is_zero_and_another_key_draws_something_else() -> None:
-    assert draws(no_noise(), (1, 2), 3) == (0.0, 0.0, 0.0)
+    assert draws(plain_tables(0.0), (1, 2), 3) == (0.0, 0.0, 0.0)
     tables = quantiles()
     drawn = {draws(tables, key, number) for key in ((1, 2), (2, 2), (1, 9)) for number in (0, 1, 2**32)}
     assert len(drawn) == 9
+
+
+def test_a_scale_multiplies_each_draw_and_a_switch_is_1_or_0() -> None:
+    key, numbers = key_words(7), range(100)
+    by_scale = {scale: [draws(plain_tables(scale), key, n) for n in numbers] for scale in (0.5, 1.0, 2.0)}
+    assert by_scale[1.0] == [draws(quantiles(), key, n) for n in numbers]
+    np.testing.assert_array_equal(by_scale[0.5], np.array(by_scale[1.0]) / 2)
+    np.testing.assert_array_equal(by_scale[2.0], np.array(by_scale[1.0]) * 2)
+    assert [check_scale(noise) for noise in (True, np.True_, 1, False, 0, 0.25, np.float32(2))] == [
+        *(1.0, 1.0, 1.0, 0.0, 0.0, 0.25, 2.0)
+    ]
+
+
+@pytest.mark.parametrize("noise", [-0.1, 100.5, math.nan, math.inf, "off", None, [1.0]])
+def test_what_is_no_scale_of_the_noise_is_refused_in_one_line(noise: Any) -> None:
+    for use in (check_scale, lambda noise: EpisodeOptions(noise=noise)):
+        with pytest.raises(ValueError, match=r"^noise = .*; expected True, False, or a scale from 0 to 100$"):
+            use(noise)

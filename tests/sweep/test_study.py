@@ -1,5 +1,6 @@
 """Studies: read strictly, and made into tasks."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,24 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
         ('controllers = ["braitenberg"]', "", r"no controller; expected controllers, a \[\[network\]\]"),
         ("", 'fitness = ["homing"]\n', r"study.toml:10: fitness = \"homing\": there is no \[home\]"),
         ("", "[grid]\nnoise = []\n", r"study.toml:11: grid: noise; expected a list of true"),
+        ("", "[grid]\nnoise = [true, -1]\n", r"study.toml:11: grid: noise 2 = -1; expected a list of true, "),
+        ("", "[grid]\nnoise = [true, 1]\n", r"study.toml:11: noise has 1.0 twice; expected once"),
+        ("", "[grid]\nplanar = [1]\n", r"study.toml:11: grid: planar 1 = 1; expected a list of true and"),
+        ("", "[grid]\nline_baud = [-1]\n", r"study.toml:11: grid: line_baud 1 = -1; expected a list of num"),
+        ("", "[grid]\nperiod_ms = []\n", r"study.toml:11: grid: period_ms; expected a list of multiples of"),
+        (
+            "",
+            "[grid]\nseconds = [1]\n",
+            r"study.toml:11: grid: seconds: is a key of the study, too; expected o",
+        ),
+        (
+            'step_ms = 10\nrollouts_per_task = 4\noutput = "out"\n',
+            'output = "out"\n[grid]\nstep_ms = [5, 3]',
+            r"study.toml:9: step_ms = 3; expected 2.5, 5 or 10",
+        ),
+        ("seconds = 0.2", "", r"study.toml: seconds is missing; expected the duration of an episode"),
+        ("", "[grid]\nperiod_ms = [20, 30]\n", r"study.toml:6: seconds = 0.2; expected whole .* of 30 ms"),
+        ("", 'device = "cuda"\n[grid]\nplanar = [true, false]\n', r"study.toml:10: device = .*: episodes in"),
         ("", '[grid]\nstarts = ["1,2,3"]\n', r"study.toml:11: starts, in default: start 1,2,3: "),
         ("", '[[network]]\nname = "n"\n', r"study.toml:10: network 1: has neither of genomes"),
         (
@@ -105,6 +124,21 @@ def test_there_is_a_episode_for_each_point_of_the_grid_genome_and_seed_in_tasks_
     assert max(task.count for task in work.tasks) == 4
 
 
+def test_each_parameter_can_be_a_list_in_the_grid_and_its_last_one_varies_fastest(tmp_path: Path) -> None:
+    study = STUDY.replace("seconds = 0.2\n", "").replace("step_ms = 10\n", "")
+    grid = "[grid]\nnoise = [true, 0.5]\nplanar = [false, true]\nline_baud = [0, 9600]\n"
+    points = [
+        group.point for group in work_of(loaded(tmp_path, f"{study}{grid}seconds = [0.2, 0.4]\n")).groups
+    ]
+    assert [(p.noise, p.planar, p.line_baud, p.seconds) for p in points] == list(
+        itertools.product((1.0, 0.5), (False, True), (0, 9600), (0.2, 0.4))
+    )
+    assert [(point.step_ms, point.period_ms) for point in points[::4]] == [(2.5, 20), (10.0, 20)] * 2
+    default = work_of(loaded(tmp_path, STUDY)).groups[0].point
+    assert default == studies.Point(True, False, "all", False, 0, 10.0, 20, 0.2)
+    assert default.noise is True
+
+
 def test_genomes_come_from_files_beside_the_study_or_are_drawn_by_a_seed(tmp_path: Path) -> None:
     rows = np.random.default_rng(1).normal(size=(2, 18))
     np.save(tmp_path / "a.npy", rows)
@@ -127,10 +161,11 @@ def test_work_is_distinguished_by_everything_but_the_folder_of_its_results(tmp_p
         ('"out"', '"elsewhere"'),
         ("seeds = 3", "seeds = 4"),
         ('["default"]', '["obstacles"]'),
+        ("step_ms = 10", "step_ms = 10\nline_baud = 9600"),
     ]
     digests = [work_of(loaded(tmp_path, STUDY.replace(*change))).digest for change in changes]
     assert digests[0] == digests[1]
-    assert len({*digests}) == 3
+    assert len({*digests}) == 4
 
 
 def test_the_study_of_the_page_is_as_large_as_it_says(tmp_path: Path) -> None:

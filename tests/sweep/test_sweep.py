@@ -381,11 +381,43 @@ def test_rays_workers_may_be_killed_and_each_result_is_there_once(tmp_path: Path
     assert trial(tmp_path, tasks=8, kills=2, seconds=40, seed=0) >= 1
 
 
-def test_a_study_in_a_plane_leads_planar_episodes(tmp_path: Path) -> None:
-    (tmp_path / "flat").mkdir()
-    ways = [
-        pq.read_table(swept(folder, text)).to_pylist()[0]
-        for folder, text in ((tmp_path, STUDY), (tmp_path / "flat", STUDY + "planar = true\n"))
-    ]
-    assert ways[0]["distance_m"] != ways[1]["distance_m"]
-    assert ways[1]["distance_m"] == pytest.approx(ways[0]["distance_m"], abs=1e-3)
+def test_each_parameter_of_the_grid_has_a_column_and_gives_the_episodes_of_a_study_with_that_key(
+    tmp_path: Path,
+) -> None:
+    study = (
+        STUDY.replace('"default"', '"obstacles"')
+        .replace("seeds = 3", "seeds = 1")
+        .replace("seconds = 0.2", "")
+    )
+    grid = "[grid]\nplanar = [false, true]\nline_baud = [0, 9600]\nseconds = [0.2, 0.4]\n"
+    grid += "noise = [true, 0.0, 4.0]\n"
+    rows = pq.read_table(swept(tmp_path, study + grid, output=tmp_path / "grid")).to_pylist()
+    assert len(rows) == 3 * 2 * 2 * 2
+    names = "noise", "planar", "line_baud", "seconds"
+    assert len({tuple(row[name] for name in names) for row in rows}) == len(rows)
+    assert {(row["step_ms"], row["period_ms"], row["vary"], row["lighting"]) for row in rows} == {
+        (10.0, 20, False, "all")
+    }
+    ends = {tuple(row[name] for name in names): row["end_x_m"] for row in rows}
+    for other in ((1.0, False, 0, 0.4), (1.0, True, 0, 0.2), (1.0, False, 9600, 0.2), (4.0, False, 0, 0.2)):
+        assert ends[other] != ends[1.0, False, 0, 0.2]
+    for noise, planar, line_baud, seconds in ((1.0, True, 9600, 0.4), (0.0, False, 0, 0.2)):
+        keys = f"planar = {str(planar).lower()}\nline_baud = {line_baud}\nseconds = {seconds}\n"
+        single = f"{study}{keys}[grid]\nnoise = [{str(noise > 0).lower()}]\n"
+        (row,) = pq.read_table(swept(tmp_path, single, output=tmp_path / f"single {noise}")).to_pylist()
+        assert row["end_x_m"] == ends[noise, planar, line_baud, seconds]
+        assert row["noise"] is (noise > 0)
+
+
+def test_results_with_other_columns_are_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as earlier:
+        earlier.setattr("khep_twin.sweep.shards.COLUMNS", COLUMNS - {"planar"})
+        with pytest.raises(KhepTwinError, match="stopped"):
+            swept(tmp_path, executor=Counted(stop_before=3))
+    with pytest.raises(
+        StudyError, match=r"out: holds results of another study, of another version, or"
+    ) as error:
+        swept(tmp_path, resume=True)
+    assert "\n" not in str(error.value)

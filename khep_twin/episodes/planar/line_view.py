@@ -59,7 +59,7 @@ class PlaneView:
         noise_key: tuple[int, int] = (0, 0),
         image_number: int = 0,
         *,
-        noisy: bool = False,
+        noise: float = False,
         compiled: bool = False,
     ) -> int:
         """Fill in `pixels` with an image of the present plane; arguments are as of `LineCamera.take`."""
@@ -69,7 +69,7 @@ class PlaneView:
         self._place_geoms(x, y, c, s)
         eye = Eye(x + K213_EYE_AHEAD * c, y + K213_EYE_AHEAD * s, K213_EYE_HEIGHT, c, s)
         return self._camera.take(
-            eye, pixels, lamps, room_lux, exposure_ms, noise_key, image_number, noisy=noisy, compiled=compiled
+            eye, pixels, lamps, room_lux, exposure_ms, noise_key, image_number, noise=noise, compiled=compiled
         )
 
     def _place_geoms(self, x: float, y: float, c: float, s: float) -> None:

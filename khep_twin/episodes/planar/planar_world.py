@@ -221,7 +221,7 @@ class PlanarWorld:
         self,
         seed: int = 0,
         *,
-        noise: bool = True,
+        noise: float = True,
         vary: bool = False,
         starts: Sequence[Start] | None = None,
         lamps: Sequence[Lamp] | None = None,
