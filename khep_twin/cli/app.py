@@ -39,7 +39,7 @@ from khep_twin.cli.shadow import shadow
 from khep_twin.cli.streams import exit_code
 from khep_twin.cli.sweep import sweep
 from khep_twin.cli.view import view
-from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError
+from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, user_error_text
 from khep_twin.signals import first_signal, handle_signals, leave
 from khep_twin.status_line import STATUS_LINE_VARIABLE, beside_status_line
 
@@ -110,8 +110,8 @@ def _run_app() -> int:
             text = f"{error.strerror}; expected fewer that are open, or more that may be: ulimit -n"
         elif _is_cwd_missing():
             text = "the current directory no longer exists; expected an existing one"
-        elif "temporary directory" in str(error):  # of tempfile, or of Matplotlib
-            text = "no folder for temporary files can be written; expected one, which TMPDIR may name"
+        elif (reason := user_error_text(error)) is not None:
+            text = reason
         elif error.errno in _WRITE_ERRORS and error.filename is not None:
             text = f"{error.filename}: {error.strerror}; expected a folder that can be written"
         else:

@@ -18,13 +18,6 @@ if TYPE_CHECKING:
     from khep_twin.khepera4.programs import RobotProgram
     from khep_twin.ports.twin import Twin
 
-HEADERS = Path(__file__).parents[1] / "assets" / "khepera4" / "include"
-"""Folder of a header that the published copies of K-Team's library lack."""
-
-CFLAGS = ["-fcommon", "-funsigned-char", "-fno-pie", "-no-pie", "-idirafter", str(HEADERS)]
-"""Options of `cc` for K-Team's library and its programs: the library stores pointers in 32 bits and defines
-variables in its headers; the robot's `char` is unsigned."""
-
 
 class ProgramClock(StrEnum):
     """Clock of the programs."""
@@ -35,7 +28,9 @@ class ProgramClock(StrEnum):
 
 def _show_cflags(value: bool) -> None:
     if value:
-        typer.echo(shlex.join(CFLAGS))
+        from khep_twin.khepera4.preload import compiler_flags
+
+        typer.echo(" ".join(compiler_flags()))
         raise typer.Exit
 
 

@@ -16,12 +16,14 @@ failure), a length, a 64-bit value and its content. All are little-endian:
     6 HELLO      number of the thread in the kernel
     7 CANCEL     ends the SLEEP of its connection, unless that has its reply; no further reply
     8 WAKE       threads to wake, 0 for all; futex address and number of this WAKE, 64 bits each; no reply
+    9 EXEC       path of a program that the process starts
 
 `scheduler` decides which request is served next.
 """
 
 import contextlib
 import errno
+import os
 import selectors
 import socket
 import struct
@@ -47,7 +49,7 @@ _REQUEST, _I2C_HEADER, _REPLY = struct.Struct("<III"), struct.Struct("<HHH"), st
 _SLEEP, _WAKE = struct.Struct("<qQQ"), struct.Struct("<QQ")
 
 
-Request = IntEnum("Request", "TRANSFER GPIO_SET GPIO_GET NOW SLEEP HELLO CANCEL WAKE")
+Request = IntEnum("Request", "TRANSFER GPIO_SET GPIO_GET NOW SLEEP HELLO CANCEL WAKE EXEC")
 """Kinds of requests, from 1."""
 
 _ABSOLUTE, _EXTERNAL = 1, 2  # in the number of a SLEEP
@@ -62,6 +64,8 @@ class DeviceServer:
         paths: Path of each machine's socket, which must not exist.
         clock: Function that returns real time [ns]; None for simulated time.
         on_wall_clock: Function that is called when simulated time first passes with the wall clock.
+        on_start: Function that is called when a process starts another program, with the index of its
+            machine, its number and the program's path.
 
     Attributes:
         clients: Numbers of all processes that have connected.
@@ -73,9 +77,11 @@ class DeviceServer:
         paths: Sequence[Path],
         clock: Callable[[], int] | None = None,
         on_wall_clock: Callable[[], None] = lambda: None,
+        on_start: Callable[[int, int, str], None] = lambda robot, process, path: None,
     ) -> None:
         self._machines = machines
         self._clock = clock
+        self._on_start = on_start
         self.clients: set[int] = set()
         self._selector = selectors.DefaultSelector()
         self._listeners: dict[socket.socket, int] = {}
@@ -192,6 +198,8 @@ class DeviceServer:
             machine.set_pin(number, int.from_bytes(content, "little"))
         elif kind == Request.GPIO_GET:
             return 0, machine.pin(number), b""
+        elif kind == Request.EXEC:
+            self._on_start(connection.robot, connection.process, os.fsdecode(content))
         elif kind == Request.SLEEP:
             return int(connection.is_woken), connection.end_ns - machine.time_ns, b""
         elif kind not in (Request.NOW, Request.HELLO):

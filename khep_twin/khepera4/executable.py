@@ -2,9 +2,11 @@
 
 The loader that a dynamic program names in its ELF header (`PT_INTERP`) loads preload libraries. The kernel
 starts a static program without a loader, and a loader ignores preload libraries in a program that gains
-rights by its file (setuid bit, capabilities).
+rights by its file (setuid bit, capabilities). A program that another one starts is checked as well: it is
+refused if it contains the name of a device node.
 """
 
+import mmap
 import os
 import re
 import shutil
@@ -12,6 +14,7 @@ import stat
 import struct
 import subprocess
 import sys
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -24,6 +27,9 @@ PROCESSORS = {3: "x86", 8: "MIPS", 20: "PowerPC", 21: "PowerPC", 22: "s390", 40:
     258: "LoongArch",
 }
 """Names of processors, by `e_machine`."""
+
+NODES = b"/dev/i2c-", b"/dev/user-gpio", b"/dev/pwm"
+"""Starts of the paths of device nodes that the preload library emulates."""
 
 _X86, _X86_64 = 3, 62
 _OBJECT, _CORE = 1, 4  # e_type
@@ -200,3 +206,54 @@ def check_preload(program: str, loader: str, library: Path, environment: Mapping
         f"({reason[1] if reason else 'without a reason'}); expected a cache folder that may hold programs "
         "(XDG_CACHE_HOME), and the C compiler of the program (CC)"
     )
+
+
+class StartedPrograms:
+    """Checks of the programs that a program and its children start.
+
+    Args:
+        first: Header of the first program, whose loader loads the preload library; None if it is unknown.
+        library: The preload library, as in LD_PRELOAD of the environment.
+        environment: Environment of the first program.
+    """
+
+    def __init__(self, first: Executable | None, library: Path, environment: Mapping[str, str]) -> None:
+        self._bits = 64 if first is None else first.bits
+        self._loaders: set[str] = set() if first is None else {first.loader}
+        self._library = library
+        self._environment = environment
+        self._checked: set[Path] = set()
+
+    def check(self, process: int, name: str) -> None:
+        """Check a program that a process starts; warn about one that loads no preload library.
+
+        Raises:
+            KhepTwinError: The program loads no preload library and contains the name of a device node.
+        """
+        try:
+            path = find_executable(str(Path(os.readlink(f"/proc/{process}/cwd"), name)))
+        except (KhepTwinError, OSError):  # the process has ended, or cannot start the program
+            return
+        if path is None or path in self._checked:
+            return
+        self._checked.add(path)
+        try:
+            executable = check_executable(str(path))
+            if executable is not None and executable.bits != self._bits:
+                raise KhepTwinError(
+                    f"{path}: a program of {executable.bits} bits, started by one of {self._bits} bits; "
+                    "expected both for one word size"
+                )
+            if executable is not None and executable.loader not in self._loaders:
+                check_preload(str(path), executable.loader, self._library, self._environment)
+                self._loaders.add(executable.loader)
+        except KhepTwinError as error:
+            if _contains_node(path):
+                raise
+            warnings.warn(f"{error}; it uses the devices and the clock of this computer", stacklevel=2)
+
+
+def _contains_node(path: Path) -> bool:
+    """Return whether a file contains the name of a device node."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        return any(content.find(node) >= 0 for node in NODES)

@@ -8,7 +8,7 @@ rate of turn, 95 Hz.
 
 from collections.abc import Sequence
 
-from khep_twin.sensing.noise import TABLES, draws
+from khep_twin.sensing.noise import draws, plain_tables
 from khep_twin.simulation.number_reader import NumberReader
 from khep_twin.units import GRAVITY, TICK_NS
 
@@ -39,16 +39,16 @@ class Inertial:
 
     Args:
         key: Words of the key of the robot's random draws.
-        is_noisy: Whether readings are noisy.
+        noise: Scale of the readings' noise, 0 for none.
 
     Attributes:
         accelerations: Last complete packets of x, y and z, the newest value first (3, 10) [counts].
         rates: Those of the gyroscope.
     """
 
-    def __init__(self, key: Sequence[int], is_noisy: bool) -> None:
+    def __init__(self, key: Sequence[int], noise: float) -> None:
         self._key = [key[0] ^ _KEY_MASK, key[1]]
-        self._tables = TABLES[is_noisy]
+        self._tables = plain_tables(noise)
         self.accelerations, self.rates = _zero_packets(), _zero_packets()
         self._partials = [_zero_packets(0), _zero_packets(0)]
         self._velocity: list[float] = [0.0, 0.0, 0.0]

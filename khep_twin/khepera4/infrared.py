@@ -17,7 +17,7 @@ import numpy as np
 from khep_twin.khepera4.moments import Moment, PastScene
 from khep_twin.sensing.ambient import ambient_optics
 from khep_twin.sensing.calibration import Calibration, GroundCalibration
-from khep_twin.sensing.noise import TABLES, draws
+from khep_twin.sensing.noise import draws, plain_tables
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
@@ -46,7 +46,7 @@ class Infrared:
         indices: Indices of the robot.
         calibration: Calibration of the robot, with its sensors for the floor.
         key: Words of the key of the robot's random draws.
-        is_noisy: Whether readings are noisy.
+        noise: Scale of the readings' noise, 0 for none.
     """
 
     def __init__(
@@ -55,12 +55,12 @@ class Infrared:
         indices: RobotIndices,
         calibration: Calibration,
         key: Sequence[int],
-        is_noisy: bool,
+        noise: float,
     ) -> None:
         self._scene = scene
         self._indices = indices
         self._key = [*key]
-        self._tables = TABLES[is_noisy]
+        self._tables = plain_tables(noise)
         self._sensors = RobotSensors(
             indices.base,
             list(indices.cameras),

@@ -10,7 +10,7 @@ with a simulated clock, the functions that return the time or wait.
 """
 
 import contextlib
-import hashlib
+import errno
 import os
 import shutil
 import signal
@@ -26,15 +26,10 @@ from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.device_server import DeviceServer
-from khep_twin.khepera4.executable import Executable, check_executable, check_preload
+from khep_twin.khepera4.executable import Executable, StartedPrograms, check_executable, check_preload
 from khep_twin.khepera4.machine import Machine
+from khep_twin.khepera4.preload import find_temporary_folder, preload_library
 from khep_twin.khepera4.scheduler import NEVER_NS
-
-COMPILERS = "cc", "gcc", "clang"
-"""C compilers; the first that is installed is used. CC in the environment names another."""
-
-SOURCES = Path(__file__).parents[1] / "assets" / "khepera4"
-"""Folder of the preload library."""
 
 CONFIGURATION = "section Khepera4\ndevice dsPic i2c 0x30\n"
 """The robot's `/etc/libkhepera/khepera4.knc`, by which K-Team's library finds the dsPIC."""
@@ -88,18 +83,21 @@ def run_programs(
         _find_preload_library(program.arguments[0], executable)
         for program, executable in zip(programs, executables, strict=True)
     ]
-    # The loader splits its list of libraries at spaces and colons, and sockets have short paths.
-    parent_folder = tempfile.gettempdir()
-    parent_folder = "/tmp" if len(parent_folder) > 60 or set(parent_folder) & set(" :") else parent_folder
     with (
-        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=parent_folder) as folder,
+        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=find_temporary_folder()) as folder,
         contextlib.ExitStack() as stack,
     ):
         paths = [Path(folder, f"devices{index}") for index in range(len(programs))]
         machines = [program.machine for program in programs]
         offset_ns = machines[0].time_ns - time.monotonic_ns()
         clock = None if simulated else lambda: time.monotonic_ns() + offset_ns
-        server = stack.enter_context(contextlib.closing(DeviceServer(machines, paths, clock, on_wall_clock)))
+        started_programs: list[StartedPrograms] = []
+
+        def check_started(robot: int, process: int, path: str) -> None:
+            started_programs[robot].check(process, path)
+
+        server = DeviceServer(machines, paths, clock, on_wall_clock, check_started)
+        stack.enter_context(contextlib.closing(server))
         if simulated:
             stack.enter_context(_pin_to_one_processor())
         processes: list[subprocess.Popen[bytes]] = []
@@ -107,7 +105,7 @@ def run_programs(
         for program, executable, library, path in zip(programs, executables, libraries, paths, strict=True):
             link = path.with_suffix(".so")
             link.symlink_to(library)
-            environment = {
+            environment = os.environ | {
                 # Behind the user's libraries: a sanitizer's must come first.
                 "LD_PRELOAD": ":".join(filter(None, (os.environ.get("LD_PRELOAD"), str(link)))),
                 "KHEP_TWIN_SOCKET": str(path),
@@ -115,11 +113,12 @@ def run_programs(
                 "KHEP_TWIN_ETC": str(_write_configuration(path.with_suffix(".etc"), program.robot_id)),
             }
             if executable is not None:
-                check_preload(program.arguments[0], executable.loader, link, os.environ | environment)
+                check_preload(program.arguments[0], executable.loader, link, environment)
+            started_programs.append(StartedPrograms(executable, link, environment))
             try:
-                processes.append(subprocess.Popen([*program.arguments], env=os.environ | environment))
+                processes.append(subprocess.Popen([*program.arguments], env=environment))
             except OSError as error:
-                raise KhepTwinError(f"{program.arguments[0]}: cannot be started: {error.strerror}") from error
+                raise _start_error(program.arguments[0], error) from error
         stack.enter_context(_forward_signals(processes))
         process_ids = [process.pid for process in processes]
         end_ns = NEVER_NS if until_ns is None else until_ns
@@ -151,6 +150,21 @@ def _find_preload_library(program: str, executable: Executable | None) -> Path:
         return preload_library(32)
     except KhepTwinError as error:
         raise KhepTwinError(f"{program}: a program of 32 bits, and {error}") from error
+
+
+def _start_error(program: str, error: OSError) -> KhepTwinError:
+    """Return the error of a program that cannot be started."""
+    path = Path(program)
+    expected = ""
+    if path.is_dir():
+        expected = "; expected a program, not a folder"
+    elif path.is_file() and path.name == program and not shutil.which(program):
+        expected = f"; expected ./{program}"
+    elif isinstance(error, PermissionError) and path.is_file():
+        expected = f"; expected a program that may be executed: compile it, or chmod +x {program}"
+    elif error.errno == errno.ENOEXEC:
+        expected = "; expected a compiled program, or a script that begins with #! and its interpreter"
+    return KhepTwinError(f"{program}: cannot be started: {error.strerror}{expected}")
 
 
 def _have_ended(processes: Sequence["subprocess.Popen[bytes]"]) -> bool:
@@ -222,54 +236,3 @@ def _forward_signals(processes: Sequence["subprocess.Popen[bytes]"]) -> Generato
     finally:
         for number, handler in handlers:
             signal.signal(number, handler)
-
-
-def preload_library(bits: int = 64) -> Path:
-    """Return the preload library of a word size, 32 or 64 bits, compiled into the user's cache if missing.
-
-    Raises:
-        KhepTwinError: This is not Linux, there is no C compiler, or it fails.
-    """
-    if sys.platform != "linux":
-        raise KhepTwinError(f"programs of a Khepera IV on {sys.platform}; expected Linux")
-    try:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "khep_twin"
-    except RuntimeError:
-        raise KhepTwinError(
-            "the preload library: this user has no home folder; expected a cache folder in XDG_CACHE_HOME"
-        ) from None
-    sources = sorted(SOURCES.glob("shim*"))
-    content = b"".join(source.read_bytes() for source in sources)
-    library_path = cache / f"khepera4-{bits}-{hashlib.sha256(content).hexdigest()[:14]}.so"
-    if library_path.exists():
-        return library_path
-    chosen_compiler = os.environ.get("CC")
-    compiler = chosen_compiler or next(filter(None, map(shutil.which, COMPILERS)), None)
-    if compiler is None:
-        raise KhepTwinError("no C compiler is installed; expected cc, gcc or clang (Debian: apt install gcc)")
-    try:
-        cache.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=cache) as folder:
-            temporary_path = Path(folder, library_path.name)
-            c_files = [str(source) for source in sources if source.suffix == ".c"]
-            flags = ["-O2", "-shared", "-fPIC", "-U_FORTIFY_SOURCE", *(["-m32"] if bits == 32 else [])]
-            compilation = subprocess.run(
-                [*compiler.split(), *flags, "-o", str(temporary_path), *c_files, "-ldl", "-lpthread"],
-                capture_output=True,
-                text=True,
-            )
-            if compilation.returncode and bits == 32:
-                raise KhepTwinError(
-                    f"{compiler} cannot compile for 32 bits; "
-                    "expected gcc-multilib (Debian: apt install gcc-multilib)"
-                )
-            if compilation.returncode:
-                message = (compilation.stderr.strip().splitlines() or ["no message"])[0]
-                raise KhepTwinError(f"{compiler}: cannot compile the preload library: {message}")
-            os.replace(temporary_path, library_path)
-    except OSError as error:
-        raise KhepTwinError(
-            f"{error.filename or compiler}: {error.strerror}; expected a C compiler, and a cache "
-            "folder that can be written (XDG_CACHE_HOME)"
-        ) from error
-    return library_path

@@ -245,10 +245,10 @@ class Khepera4Robot(Robot):
         """Create the sensors, with noise from the present key of the simulation."""
         simulation = self._context.simulation
         scene = PastScene(self._context.model)
-        key, is_noisy = simulation.key_words(self.index), simulation.is_noisy
-        self._infrared = Infrared(scene, self.indices, self._calibration, key, is_noisy)
-        self._ultrasonic = Ultrasonic(scene, self.indices, key, is_noisy)
-        self._inertial = Inertial(key, is_noisy)
+        key, noise = simulation.key_words(self.index), simulation.noise
+        self._infrared = Infrared(scene, self.indices, self._calibration, key, noise)
+        self._ultrasonic = Ultrasonic(scene, self.indices, key, noise)
+        self._inertial = Inertial(key, noise)
 
     def _wheel_pulses(self) -> list[int]:
         angles: Sequence[float] = self._context.data.qpos[list(self.indices.wheel_qpos)].tolist()

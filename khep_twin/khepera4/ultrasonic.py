@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from khep_twin.khepera4.channels import ULTRASONIC_CODES
 from khep_twin.khepera4.moments import Moment, PastScene
 from khep_twin.sensing.mujoco_scene import PAINT_HEIGHT
-from khep_twin.sensing.noise import TABLES, draws
+from khep_twin.sensing.noise import draws, plain_tables
 from khep_twin.sensing.robot_indices import RobotIndices
 
 PERIOD_NS = 20_000_000
@@ -57,16 +57,16 @@ class Ultrasonic:
         scene: Scene that they measure.
         indices: Indices of the robot.
         key: Words of the key of the robot's random draws.
-        is_noisy: Whether readings are noisy.
+        noise: Scale of the readings' noise, 0 for none.
     """
 
-    def __init__(self, scene: PastScene, indices: RobotIndices, key: Sequence[int], is_noisy: bool) -> None:
+    def __init__(self, scene: PastScene, indices: RobotIndices, key: Sequence[int], noise: float) -> None:
         self._scene = scene
         self._base = indices.base
         model = scene.model
         self._is_floor = (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT_HEIGHT)
         self._key = [key[0] ^ _KEY_MASK, key[1]]
-        self._tables = TABLES[is_noisy]
+        self._tables = plain_tables(noise)
         self._positions, self._rays, self._ray_gains = _make_beams()
         n_rays = len(self._ray_gains)
         self._geoms = np.zeros(n_rays, np.int32)

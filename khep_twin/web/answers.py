@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request as HttpRequest
 from starlette.responses import JSONResponse, Response
 
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import KhepTwinError, user_error_text
 from khep_twin.web.documents import ConflictError, OutsideError
 from khep_twin.web.requests import Request, RequestType, request_of
 
@@ -78,7 +78,7 @@ def respond(act: Callable[[], object], format_text: FormatText) -> Response:
     except ConflictError as error:
         return refusal(format_text(error.plain), 409, conflict=True)
     except OSError as error:  # for example a name that is too long
-        return refusal(error.strerror or str(error))
+        return refusal(user_error_text(error) or error.strerror or str(error))
     except KhepTwinError as error:
         return refusal(format_text(error.plain))
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from starlette.responses import FileResponse, Response
 
 from khep_twin import playpen as playpens
-from khep_twin.errors import ChallengeError, KhepTwinError, StoppedError, choices
+from khep_twin.errors import ChallengeError, StoppedError, choices, user_error_text
 from khep_twin.lab.challenge.attempt import Attempt, score_file
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, load, names
 from khep_twin.lab.challenge.results import participants, rank_attempts, score_files, to_csv
@@ -98,7 +98,7 @@ class Challenges:
         file = _load_challenge(request.challenge)
         root = self._documents.root
         paths = participants(self._documents.below(request.folder))
-        files = [self._program(str(path.relative_to(root))) for path in paths]
+        files = [self._program(path.relative_to(root).as_posix()) for path in paths]
         rows: list[Attempt] = []
 
         def add_row(attempt: Attempt, part: float) -> None:
@@ -160,11 +160,10 @@ class Challenges:
             work(is_over)
         except StoppedError:
             text = "stopped"
-        except KhepTwinError as error:
-            text = error.plain
-        except BaseException as error:  # reported in the page, then raised as usual
-            text = f"{type(error).__name__}: {error}"
-            raise
+        except BaseException as error:  # reported in the page; a fault is then raised as usual
+            text = user_error_text(error) or f"{type(error).__name__}: {error}"
+            if user_error_text(error) is None:
+                raise
         finally:
             self._current = None
             self._publish({"kind": "score-ended", "text": text})

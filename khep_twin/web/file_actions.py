@@ -4,6 +4,7 @@ A program runs with this user's permissions, so a page for other machines cannot
 """
 
 import threading
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from starlette.responses import FileResponse, Response
 
 from khep_twin import playpen as playpens
 from khep_twin.drawing.render import render
-from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, choices
+from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, PortError, choices
 from khep_twin.files.atomic import read_regular, unusable, write_atomic
 from khep_twin.files.text import decode
 from khep_twin.host.discovery import found_ports
@@ -116,7 +117,9 @@ class FileActions:
         }
 
     def _list(self, request: requests.Request) -> dict[str, object]:
-        ports = [{"url": port.url, "what": port.description} for port in found_ports()]
+        ports: list[dict[str, str]] = []
+        with suppress(PortError):  # without a folder of this user's servers
+            ports = [{"url": port.url, "what": port.description} for port in found_ports()]
         files, programs = self._documents.names(), self._documents.names(*PROGRAM_SUFFIXES)
         return {"files": files, "programs": programs, "library": playpens.names(), "ports": ports}
 

@@ -53,15 +53,17 @@ class OutsideHost:
         self.robot = robot
         self.port = port
         self.commands = 0
+        self._world = twin.world
         self._connection = Connection(twin, robot, port, notify)
         self._notify = notify
         self._partial_line = bytearray()
-        self._model = twin.world.playpen.robots[robot.index].model
+        self._model = self._world.playpen.robots[robot.index].model
         self._stop_requests: deque[bytes] = deque()
+        self._awaits_stop_reply = False
 
     def stop_motors(self) -> None:
-        """Send the requests that stop the motors at the next exchange, each after the previous reply."""
-        requests = DIALECTS[self._model].stop_requests
+        """Send the requests that stop the motors at the next exchanges, and drop their replies."""
+        requests = ("", *DIALECTS[self._model].stop_requests)  # the host's unfinished line ends first
         self._stop_requests.extend(f"{request}\n".encode() for request in requests)
 
     def descriptors(self) -> Sequence[int]:
@@ -77,12 +79,23 @@ class OutsideHost:
         if self._partial_line:
             self.robot.send(bytes(self._partial_line))
             self._partial_line.clear()
-        uart = self.robot.uart
-        if not self._stop_requests:
+        if self._stop_requests or self._awaits_stop_reply:
+            self._exchange_stop_request()
+        else:
             self._connection.receive(now)
-        elif not len(uart.rx) and not len(uart.tx):
+            self._connection.deliver()
+
+    def _exchange_stop_request(self) -> None:
+        """Send a stop request after the host's replies, or drop the bytes of its reply."""
+        if not self._awaits_stop_reply:
+            self._connection.deliver()
+        elif self.robot.uart.tx.next_ns is not None:
+            self.robot.uart.tx.read(self._world.time_ns)
+        if self._connection.next_ns() != NEVER_NS:
+            return
+        self._awaits_stop_reply = bool(self._stop_requests)
+        if self._stop_requests:
             self.robot.send(self._stop_requests.popleft())
-        self._connection.deliver()
 
     def insert_command(self, pass_time: Callable[[int], None]) -> None:
         """Execute one line of the host if there is one and no reply is pending."""

@@ -3,6 +3,7 @@
 The thread alternates between a poll and the current job, whose progress callback polls as well.
 """
 
+import re
 import threading
 from contextlib import suppress
 
@@ -10,7 +11,7 @@ from khep_twin.board.rom import ROMS
 from khep_twin.errors import ProtocolError
 from khep_twin.host import Khepera, Khepera4, Vision, commands
 from khep_twin.host.khepera4 import SPEED_UNIT
-from khep_twin.host.line import KHEPERA4
+from khep_twin.host.line import DIALECTS
 from khep_twin.playpen.parts import MODELS
 from khep_twin.web import messages
 from khep_twin.web.messages import Publish
@@ -80,20 +81,33 @@ class RobotActor(SessionActor):
 
 
 def _open_robot(url: str) -> tuple[str, Khepera | Khepera4]:
-    """Open the robot at a port by its reply to B; return its model, that of the first ROM of this version."""
+    """Open the robot at a port; return its model, the one with the BIOS nearest to that in the reply to B.
+
+    Raises:
+        ProtocolError: The reply is of no known model.
+    """
     robot = Khepera(url, baudrate="auto")
     try:
         reply = robot.ask("B")
+        models = [model for model, dialect in DIALECTS.items() if dialect.versions_reply.fullmatch(reply)]
+        if not models:
+            raise ProtocolError(f"{url}: the reply to B is {reply!r}; expected one of {', '.join(DIALECTS)}")
     except BaseException:
         robot.port.close()
         raise
-    if KHEPERA4.versions_reply.fullmatch(reply):
-        baud = robot.port.baudrate
-        robot.port.close()
-        return "khepera4", Khepera4(url, baudrate=baud)
-    bios = reply.split(",")[1] if reply.count(",") else ""
-    models = (model for model, keys in MODELS.items() if ROMS[keys["rom"]].bios == bios)
-    return next(models, "khepera1"), robot
+    version = _parse_version(reply)
+    model = min(models, key=lambda model: abs(_parse_version(ROMS[MODELS[model]["rom"]].bios) - version))
+    if DIALECTS[model].host_class == Khepera.__name__:
+        return model, robot
+    baud = robot.port.baudrate
+    robot.port.close()
+    return model, Khepera4(url, baudrate=baud)
+
+
+def _parse_version(text: str) -> float:
+    """Return the first number in a text, 0 if there is none."""
+    match = re.search(r"\d+(\.\d+)?", text)
+    return float(match[0]) if match else 0.0
 
 
 def _stop(robot: Khepera | Khepera4) -> None:

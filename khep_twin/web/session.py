@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from ctypes import c_ulong, py_object, pythonapi
 from enum import IntEnum
 
-from khep_twin.errors import KhepTwinError, PortError
+from khep_twin.errors import KhepTwinError, PortError, user_error_text
 from khep_twin.host import Khepera
 from khep_twin.host.line import DIALECTS, KHEPERA
 from khep_twin.web.fork_guard import ForkGuard
@@ -128,11 +128,11 @@ class SessionActor:
         """Run the session in its thread; report errors, and the end, to the page."""
         try:
             self._serve()
-        except KhepTwinError as error:
-            self.publish({"kind": "error", "text": error.plain})
-        except BaseException as error:  # reported in the page, then raised as usual
-            self.publish({"kind": "error", "text": f"{type(error).__name__}: {error}"})
-            raise
+        except BaseException as error:  # reported in the page; a fault is then raised as usual
+            text = user_error_text(error)
+            self.publish({"kind": "error", "text": text or f"{type(error).__name__}: {error}"})
+            if text is None:
+                raise
         finally:
             self.jobs = ()
             self.publish({"kind": "ended"})

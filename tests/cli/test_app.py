@@ -370,7 +370,7 @@ main()
 """The command line on a system where no folder for temporary files can be written."""
 
 
-@pytest.mark.parametrize("words", ["ports", "serve default", "exec true"])
+@pytest.mark.parametrize("words", ["ports", "exec true"])
 def test_without_a_folder_for_temporary_files_a_command_ends_in_one_line(words: str, tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key != "XDG_RUNTIME_DIR"}
     result = run_python(

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from command_line import khep_twin
 
-from khep_twin.cli.exec import CFLAGS
+from khep_twin.khepera4.preload import compiler_flags
 from khep_twin.log.reader import read_log
 
 pytestmark = pytest.mark.skipif(
@@ -27,7 +27,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("programs")
     for name in ("drive", "threads", "forever"):
         source = PROGRAMS / f"{name}.c"
-        subprocess.run(["cc", *CFLAGS, "-o", folder / name, source, "-lpthread"], check=True)
+        subprocess.run(["cc", *compiler_flags(), "-o", folder / name, source, "-lpthread"], check=True)
     return folder
 
 

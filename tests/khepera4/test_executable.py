@@ -1,16 +1,18 @@
-"""Programs into which no preload library can be loaded: refused before their start."""
+"""Programs into which no preload library can be loaded, and the folders of the library."""
 
 import os
 import shutil
 import struct
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 from test_compiled_programs import machine, pytestmark, run_program
 
 from khep_twin.errors import KhepTwinError
+from khep_twin.khepera4 import preload
 from khep_twin.khepera4.device_server import DeviceServer
 from khep_twin.khepera4.executable import check_executable, read_executable
 
@@ -74,10 +76,16 @@ def test_scripts_in_a_circle_and_missing_files_are_left_to_the_kernel(tmp_path: 
         check_executable(str(tmp_path / "script"))
 
 
+def compile_static(folder: Path, text: str) -> Path:
+    """Compile a static program that contains a text and does not end."""
+    source = folder / "static.c"
+    source.write_text(f'const char text[] = "{text}";\nvoid _start(void) {{ for (;;); }}\n')
+    subprocess.run(["cc", "-static", "-nostdlib", "-o", folder / "static", source], check=True)
+    return folder / "static"
+
+
 def test_a_static_program_is_refused(programs: Path, tmp_path: Path) -> None:
-    source = tmp_path / "static.c"
-    source.write_text("void _start(void) { for (;;); }\n")
-    subprocess.run(["cc", "-static", "-nostdlib", "-o", tmp_path / "static", source], check=True)
+    compile_static(tmp_path, "")
     with pytest.raises(KhepTwinError, match=r"static: a static program.*link it without -static"):
         run_program([str(tmp_path / "static")], machine())
 
@@ -132,4 +140,81 @@ def test_a_user_without_a_home_folder_is_asked_for_a_cache_folder(monkeypatch: p
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(Path, "home", refuse)
     with pytest.raises(KhepTwinError, match=r"no home folder; expected a cache folder in XDG_CACHE_HOME"):
+        run_program(["/bin/true"], machine())
+
+
+@pytest.mark.parametrize("command", ["{}", "env -i {}", 'python3 -c \'import os; os.execv("{}", ["x"])\''])
+def test_a_child_that_loads_no_preload_library_and_names_a_device_node_ends_the_run(
+    programs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    compile_static(tmp_path, "/dev/i2c-2")
+    with pytest.raises(KhepTwinError, match=rf"{tmp_path}/static: a static program.*expected a dynamic one"):
+        run_program(["sh", "-c", command.format("./static") + "; true"], machine())
+
+
+def test_a_child_that_loads_no_preload_library_is_reported_once(programs: Path, tmp_path: Path) -> None:
+    compile_static(tmp_path, "")
+    command = f"for i in 1 2; do timeout -s KILL 0.1 {tmp_path}/static; done; exit 7"
+    with pytest.warns(UserWarning, match="it uses the devices and the clock of this computer") as warnings:
+        assert run_program(["sh", "-c", command], machine(), simulated=False) == 7
+    assert len(warnings) == 1
+
+
+def test_children_of_all_kinds_load_the_preload_library_even_without_its_variables(
+    programs: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    ways = (
+        "execv execve execvp execvpe execl execlp execle fexecve execveat syscall spawn spawnp system popen"
+    )
+    assert run_program([str(programs / "starts")], machine()) == 0
+    assert capfd.readouterr().out.splitlines() == [f"{way} 2026 alone" for way in ways.split()]
+
+
+def test_a_program_that_cannot_be_started_says_what_is_expected(
+    programs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(programs / "drive", "until")
+    Path("until.c").write_text("int main(void) { return 0; }\n")
+    Path("text").write_text("no program\n")
+    Path("text").chmod(0o755)
+    for program, expected in {
+        "until": r"until: cannot be started: No such file or directory; expected \./until",
+        "./until.c": r"until\.c: .*denied; expected a program that may be executed: compile it, or chmod",
+        str(tmp_path): "Permission denied; expected a program, not a folder",
+        "./text": "Exec format error; expected a compiled program, or a script that begins with #!",
+    }.items():
+        with pytest.raises(KhepTwinError, match=expected):
+            run_program([program], machine())
+
+
+def test_options_of_the_compiler_have_no_character_of_the_shell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sources = tmp_path / "my folder"
+    shutil.copytree(preload.SOURCES / "include", sources / "include")
+    monkeypatch.setattr(preload, "SOURCES", sources)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "pins.c").write_text('#include "user-gpio-drv.h"\n')
+    for _ in range(2):
+        flags = " ".join(preload.compiler_flags())
+        subprocess.run(["sh", "-c", f"cc -c $(echo '{flags}') pins.c"], cwd=tmp_path, check=True)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(sources))
+    with pytest.raises(KhepTwinError, match=r"my folder/include: .*expected a cache folder without one"):
+        preload.compiler_flags()
+
+
+def test_a_folder_for_temporary_files_is_found_if_the_usual_one_is_unusable(
+    programs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long_path = tmp_path / ("x" * 80)
+    usable_path = tmp_path.parents[1]
+    long_path.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(long_path))
+    monkeypatch.setattr(preload, "TEMPORARY_FOLDERS", ("/none", str(usable_path)))
+    monkeypatch.setattr(preload, "_MAX_FOLDER", len(str(usable_path)))
+    assert run_program(["/bin/true"], machine()) == 0
+    monkeypatch.setattr(preload, "TEMPORARY_FOLDERS", ("/none",))
+    with pytest.raises(KhepTwinError, match=r"xxx: unusable for sockets; expected a folder in TMPDIR"):
         run_program(["/bin/true"], machine())

@@ -42,7 +42,7 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
     [
         (
             "run --playpen arena4",
-            "khep://arena4: the robot is a Khepera IV; expected a Khepera, or khep_twin",
+            "khep://arena4: the robot is a Khepera IV; expected a Khepera\n",
         ),
         (
             "run --playpen arena4 --runs 2 --start random",
@@ -50,7 +50,11 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
         ),
         ("sense --linear 10 khep://arena4", "khep://arena4: the robot is a Khepera IV; expected"),
         ("calibrate khep://arena4 -o c.toml", "khep://arena4: the robot is a Khepera IV; expected"),
-        ("conform khep://arena4", "khep://arena4: the robot is a Khepera IV; expected"),
+        ("conform khep://arena4", "khep://arena4: the robot is a Khepera IV; expected --model khepera4\n"),
+        (
+            "conform --model khepera4 khep://default",
+            "khep://default: the robot is a Khepera; expected --model khepera\n",
+        ),
         (
             "rollout --playpen arena4",
             "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for an",

@@ -167,7 +167,7 @@ def test_each_axis_of_both_sensors_draws_once_from_the_numbers_of_its_own_period
         return 0.0, 0.0
 
     monkeypatch.setattr("khep_twin.khepera4.inertial.draws", draws)
-    sensors = Inertial((1, 2), is_noisy=True)
+    sensors = Inertial((1, 2), noise=1.0)
     for period in range(1, 200):
         sensors.tick(period * TICK_NS, [1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0], [0.0] * 3, [0.0] * 3)
         assert len(numbers) in (2, 4)

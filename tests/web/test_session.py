@@ -5,6 +5,7 @@ import json
 import math
 import os
 import signal
+import tempfile
 import threading
 import time
 import warnings
@@ -17,7 +18,7 @@ from typing import Any, ClassVar
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
-from khep_twin.errors import KhepTwinError, PortError
+from khep_twin.errors import KhepTwinError, PortError, ProtocolError
 from khep_twin.host import Khepera, Khepera4
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
@@ -25,13 +26,15 @@ from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
 from khep_twin.log.recorded import read_recorded_run
 from khep_twin.playpen import Playpen
-from khep_twin.ports.twin import TwinOptions
+from khep_twin.ports.host_port import NOTHING, HostPort, Received
+from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.documents import Documents
 from khep_twin.web.drafts import draft_of
 from khep_twin.web.jobs import SensorJob, SeriesJob
+from khep_twin.web.paced_twin import OutsideHost
 from khep_twin.web.requests import Request, RequestError, RunRequest, StartRequest
-from khep_twin.web.robot_session import RobotActor
+from khep_twin.web.robot_session import RobotActor, _open_robot  # pyright: ignore[reportPrivateUsage]
 from khep_twin.web.session_actions import SessionActions
 from khep_twin.web.twin_session import TwinActor
 from tests.web.conftest import Inbox
@@ -469,6 +472,82 @@ def test_stop_ends_the_vehicle_and_the_drive_of_a_khepera4(inbox: Inbox, request
     finally:
         host.port.close()
         twin.end()
+
+
+def test_a_twin_starts_without_a_folder_for_temporary_files(
+    inbox: Inbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> str:
+        raise FileNotFoundError(2, "No usable temporary directory found in []")
+
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr(tempfile, "gettempdir", refuse)
+    twin = TwinActor(Playpen.load("default"), TwinOptions(), None, inbox)
+    twin.begin()
+    inbox.wait("picture")
+    twin.end()
+
+
+@pytest.mark.parametrize(("reply", "model"), [("b,4.06,4.06", "khepera1"), ("b,6.10,6.00", "khepera2")])
+def test_a_robot_with_another_bios_has_the_model_of_the_nearest(
+    actor: TwinActor, inbox: Inbox, monkeypatch: pytest.MonkeyPatch, reply: str, model: str
+) -> None:
+    port = inbox.wait("twin")["robots"][0]["port"]
+    monkeypatch.setattr(Khepera, "ask", lambda robot, request: reply)
+    opened_model, robot = _open_robot(port)
+    robot.port.close()
+    assert opened_model == model
+
+
+def test_a_port_whose_reply_is_of_no_known_robot_is_refused(
+    actor: TwinActor, inbox: Inbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = inbox.wait("twin")["robots"][0]["port"]
+    monkeypatch.setattr(Khepera, "ask", lambda robot, request: "hello")
+    with pytest.raises(ProtocolError, match="the reply to B is 'hello'; expected one of khepera1"):
+        _open_robot(port)
+
+
+@pytest.mark.parametrize(
+    ("playpen", "unfinished_line"), [("default", b""), ("default", b"D,20,"), ("arena4", b"")]
+)
+def test_the_replies_to_a_stop_of_the_page_do_not_reach_a_host(playpen: str, unfinished_line: bytes) -> None:
+    class Port(HostPort):
+        path, dropped, occupied = "port", 0, True
+        sent = b""
+        replies = b""
+
+        def descriptors(self, has_room: bool) -> tuple[int, ...]:
+            return ()
+
+        def settings(self) -> None:
+            return None
+
+        def receive(self, limit: int, is_answered: bool = False) -> Received:
+            sent, self.sent = self.sent, b""
+            return Received(sent) if sent else NOTHING
+
+        def write(self, data: bytes) -> None:
+            self.replies += data
+
+    port = Port()
+    with open_twin(playpen) as twin:
+        host = OutsideHost(twin, twin.robots[0], port, pytest.fail)
+
+        def exchange(sent: bytes) -> bytes:
+            port.sent, port.replies = sent, b""
+            end_ns = twin.world.time_ns + 500_000_000
+            while twin.world.time_ns < end_ns:
+                host.exchange(None)
+                twin.world.advance_to(min(host.next_ns(), end_ns, twin.world.time_ns + 1_000_000))
+            return port.replies
+
+        assert exchange(b"D,5,5\n" + unfinished_line) == b"d\r\n"
+        assert max(twin.robots[0].readings()["speed"]) > 0
+        host.stop_motors()
+        assert exchange(b"") == b""
+        assert set(twin.robots[0].readings()["speed"]) == {0}
+        assert exchange(b"B\n").startswith(b"b,")
 
 
 def test_a_long_line_of_a_host_beside_a_program_has_a_reply(actor: TwinActor, inbox: Inbox) -> None:

@@ -84,7 +84,8 @@ static void start_child(void) {
 }
 
 __attribute__((constructor)) static void initialize(void) {
-    const char *clock = getenv("KHEP_TWIN_CLOCK");
+    keep_variables();
+    const char *clock = twin_variable(CLOCK);
     simulated = clock && !strcmp(clock, "simulated");
     pthread_key_create(&thread_end, disconnect);
     pthread_atfork(NULL, NULL, start_child);
@@ -127,7 +128,7 @@ static struct private get_connection(void) {
         disconnect(NULL);
     if (is_open(connections.sockets[connections.depth]))
         return connections.sockets[connections.depth];
-    const char *path = getenv("KHEP_TWIN_SOCKET");
+    const char *path = twin_variable(SOCKET);
     struct sockaddr_un address = {.sun_family = AF_UNIX};
     if (!path || strlen(path) >= sizeof address.sun_path)
         return none;

@@ -6,6 +6,7 @@
        shim.c            | threads and processes; requests to the twin
        shim_paths.c      | open, stat and other functions of a path
        shim_devices.c    | read, write, ioctl
+       shim_programs.c   | exec, posix_spawn, system
        shim_time.c       | clocks, sleeps, waits for descriptors
        shim_timers.c     | timers
        shim_locks.c      | waits of threads for each other
@@ -25,8 +26,9 @@
 #include <unistd.h>
 
 enum node { NOTHING, I2C, GPIO, PWM };
-enum request { TRANSFER = 1, GPIO_SET, GPIO_GET, NOW, SLEEP, HELLO, CANCEL, WAKE };
+enum request { TRANSFER = 1, GPIO_SET, GPIO_GET, NOW, SLEEP, HELLO, CANCEL, WAKE, EXEC };
 enum sleep { RELATIVE, ABSOLUTE, EXTERNAL };
+enum variable { PRELOAD, SOCKET, CLOCK, ETC };
 
 #define BILLION 1000000000LL
 #define NEVER INT64_MAX
@@ -69,6 +71,14 @@ HIDDEN uint64_t socket_inode(int fd);
 
 /* Copy as the kernel does: return 0, or -1 and EFAULT for an address that the program cannot access. */
 HIDDEN int copy_memory(void *target, const void *source, size_t size);
+
+/* Copy a path; return the copy, or the original if the program cannot access it: the kernel then reports
+   EFAULT. */
+HIDDEN const char *copy_path(const char *path, char *copy);
+
+/* Return a variable of the environment in which the program started, or NULL. */
+HIDDEN const char *twin_variable(enum variable);
+HIDDEN void keep_variables(void);
 
 HIDDEN enum node node_of_fd(int fd, int *slave);
 HIDDEN enum node node_of_path(const char *path);

@@ -10,8 +10,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-/* Copy a path; return it, or the original if the program cannot access it: the kernel then reports EFAULT. */
-static const char *copy_path(const char *path, char *copy) {
+const char *copy_path(const char *path, char *copy) {
     size_t page = 4096, length = 0;
     while (length < PATH_MAX) {
         size_t count = page - (uintptr_t)(path + length) % page;
@@ -39,7 +38,7 @@ enum node node_of_path(const char *path) {
 /* Redirect the robot's configuration files to a folder of the twin. */
 static const char *redirect(const char *path, char *buffer) {
     char copy[PATH_MAX];
-    const char *folder = getenv("KHEP_TWIN_ETC");
+    const char *folder = twin_variable(ETC);
     static const char *const folders[] = {"/etc/libkhepera", "/etc/khepera"};
     if (!folder || copy_path(path, copy) != copy)
         return path;

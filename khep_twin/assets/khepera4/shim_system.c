@@ -80,6 +80,10 @@ long syscall(long number, ...) {
         return ioctl(I(0), arguments[1], P(2));
     case SYS_openat:
         return openat(I(0), P(1), I(2), I(3));
+    case SYS_execve:
+        return execve(P(0), P(1), P(2));
+    case SYS_execveat:
+        return execveat(I(0), P(1), P(2), P(3), I(4));
 #ifdef SYS_open
     case SYS_open:
         return open(P(0), I(1), I(2));
