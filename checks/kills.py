@@ -29,11 +29,15 @@ from mcap.reader import make_reader
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import read_line
+from khep_twin.log.recorder import FLUSH_NS
 from stand_ins.served import served
 from tools.command_table import command_line
 
-MOST_LOST = {"serve": 1.0, "run": 5.0}
-"""Largest loss of a log: wall time for `serve`, simulated time for `run` [s]."""
+MOST_LOST = {"serve": 1.0, "run": FLUSH_NS / NS_PER_S + 0.1}
+"""Largest loss of a log: wall time for `serve`, simulated time for `run` [s].
+
+A run loses its time since the last flush: any time up to that between two flushes. Its last reply may be a
+cycle of the host earlier."""
 
 PLAYPENS = "obstacles", "arena4"
 """Playpens: a Khepera's for even seeds, a Khepera IV's for odd ones."""

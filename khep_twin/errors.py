@@ -94,7 +94,7 @@ class Problem:
         """Return the text after the location in the style of compilers: "arena.toml:12: "."""
         if self.file is None:
             return self.text
-        return f"{self.file}{'' if self.line is None else f':{self.line}'}: {self.text}"
+        return f"{name_text(self.file)}{'' if self.line is None else f':{self.line}'}: {self.text}"
 
 
 class KhepTwinError(Exception):
@@ -329,6 +329,27 @@ def value_text(value: object) -> str:
     except Exception:  # the representation of a user's object may fail, as does that of a huge number
         text = f"<{type(value).__name__}>"
     return text if len(text) <= _MAX_VALUE_LENGTH else f"{text[: _MAX_VALUE_LENGTH - 3]}..."
+
+
+def name_text(name: object) -> str:
+    """Return a file's name for a message: unchanged, or as a value if it is long or not printable."""
+    text = str(name)
+    return text if text.isprintable() and len(text) <= _MAX_NAME_LENGTH else value_text(text)
+
+
+_MAX_NAME_LENGTH = 255
+"""Largest length of a file's name or path that stands unchanged in a message [characters]."""
+
+
+NO_TEMPORARY_FOLDER = "no folder for temporary files can be written; expected one, which TMPDIR may name"
+
+
+def user_error_text(error: BaseException) -> str | None:
+    """Return the text of an error that the user or the system causes; None for a fault of the program."""
+    if isinstance(error, KhepTwinError):
+        return error.plain
+    is_folder_missing = isinstance(error, OSError) and "temporary directory" in str(error)
+    return NO_TEMPORARY_FOLDER if is_folder_missing else None  # of tempfile, or of Matplotlib
 
 
 def choices(value: object, valid: Iterable[object]) -> str:

@@ -15,7 +15,7 @@ docs/protocol.md lists all these decisions.
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from typing import Annotated, NamedTuple, TypeVar
 
@@ -173,21 +173,19 @@ class Firmware:
         Raises:
             ValueError: It has other turrets, or a register is outside its range.
         """
-        turret_registers = {kind.name: turret.registers for kind, turret in self.turrets.items()}
-        sizes = {name: len(registers) for name, registers in turret_registers.items()}
+        sizes = {kind.name: len(turret.registers) for kind, turret in self.turrets.items()}
         if (state_sizes := {name: len(registers) for name, registers in state.turrets.items()}) != sizes:
             raise ValueError(f"turrets with registers {state_sizes}; expected {sizes}")
-        for register, value in enumerate(self.register_view):
-            low, high = _RANGES.get(register, (-_LARGEST, _LARGEST))
-            if not low <= value <= high:
-                raise ValueError(f"registers[{register}] = {value}; expected {low} to {high}")
+        _check_ranges("registers", self.register_view, _RANGES, _LARGEST)
+        for kind in self.turrets:
+            _check_ranges(f"registers of {kind.name}", state.turrets[kind.name], kind.ranges, 2**63)
         if state.running not in ("", DEMO) or self._processor[kernel.DEMO] != (state.running == DEMO):
             raise ValueError(
                 f"ROM function {state.running!r}, flag {self._processor[kernel.DEMO]} of the demonstration; "
                 f"expected '' and 0, or {DEMO!r} and 1"
             )
-        for name, registers in state.turrets.items():
-            turret_registers[name][:] = registers
+        for kind, turret in self.turrets.items():
+            turret.registers[:] = state.turrets[kind.name]
         self.baud, self.reply_baud, self.running = state.baud, state.reply_baud, state.running
         self._reader.partial_line = state.partial_line
 
@@ -392,6 +390,16 @@ ARGUMENT_COUNTS: Mapping[str, int] = {
 
 DESCRIPTIONS: Mapping[str, str] = dict(sorted(_DESCRIPTIONS.items()))
 """Descriptions of all commands, by letter, as the tools of the ROM print them."""
+
+
+def _check_ranges(
+    name: str, values: Iterable[int], ranges: Mapping[int, tuple[int, int]], limit: int
+) -> None:
+    """Check registers of a snapshot; those without a range go from -`limit` to `limit`."""
+    for register, value in enumerate(values):
+        low, high = ranges.get(register, (-limit, limit))
+        if not low <= value <= high:
+            raise ValueError(f"{name}[{register}] = {value}; expected {low} to {high}")
 
 
 @lru_cache(maxsize=1024)

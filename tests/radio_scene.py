@@ -37,7 +37,7 @@ class Place:
         self.prefix, self.robot = f"khepera{robot}/radio/", robot
         self.registers = air.electronics[robot].registers
         self.lamps: Sequence[tuple[float, float, float, float]] = ()
-        self.is_noisy, self.settings = True, settings
+        self.noise, self.settings = 1.0, settings
         self.key = (0x12345678 + robot * 0x9E3779B1 & 0xFFFFFFFF, air.seed)
         self._air = air
 

@@ -7,9 +7,12 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
 
+import pytest
 import serial
 from forked import Forked
 
@@ -22,6 +25,57 @@ LISTS_PORTS = (
     "ports",
 )
 """`khep-twin ports` on a machine without serial ports, whatever is plugged into this one."""
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """Requests that tell a robot's replies to one host from those to another.
+
+    Attributes:
+        playpen: Playpen of the robot.
+        mode: Running mode of a relay to it.
+        version: Reply to B.
+        exchanges: Function from a number to requests and their replies, which differ for neighbours.
+    """
+
+    playpen: str
+    mode: str
+    version: bytes
+    exchanges: Callable[[int], list[tuple[bytes, bytes]]]
+
+
+KHEPERA = Dialect(
+    "default",
+    "1",
+    b"b,5.02,5.01\r\n",
+    lambda number: [(b"G,%d,7\n" % number, b"g\r\n"), (b"H\n", b"h,%d,7\r\n" % number)],
+)
+_LETTERS = b"DHIJLPU"
+"""Commands of a Khepera IV whose reply is their letter; it drops commands that come with another one."""
+
+KHEPERA4 = Dialect(
+    "arena4",
+    "9",
+    b"b,B,0\r\n",
+    lambda number: [(b"%c\n" % _LETTERS[number % 7], b"%c\r\n" % _LETTERS.lower()[number % 7])],
+)
+DIALECTS = KHEPERA, KHEPERA4
+"""Robots of the checks of served lines."""
+
+
+def robots(variable: str, kinds: Sequence[Any]) -> list[Any]:
+    """Return pairs of a kind and a robot for `parametrize`, each robot with each kind.
+
+    The suite runs the first kind with a Khepera and the others with a Khepera IV; a night, which sets the
+    variable, runs all.
+    """
+    is_night = variable in os.environ
+    return [
+        pytest.param(kind, robot, marks=() if is_night or is_suite else pytest.mark.long)
+        for number, kind in enumerate(kinds)
+        for robot in DIALECTS
+        for is_suite in [(robot is KHEPERA) == (number == 0)]
+    ]
 
 
 def served(

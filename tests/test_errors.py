@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from khep_twin import playpen
+from khep_twin import Network, World, playpen, read_log
 from khep_twin.errors import (
     KhepTwinError,
     LogError,
@@ -17,7 +17,7 @@ from khep_twin.errors import (
     StudyError,
 )
 from khep_twin.log.decoding import DecodeError
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Playpen, bitmap_files
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensing.calibration import read
 from khep_twin.sweep.study import load
@@ -70,6 +70,17 @@ def test_a_problem_of_the_whole_playpen_has_fields_too() -> None:
     assert isinstance(surface.expected, tuple)
     assert (lamp.line, lamp.key, lamp.value, lamp.expected) == (15, "x_mm", 700, "0 to 600")
     assert lamp.text == "lamp 1: x_mm = 700: outside the arena; expected 0 to 600"
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, f"{'x/' * 200}y", "a\nb", "a\0b", "a\x1b[31mb", "\ud800"])
+def test_a_name_that_no_file_has_is_refused_in_one_line_of_printable_characters(name: str) -> None:
+    for loader in (Playpen.load, read, load, read_log, Network.load, bitmap_files.read, World):
+        with pytest.raises(KhepTwinError) as caught:
+            loader(name)  # type: ignore[operator]
+        message = str(caught.value)
+        assert message.isprintable()
+        assert len(message) < 700
+        assert caught.value.file == name
 
 
 def test_a_file_that_is_missing_is_a_field() -> None:

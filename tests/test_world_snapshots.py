@@ -12,6 +12,7 @@ from checks.branches import LAMPS, PUSHED, ROBOTS, arena, drive
 from khep_twin.board.fault_injection import Fault, parse_fault
 from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.playpen import Lighting, Playpen
+from khep_twin.simulation.simulation import SimulationState
 from khep_twin.world import World
 
 
@@ -59,6 +60,7 @@ CASES: dict[str, Case] = {
         for seed in range(6)
     },
     "cells that run out": (lambda: arena(battery_used_min=41.06), {}),
+    "half of the noise": (arena, {"noise": 0.5, "unpaced": True}),
 }
 
 
@@ -81,6 +83,21 @@ def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
         outcomes.append((events.samples, restored.snapshot()))
     assert outcomes[0] == outcomes[1] == outcomes[2]
     assert len(outcomes[0][0]) > 100
+
+
+def test_a_snapshot_has_the_scale_of_the_noise_and_one_without_it_is_of_the_calibrated_noise() -> None:
+    world, other = World(arena(), noise=0.5, compiled=False), World(arena(), compiled=False)
+    other.restore(world.snapshot())
+    assert other.simulation.noise == 0.5
+    assert other.snapshot() == world.snapshot()
+    for noise in (True, False):
+        world.reset(noise=noise)
+        state = world.state()
+        previous_format = SimulationState(*state.simulation[:-1])
+        other.set_state(state._replace(simulation=previous_format))
+        assert other.simulation.noise == noise
+    with pytest.raises(ValueError, match=r"^noise = -1; expected True"):
+        World(arena(), noise=-1)
 
 
 def test_another_seed_changes_what_follows_and_nothing_else() -> None:

@@ -28,11 +28,17 @@ class Share(NamedTuple):
     def filled(self, text: str) -> str:
         """Return a text with the values of this share in the place of their names."""
         first, count = (f"{value:.12g}" for value in (self.first, self.count))
-        half, twice = f"{-(-self.count // 2):.0f}", f"{2 * self.count:.0f}"
+        quarter, twice = f"{-(-self.count // 4):.0f}", f"{2 * self.count:.0f}"
         # Far from the seeds of other shares.
         seeds = 1_000_000 * (self.number + 1)
         return text.format(
-            first=first, count=count, half=half, twice=twice, seed=self.number + 1, seeds=seeds, cores=CORES
+            first=first,
+            count=count,
+            quarter=quarter,
+            twice=twice,
+            seed=self.number + 1,
+            seeds=seeds,
+            cores=CORES,
         )
 
 
@@ -167,14 +173,14 @@ PARTS = (
     ),
     Part(
         "reconnects",
-        "hosts that open and close a served line, three others about; half of them over a relay",
+        "hosts at served lines of a Khepera and a Khepera IV, three others about; half of them over a relay",
         "reconnects",
         100_000,
         2_000,
         f"{PYTEST} tests/ports/test_random_hosts.py",
         count_pattern=r"^\.?(\d+) reconnects",
         figures=r"\d+ in doubt.*$",
-        variables="KHEP_OPENINGS={half} KHEP_FIRST={seeds}",
+        variables="KHEP_OPENINGS={quarter} KHEP_FIRST={seeds}",
     ),
     Part(
         "day",
@@ -290,7 +296,7 @@ PARTS = (
         "hosts that leave a network port; the next is served within half a second",
         f"{PYTEST} tests/ports/test_leaving_hosts.py -k stale",
         "KHEP_LEAVINGS=1000",
-        r"\w+: \d+ hosts left; .*$",
+        r"\w+, \w+: \d+ hosts left; .*$",
         alone=True,
     ),
 )

@@ -50,6 +50,19 @@ class Register(IntEnum):
     RESISTIVITY = 7  # 255 for an insulator
 
 
+_ARM_LIMIT = 1024
+"""Limit of the arm's positions beyond its stops, which a collision exceeds: more than a full turn."""
+
+RANGES: dict[int, tuple[int, int]] = {
+    **dict.fromkeys((Register.ARM_TARGET, Register.ARM_POSITION), (-_ARM_LIMIT, _ARM_LIMIT)),
+    Register.ARM_SETPOINT: (-_ARM_LIMIT * FRACTION, _ARM_LIMIT * FRACTION),
+    **dict.fromkeys((Register.FINGER_TARGET, Register.FINGER_POSITION), (0, FINGERS_OPEN)),
+    Register.FINGER_SETPOINT: (0, FINGERS_OPEN * FRACTION),
+    **dict.fromkeys((Register.BARRIER, Register.RESISTIVITY), (0, 255)),
+}
+"""Range of each register."""
+
+
 class GripperElectronics:
     """Electronics of the gripper, a `Turret`.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.gripper import FRACTION, REVISION, VERSION, GripperElectronics, Register
+from khep_twin.board.gripper import FRACTION, RANGES, REVISION, VERSION, GripperElectronics, Register
 from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
@@ -107,5 +107,6 @@ GRIPPER = TurretKind(
     height=BOARD_HEIGHT,
     is_lowest=True,
     names=tuple(register.name.lower() for register in Register),
+    ranges=RANGES,
 )
 """The gripper, as registered under the entry point "khep_twin.turrets"."""

@@ -60,6 +60,16 @@ class K213Register(IntEnum):
 PIXELS = slice(len(K213Register), len(K213Register) + K213_PIXELS)
 """Registers of the pixels, 0 to 255, from left to right."""
 
+RANGES = {
+    K213Register.LIGHT: (0, LIGHT_LIMIT),
+    K213Register.PERIOD: (0, len(K213_PERIODS_MS) - 1),
+    K213Register.SCAN: (0, max(K213_PERIODS_MS) // TICK_MS),
+    K213Register.LEFT: (1, max(K213_PERIODS_MS) // TICK_MS),
+    K213Register.SCANS: (0, 2**62),
+    **dict.fromkeys(range(PIXELS.start, PIXELS.stop), (0, 255)),
+}
+"""Range of each register."""
+
 
 class K213Electronics:
     """Electronics of the K213, a `Turret`.
@@ -122,8 +132,7 @@ class K213Electronics:
     def _start_scan(self) -> None:
         """Start a scan."""
         view = self._register_view
-        # A snapshot from outside may hold any number.
-        fixed_ms = K213_PERIODS_MS[view[K213Register.PERIOD] % len(K213_PERIODS_MS)]
+        fixed_ms = K213_PERIODS_MS[view[K213Register.PERIOD]]
         period_ms = fixed_ms or min(max(view[K213Register.LIGHT], SHORTEST_MS), LONGEST_MS)
         view[K213Register.SCAN] = view[K213Register.LEFT] = (period_ms + TICK_MS // 2) // TICK_MS
 

@@ -79,6 +79,17 @@ NAMES = (
 )
 """Names of the registers."""
 
+_FLAG = 0, 1
+_CONTENT = (0, RADIO_BYTES), *[(0, 255)] * RADIO_BYTES
+
+_RANGES = (
+    *(_FLAG, (0, max(RadioPhase)), (0, 2**62), (0, TRANSMISSIONS), _FLAG, (0, 2**32 - 1)),
+    *(_FLAG, _FLAG, (0, CAPACITY), (RADIO_ALL, NUMBER_LIMIT), *_CONTENT),
+    *((0, 2**31), *_CONTENT) * CAPACITY,  # from robots of any number
+)
+RANGES = dict(enumerate(_RANGES))
+"""Range of each register."""
+
 
 class RadioElectronics:
     """Electronics of the radio turret, a `Turret`.

@@ -89,8 +89,8 @@ class TurretContext(Protocol):
         ...
 
     @property
-    def is_noisy(self) -> bool:
-        """True if sensors are noisy."""
+    def noise(self) -> float:
+        """Scale of the sensors' noise; 0 without noise."""
         ...
 
     @property
@@ -135,6 +135,8 @@ class TurretKind:
         reach: Radius around the robot's centre that it covers at the start [m].
         names: Names of its registers, for tables; empty for numbers.
         image: Registers of a line image, from left to right, greys of 0 to 255; None without.
+        ranges: Smallest and largest value of each register that a snapshot may hold; any value of 64 bits for
+            registers without a range.
         height: Height by which it raises turrets on top of it [m]; None if no turret fits there.
         is_lowest: True if it fits only directly on the robot, such as an arm that reaches the floor.
     """
@@ -149,6 +151,7 @@ class TurretKind:
     reach: float = 0.0
     names: tuple[str, ...] = ()
     image: slice | None = field(default=None, hash=False)
+    ranges: Mapping[int, tuple[int, int]] = field(default_factory=dict[int, tuple[int, int]], hash=False)
     height: float | None = 0.0
     is_lowest: bool = False
 

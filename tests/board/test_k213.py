@@ -92,18 +92,6 @@ def test_a_fixed_period_begins_with_its_order(k213: K213Electronics, period: int
     assert [ticks_of_a_scan(k213) for _ in range(2)] == [ticks, ticks]
 
 
-@pytest.mark.parametrize("value", [-(2**63), -1, 8, 2**63 - 1])
-def test_any_numbers_of_a_snapshot_are_borne(k213: K213Electronics, value: int) -> None:
-    k213.registers[:] = value
-    for _ in range(3):
-        k213.registers[K213Register.LEFT] = 1
-        k213.registers[K213Register.SCANS] = 0
-        k213.tick()
-    assert 0 < k213.registers[K213Register.LEFT] <= 500
-    for order in (b"N", b"M", b"L", b"O", b"Q,0"):
-        assert k213.receive(order).startswith(b"t,2,")
-
-
 def test_a_reset_scans_by_the_light_again_and_keeps_the_image(k213: K213Electronics) -> None:
     k213.receive(b"U,7")
     k213.reset()

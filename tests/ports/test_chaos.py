@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import pytest
 import serial
 from forked import Forked
-from served_twin import ask, exchange, served, stop
+from served_twin import KHEPERA, KHEPERA4, Dialect, ask, exchange, robots, served, stop
 from shares import share
 
 CONNECTS = int(os.environ.get("KHEP_OPENINGS", "60"))
@@ -25,10 +25,11 @@ def killed(path: str, rubbish: str) -> None:
     assert subprocess.run(["/bin/sh", "-c", script], check=False).returncode == -signal.SIGKILL
 
 
-def test_no_connect_of_many_gets_a_wrong_or_stale_reply() -> None:
-    with served("default", "--unpaced") as (process, path):
+@pytest.mark.parametrize(("option", "robot"), robots("KHEP_OPENINGS", ["--unpaced"]))
+def test_no_connect_of_many_gets_a_wrong_or_stale_reply(option: str, robot: Dialect) -> None:
+    with served(robot.playpen, option) as (process, path):
         folder = f"/proc/{process.pid}/fd"
-        exchange(path, b"B\n", b"b,5.02,5.01\r\n")
+        exchange(path, b"B\n", robot.version)
         time.sleep(0.2)
         before = len(os.listdir(folder))
         wrong = []
@@ -36,8 +37,8 @@ def test_no_connect_of_many_gets_a_wrong_or_stale_reply() -> None:
             if number % 5 == 4:
                 killed(path, "N\\nN\\nC,12" if number % 2 else "G,9")
             else:
-                expected = b"g\r\nh,%d,7\r\n" % number
-                reply = exchange(path, b"G,%d,7\nH\n" % number, expected)
+                requests, expected = (b"".join(lines) for lines in zip(*robot.exchanges(number), strict=True))
+                reply = exchange(path, requests, expected)
                 if reply != expected:
                     wrong.append((number, reply))
             time.sleep(PAUSE)
@@ -122,13 +123,20 @@ WITHOUT_INOTIFY = (
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(["-m", "khep_twin"], id="inotify"),
-        pytest.param(["-c", WITHOUT_INOTIFY], id="hang-ups", marks=pytest.mark.long),
+        pytest.param((["-m", "khep_twin"], KHEPERA), id="inotify"),
+        pytest.param((["-c", WITHOUT_INOTIFY], KHEPERA), id="hang-ups", marks=pytest.mark.long),
+        pytest.param(
+            (["-m", "khep_twin"], KHEPERA4),
+            id="khepera4",
+            marks=() if "KHEP_RUBBISH_SECONDS" in os.environ else pytest.mark.long,
+        ),
     ],
 )
-def path(request: pytest.FixtureRequest) -> Iterator[str]:
-    with served("default", program=request.param) as (_, path):
-        yield path
+def line(request: pytest.FixtureRequest) -> Iterator[tuple[str, Dialect]]:
+    """Return the path of a served robot, and its dialect."""
+    program, robot = request.param
+    with served(robot.playpen, program=program) as (_, path):
+        yield path, robot
 
 
 @pytest.mark.parametrize(
@@ -136,11 +144,14 @@ def path(request: pytest.FixtureRequest) -> Iterator[str]:
     share([leave_cooked, leave_exclusive, two_at_once, flow_control, wrong_speed, rubbish, never_reads], 2),
     ids=lambda misdeed: misdeed.__name__,
 )
-def test_a_second_later_the_next_host_gets_its_first_reply(path: str, misdeed: Callable[[str], None]) -> None:
+def test_a_second_later_the_next_host_gets_its_first_reply(
+    line: tuple[str, Dialect], misdeed: Callable[[str], None]
+) -> None:
+    path, robot = line
     misdeed(path)
     time.sleep(0.9)
     with serial.Serial(path, 9600, stopbits=2, timeout=0.5) as port:
-        assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == robot.version
         assert ask(port, b"E\n").startswith(b"e,")
 
 

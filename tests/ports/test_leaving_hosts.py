@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 
 import pytest
-from served_twin import all_of, connected, served, stop
+from served_twin import Dialect, all_of, connected, robots, served, stop
 
 LEAVINGS = int(os.environ.get("KHEP_LEAVINGS", "25"))
 MOST_S = 0.5 if "KHEP_LEAVINGS" in os.environ else 10.0
@@ -100,37 +100,37 @@ DEEDS = [fall_silent, ask, begin_a_line, negotiate, negotiate_wrongly, flood_a_l
 LEAVES = [close, close, reset, reset, finish, die]
 
 
-def served_next(url: str, greeting: bytes, number: int) -> tuple[float, bytes]:
+def served_next(url: str, requests: bytes, expected: bytes) -> tuple[float, bytes]:
     """Return the time [s] that the next host waits for its replies, and all bytes that it gets."""
-    start = time.monotonic()
-    expected, replies = greeting + b"g\r\nh,%d,7\r\n" % number, b""
+    start, replies = time.monotonic(), b""
     with connected(url) as host:
-        host.sendall(b"G,%d,7\nH\n" % number)
+        host.sendall(requests)
         while len(replies) < len(expected) and (chunk := host.recv(1000)):
             replies += chunk
     return time.monotonic() - start, replies
 
 
-@pytest.mark.parametrize("kind", ["--tcp", "--rfc2217"])
-def test_the_host_after_one_that_left_is_served_at_once_with_no_stale_byte(kind: str) -> None:
+@pytest.mark.parametrize(("kind", "robot"), robots("KHEP_LEAVINGS", ["--tcp", "--rfc2217"]))
+def test_the_host_after_one_that_left_is_served_at_once_with_no_stale_byte(kind: str, robot: Dialect) -> None:
     rng = random.Random(5)
     times: list[float] = []
-    with served("default", kind, "127.0.0.1:0") as (process, url):
+    with served(robot.playpen, kind, "127.0.0.1:0") as (process, url):
         for count in range(LEAVINGS):
+            requests, expected = (b"".join(lines) for lines in zip(*robot.exchanges(count), strict=True))
             deed, leave = rng.choice(DEEDS), rng.choice(LEAVES)
             with connected(url) as first:
                 deed(first, rng)
                 leave(first)
                 time.sleep(rng.choice([0, 0, 0.0005, 0.005, 0.03]))
-                waited, replies = served_next(url, GREETING[kind], count)
+                waited, replies = served_next(url, requests, GREETING[kind] + expected)
             named = (count, deed.__name__, leave.__name__)
-            assert replies == GREETING[kind] + b"g\r\nh,%d,7\r\n" % count, (named, replies)
+            assert replies == GREETING[kind] + expected, (named, replies)
             assert waited < MOST_S, (named, waited)
             times.append(waited)
         code, errors = stop(process)
     assert code == 0
     assert "Traceback" not in errors
-    print(f"{kind}: {LEAVINGS} hosts left; the next waited {max(times):.3f} s at most")
+    print(f"{kind}, {robot.playpen}: {LEAVINGS} hosts left; the next waited {max(times):.3f} s at most")
 
 
 @pytest.mark.parametrize(

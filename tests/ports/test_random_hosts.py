@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 from forked import Forked
-from served_twin import answer, served, stop
+from served_twin import KHEPERA, Dialect, answer, robots, served, stop
 
 from khep_twin.ports.port_users import count_descriptors
 
@@ -121,14 +121,16 @@ def picocom(path: str) -> None:
 TOOLS = [stty, shell_and_stty, cat_and_printf, socat, picocom]
 
 
-@pytest.mark.parametrize("relayed", [False, True], ids=["twin", "relay"])
-def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relayed: bool) -> None:
+@pytest.mark.parametrize(("relayed", "robot"), robots("KHEP_OPENINGS", [False, True]))
+def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(
+    relayed: bool, robot: Dialect
+) -> None:
     rng = random.Random(SEED)
     tools = [tool for tool in TOOLS if shutil.which(tool.__name__.split("_")[0]) or tool is shell_and_stty]
     with ExitStack() as stack:
-        process, path = stack.enter_context(served("default", "--unpaced"))
+        process, path = stack.enter_context(served(robot.playpen, "--unpaced"))
         if relayed:
-            process, path = stack.enter_context(served("--relay", path))
+            process, path = stack.enter_context(served("--relay", path, "--mode", robot.mode))
         processes = stack.enter_context(bystanders(path, 3))
         wrong = []
         for number in range(OPENINGS):
@@ -150,12 +152,9 @@ def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relay
                             bystander.tell("open")
                     if rng.random() < 0.3:
                         os.close(os.open(path, os.O_RDWR | os.O_NOCTTY))
-                    position = 3 * number + turn
-                    replies = [
-                        answer(host, b"G,%d,7\n" % position, b"g\r\n", TIMEOUT_S),
-                        answer(host, b"H\n", b"h,%d,7\r\n" % position, TIMEOUT_S),
-                    ]
-                    if replies != [b"g\r\n", b"h,%d,7\r\n" % position]:
+                    exchanges = robot.exchanges(3 * number + turn)
+                    replies = [answer(host, *exchange, TIMEOUT_S) for exchange in exchanges]
+                    if replies != [reply for _, reply in exchanges]:
                         wrong.append((number, turn, replies))
                         while select.select([host], [], [], 1)[0]:
                             os.read(host, 4096)
@@ -169,7 +168,7 @@ def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relay
                 while any(bystander.n_held for bystander in processes):
                     next(bystander for bystander in processes if bystander.n_held).tell("close")
                 time.sleep(0.05)
-                rng.choice(tools)(path)
+                rng.choice(tools if robot is KHEPERA else tools[:1])(path)
         _, errors = stop(process)
     # The server cannot separate bytes of two hosts that open and close while it sleeps, but reports it.
     assert len(wrong) <= errors.count("came in the moment"), (wrong, errors)

@@ -46,9 +46,9 @@ def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
             camera, eye = camera_of(scene, robot), eye_of(scene.data, body._eye_camera)
             plain, compiled = np.zeros(64, np.int64), np.zeros(64, np.int64)
             arguments = body._context.lamps, 300.0, 50 * (step % 3), body._context.key, step
-            light = camera.take(eye, plain, *arguments, noisy=noise)
+            light = camera.take(eye, plain, *arguments, noise=noise)
             camera._compiled = capture
-            assert camera.take(eye, compiled, *arguments, noisy=noise, compiled=True) == light
+            assert camera.take(eye, compiled, *arguments, noise=noise, compiled=True) == light
             camera._compiled = None
             assert compiled.tolist() == plain.tolist()
             assert len(set(plain.tolist())) > 5
