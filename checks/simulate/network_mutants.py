@@ -12,7 +12,9 @@ from khep_twin.board.protocol import reply
 from khep_twin.errors import PortTimeout
 from khep_twin.host import commands
 from khep_twin.host.commands import HostCommand
-from khep_twin.host.line import Line
+from khep_twin.host.final_stop import FinalStop
+from khep_twin.host.resynchronization import Resynchronization
+from khep_twin.host.robot_port import RobotPort
 from khep_twin.ports import network, network_host
 from khep_twin.ports.network_host import NetworkHost
 
@@ -23,9 +25,9 @@ def _set_position_again(left: int, right: int) -> HostCommand[None]:
     return replace(_set_position(left, right), repeatable=True)
 
 
-def _resynchronize_early(line: Line) -> list[str]:
+def _resynchronize_early(resynchronization: Resynchronization, end: float = 0.0) -> list[str]:
     """Ask again without waiting for replies that may still come."""
-    line._unanswered_letters.clear()
+    resynchronization.unanswered_letters.clear()
     return []
 
 
@@ -68,15 +70,15 @@ def _drive_one_wheel(robot: firmware.Firmware, left: int, _: int) -> bytes:
 
 
 MUTANTS: dict[str, Mutant] = {
-    "leaving does not stop the motors": Mutant("tcp", "motors", replaced(Line, _stop=nothing)),
+    "leaving does not stop the motors": Mutant("tcp", "motors", replaced(FinalStop, stop=nothing)),
     "a host ended from outside does not stop the motors": Mutant(
-        "tcp", "motors", replaced(Line, _stop_at_exit=nothing)
+        "tcp", "motors", replaced(FinalStop, stop_at_exit=nothing)
     ),
     "a command that sets counters is repeated": Mutant(
         "lockstep", "counters", replaced(commands, set_position=_set_position_again)
     ),
     "an old reply is taken for a new one": Mutant(
-        "lockstep", "replies", replaced(Line, _resynchronize=_resynchronize_early)
+        "lockstep", "replies", replaced(Resynchronization, resynchronize=_resynchronize_early)
     ),
     "left and right are swapped": Mutant(
         "lockstep", "replies", replaced(commands, position=_swapped_position)
@@ -84,7 +86,10 @@ MUTANTS: dict[str, Mutant] = {
     "an error does not name its port": Mutant(
         "tcp",
         "errors",
-        replaced(Line, _timeout_error=lambda line, request, data: PortTimeout(f"no reply to {request!r}")),
+        replaced(
+            RobotPort,
+            timeout_error=lambda port, request, line, start: PortTimeout(f"no reply to {request!r}"),
+        ),
     ),
     "a refused host's bytes are taken": Mutant(
         "tcp", "replies", replaced(network.TcpPort, _accept=_accept_refused_bytes)

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
-import khep_twin.host.line
+import khep_twin.host.final_stop
 from checks.simulate.hosts import Session, ending
 from checks.simulate.kernel import NS_PER_S, Process
 from checks.simulate.network_mutants import MUTANTS as MUTANTS
@@ -284,7 +284,7 @@ def visit(site: Site, seconds: float) -> None:
         clears.append(clear)
         return lambda: clears.remove(clear) if clear in clears else None
 
-    with patch.object(khep_twin.host.line, "register_cleanup", register_cleanup):
+    with patch.object(khep_twin.host.final_stop, "register_cleanup", register_cleanup):
         for name in ("hosts", "rogues", "watch"):
             simulation.spawn(name, getattr(site, name), NS_PER_S // 10)
         simulation.run(seconds)

@@ -21,7 +21,9 @@ With `planar=True` a 2-D model replaces MuJoCo, and runs many times faster.
 # Gymnasium's spaces are only partly typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,24 +45,33 @@ try:
     import gymnasium
     from gymnasium.envs.registration import EnvSpec
     from gymnasium.spaces import Box, Space
-    from gymnasium.vector import VectorEnv
 except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
 
 if TYPE_CHECKING:
     from khep_twin.drawing.window import PictureWindow
 
+Options = ParamSpec("Options")
+Environment = TypeVar("Environment")
+
 RENDER_MODES = ("human", "rgb_array")
 
 
-def make(id: str | EnvSpec, *arguments: Any, **options: Any) -> gymnasium.Env[Any, Any]:
-    """Return an environment as `gymnasium.make` does; a new time replaces the limit of a spec."""
-    return gymnasium.make(remove_stale_limit(id, options), *arguments, **options)
+def _replace_limit(
+    function: Callable[Concatenate[str | EnvSpec, Options], Environment],
+) -> Callable[Concatenate[str | EnvSpec, Options], Environment]:
+    """Return `gymnasium.make` or `make_vec`, in which a new time replaces the limit of a spec."""
+
+    @wraps(function)
+    def make_environment(
+        id: str | EnvSpec, *arguments: Options.args, **options: Options.kwargs
+    ) -> Environment:
+        return function(remove_stale_limit(id, options), *arguments, **options)
+
+    return make_environment
 
 
-def make_vec(id: str | EnvSpec, *arguments: Any, **options: Any) -> VectorEnv[Any, Any, Any]:
-    """Return a vector environment as `gymnasium.make_vec` does; a new time replaces the limit of a spec."""
-    return gymnasium.make_vec(remove_stale_limit(id, options), *arguments, **options)
+make, make_vec = _replace_limit(gymnasium.make), _replace_limit(gymnasium.make_vec)
 
 
 def spaces(setup: TaskSetup) -> tuple[Space[Any], Space[Any]]:

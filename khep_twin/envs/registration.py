@@ -12,7 +12,10 @@ from collections.abc import Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gymnasium.envs.registration import EnvSpec
 
 KHEPERA_4_TASKS = ("KheperaIVObstacleAvoidance", "KheperaIVLineFollowing")
 """Tasks of `khepera4.TASKS`, which needs Gymnasium."""
@@ -66,7 +69,7 @@ class TimeLimitedSpec:
         self._spec = None if spec is None else dataclasses.replace(spec, **limit)
 
 
-def remove_stale_limit(spec: Any, options: Mapping[str, Any]) -> Any:
+def remove_stale_limit(spec: "str | EnvSpec", options: Mapping[str, object]) -> "str | EnvSpec":
     """Return a spec of a task without its limit in steps if options change the time; an id unchanged.
 
     Gymnasium would end the episodes of the new environment at the limit of the previous one.

@@ -47,7 +47,7 @@ class HostRobot:
             self._line = Line(url, timeout, baudrate, retries, dialect)
         except PortError as error:
             raise error.with_traceback(None) from None  # a short traceback: it ends at this line
-        self.name: str = self._line.name
+        self.name: str = self._line.port.name
 
     def __enter__(self) -> Self:
         return self
@@ -86,7 +86,7 @@ class HostRobot:
     @property
     def port(self) -> serial.Serial:
         """Port of pyserial."""
-        return self._line.port
+        return self._line.port.serial_port
 
     def listen(self, listener: Callable[[str, str], None] | None) -> Callable[[str, str], None] | None:
         """Call `listener` with each later request and its reply; None for no listener.
@@ -100,12 +100,12 @@ class HostRobot:
     @property
     def time(self) -> float:
         """Time of the port [s]: simulated on khep://, otherwise of the wall clock, times a server's speed."""
-        return self._line.time
+        return self._line.port.time
 
     @property
     def clock_speed(self) -> float:
         """Simulated seconds per second of a server's wall time, as in `ServedPort`; 1 for a robot."""
-        return self._line.clock_speed
+        return self._line.port.clock_speed
 
     @property
     def line_times(self) -> LineTimes:
@@ -118,7 +118,7 @@ class HostRobot:
         Raises:
             PortError: The robot's time does not pass while the host waits, or at an unknown speed.
         """
-        self._line.check_clock(subject)
+        self._line.port.check_clock(subject)
 
     def check_model(self) -> None:
         """Refuse a robot of another kind, by its reply to B.

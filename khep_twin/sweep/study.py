@@ -212,7 +212,7 @@ class Study(TomlTable):
         return self
 
     def _find_problems(self) -> Iterator[Problem]:
-        for key in _STUDY_PARAMETERS & self.model_fields_set:
+        for key in sorted(_STUDY_PARAMETERS & self.model_fields_set):
             if getattr(self.grid, key) is not None:
                 yield Problem.of(("grid", key), f"grid: {key}: is a key of the study, too", "one of them")
         for step_ms in self.values("step_ms"):

@@ -11,7 +11,7 @@ from served_twin import served
 
 from khep_twin.episodes.controllers import Network
 from khep_twin.errors import PortError
-from khep_twin.host import Khepera, Radio, line
+from khep_twin.host import Khepera, Radio, robot_port
 from khep_twin.lab.experiment import run
 from khep_twin.lab.experiment.periodic_controllers import NetworkController
 from stand_ins.fake_robot import FakeRobot
@@ -47,7 +47,7 @@ def test_a_wait_at_a_server_whose_clock_does_not_pass_with_it_is_refused(
     speed: float, option: str, fake: FakeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     message = f" at a server with {option}, where waits have no .*expected khep://"
-    monkeypatch.setattr(line, "served_speed", lambda _: speed)
+    monkeypatch.setattr(robot_port, "served_speed", lambda _: speed)
     with Khepera(fake.url) as robot:
         for wait in WAITS:
             with pytest.raises(PortError, match=message):
@@ -61,12 +61,12 @@ def test_a_wait_is_in_simulated_time_at_each_speed(
     speed: float, fake: FakeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits: list[float] = []
-    monkeypatch.setattr(line, "served_speed", lambda _: speed)
+    monkeypatch.setattr(robot_port, "served_speed", lambda _: speed)
     with Khepera(fake.url) as robot:
-        monkeypatch.setattr(line.time, "sleep", waits.append)
+        monkeypatch.setattr(robot_port.time, "sleep", waits.append)
         robot.sleep(1.0)
         assert waits == [1 / speed]
-        monkeypatch.setattr(line.time, "monotonic_ns", lambda: 3_000_000_000)
+        monkeypatch.setattr(robot_port.time, "monotonic_ns", lambda: 3_000_000_000)
         assert robot.time == 3 * speed
         monkeypatch.undo()
 
@@ -74,7 +74,7 @@ def test_a_wait_is_in_simulated_time_at_each_speed(
 def test_a_host_at_a_slow_server_waits_longer_for_replies(
     fake: FakeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(line, "served_speed", lambda _: 0.25)
+    monkeypatch.setattr(robot_port, "served_speed", lambda _: 0.25)
     with Khepera(fake.url) as robot:
         assert robot.port.timeout == 2.0
 

@@ -29,6 +29,16 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
     return studies.load(file)
 
 
+def test_keys_of_a_study_that_are_also_in_its_grid_are_reported_in_order(tmp_path: Path) -> None:
+    keys = "line_baud", "period_ms", "seconds", "step_ms"
+    text = STUDY.replace("step_ms", "line_baud = 0\nperiod_ms = 20\nstep_ms")
+    with pytest.raises(StudyError) as caught:
+        loaded(
+            tmp_path, text + "[grid]\nline_baud = [0]\nperiod_ms = [20]\nseconds = [0.2]\nstep_ms = [10]\n"
+        )
+    assert tuple(problem.location[-1] for problem in caught.value.problems) == keys
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -71,7 +71,6 @@ def run(
     controller = as_controller(controller)
     should_stop = stop or (lambda: False)
     start = previous_time = robot.time
-    start_times = robot.line_times
     n_cycles, completed = 0, 0.0
 
     def end_cycle() -> bool:
@@ -94,6 +93,7 @@ def run(
 
     try:
         call(controller.start, robot)
+        first_cycle, start_times = robot.time, robot.line_times
         if isinstance(controller, LoopingController):
             if cycles is None or seconds is not None:
                 raise ControllerError(
@@ -106,7 +106,7 @@ def run(
             while is_running:
                 call(controller.cycle, robot)
                 is_running = end_cycle()
-        duration, times = robot.time - start, robot.line_times
+        end, times = robot.time, robot.line_times
         robot.set_speed(0, 0)
         call(controller.end, robot)
     except BaseException:
@@ -116,6 +116,6 @@ def run(
         raise
     period = controller.period if isinstance(controller, PeriodicController) else 0.0
     line_time, byte_time = times.exchanges - start_times.exchanges, times.bytes - start_times.bytes
-    cycle_time = (duration if period else line_time) / max(n_cycles, 1)
+    cycle_time = (end - first_cycle if period else line_time) / max(n_cycles, 1)
     expected_cycle_time = max(period, byte_time / max(n_cycles, 1))
-    return Outcome(n_cycles, duration, completed >= 1, cycle_time, expected_cycle_time)
+    return Outcome(n_cycles, end - start, completed >= 1, cycle_time, expected_cycle_time)

@@ -13,7 +13,9 @@ from mcap.writer import Writer
 from shares import share
 
 from checks.recordings import Relay, findings, tour
+from khep_twin.interventions.move_robot import place_robot
 from khep_twin.lab.conformance.recording.conform import CheckedRobot, conform_recording
+from khep_twin.lab.conformance.recording.recorded_line import recorded_lines
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.log.channels import Level, LineFrame, TextLine
 from khep_twin.log.decoding import read_line
@@ -361,3 +363,16 @@ def test_the_messages_of_a_k213_are_known_also_to_who_only_hears_them(tmp_path: 
         assert failed(checked(path)) == []
     worse = changed(log, tmp_path / "worse.mcap", replies(r"^t,2,q,\d+", "t,2,q"))
     assert failed(checked(worse)) == ["a turret answers under its number, an absent one is refused"]
+
+
+def test_a_move_resets_the_modelled_board_only_if_it_reset_the_robot(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with open_twin("default", TwinOptions(log=str(path))) as twin:
+        for command, reset in ((b"G,100,200\n", None), (b"H\n", False), (b"H\n", True), (b"H\n", None)):
+            twin.robot.send(command)
+            twin.advance_to(twin.world.time_ns + 100 * MS)
+            if reset is not None:
+                place_robot(twin.world, 0, 300, 300, 0, reset=reset)
+    (line,) = recorded_lines(path)
+    replies = [(step.exchange.reply, step.expected.strip()) for step in line.steps]
+    assert replies == [(reply, reply) for reply in (b"g", b"h,100,200", b"h,100,200", b"h,0,0")]

@@ -178,6 +178,20 @@ class Still(PeriodicController):
         return 0.0, 0.0
 
 
+class LateStart(Still):
+    """Controller that waits before its first cycle."""
+
+    def start(self, robot: Khepera) -> None:
+        robot.sleep(1.0)
+
+
+def test_the_time_of_cycles_excludes_the_start_of_the_controller() -> None:
+    with Khepera(LatePort(1_000_000)) as robot:
+        outcome = run(LateStart(40_000_000), robot, cycles=2)
+        assert outcome.cycle_time == pytest.approx(0.04)
+        assert outcome.duration == pytest.approx(1.08)
+
+
 def test_a_run_has_the_time_of_its_cycles_and_the_expected_one() -> None:
     """The cycle of a busy machine, by a port whose fake clock adds to each reply."""
     port = LatePort(45_000_000)

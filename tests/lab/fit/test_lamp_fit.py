@@ -1,6 +1,7 @@
 """Readings of lamps: the model against the sampled robot and against a scene, and its fit."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from scenes import arena, robot, table
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.errors import FitError
+from khep_twin.lab.fit import lamp_fit
 from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
+from khep_twin.lab.fit.least_squares import Parameter
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Readings, Ruler
 from khep_twin.sensing import calibration
 from khep_twin.units import SENSOR_HEIGHT
@@ -83,6 +86,7 @@ HIDDEN = KHEPERA1.ambient.model_copy(
         "heading_deg": (90.0, 50.0, 8.0, -9.0, -48.0, -91.0, 176.0, -177.0),
         "lobe_exponent": (2.0, 1.8, 1.5, 2.2, 2.4, 2.6, 1.9, 2.1),
         "dark_counts": 470.0,
+        "floor_counts": 90.0,
         "diffuse": 0.1,
     }
 )
@@ -110,9 +114,26 @@ def test_hidden_receivers_are_found_from_two_turns() -> None:
     np.testing.assert_allclose((differences + 180) % 360 - 180, 0, atol=1.5)
     np.testing.assert_allclose(fit.ambient.lobe_exponent, HIDDEN.lobe_exponent, atol=0.2)
     assert fit.ambient.dark_counts == pytest.approx(470, abs=1)
+    assert fit.ambient.floor_counts == pytest.approx(90, abs=1)
     assert fit.ambient.diffuse == pytest.approx(0.1, abs=0.02)
     assert fit.rms == pytest.approx(5, abs=0.5)
     assert max(fit.gain_intervals) < 0.04
+
+
+@pytest.mark.parametrize(("distances", "is_fitted"), [((0.07, 0.15), True), ((0.15, 0.25), False)])
+def test_the_level_of_the_brightest_light_is_fitted_only_to_saturated_readings(
+    distances: tuple[float, ...], is_fitted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names: list[str] = []
+
+    def note_names(_: object, parameters: Sequence[Parameter], *__: object, **___: object) -> None:
+        names.extend(parameter.name for parameter in parameters)
+        raise FitError("noted")
+
+    monkeypatch.setattr(lamp_fit, "least_squares", note_names)
+    with pytest.raises(FitError, match="noted"):
+        fit_lamps(recorded(*distances), KHEPERA1)
+    assert ("level of the brightest light" in names) == is_fitted
 
 
 def test_readings_in_the_dark_are_refused_by_receiver() -> None:

@@ -1,6 +1,8 @@
 """Fit of a robot from recorded tests: a hidden twin's values are recovered, undetermined ones refused."""
 
 import math
+import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.host import Khepera
-from khep_twin.lab.fit.fit_inputs import SensorData, fit_inputs
+from khep_twin.lab.fit.fit_inputs import FASTEST_TURN, SensorData, fit_inputs
 from khep_twin.lab.fit.lamp_fit import LampPositions
 from khep_twin.lab.fit.motor_fit import read_drive
 from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels
@@ -275,3 +277,34 @@ def test_a_drive_that_is_not_what_was_measured_is_refused(
     wrong = Drive("wrong", left, right, measured_mm and measured_mm / 1e3, turned)
     with pytest.raises(FitError, match=f"wrong: the counters went on by {left} left and {right} right"):
         fit_wheels([wrong])
+
+
+def test_in_a_drive_along_an_arc_the_poses_are_on_the_arc() -> None:
+    wheels, steps = KHEPERA1.wheels, np.arange(7)
+    dv = np.zeros((7, 10), np.int64)
+    dv[:, 0], dv[:, 1] = 100 * steps, 200 * steps
+    run = SensorRun(SensorTest(linear_cm=5), dv, np.full(7, np.nan))
+    x, y, heading = SensorData("arc", run, 0.03).readings(wheels).placement.poses.T
+    radius = 1.5 * wheels.base_mm / 1e3  # of wheels at the ratio 1 : 2
+    assert heading[-1] > 0.5
+    np.testing.assert_allclose(x, radius * np.sin(heading), rtol=2e-3)
+    np.testing.assert_allclose(y, radius * (1 - np.cos(heading)), rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("test", "reason"),
+    [
+        (SensorTest(rotate_deg=90, speed=None), "turned at an unknown speed"),
+        (SensorTest(rotate_deg=90, speed=FASTEST_TURN + 1), f"turned at speed {FASTEST_TURN + 1}"),
+        (SensorTest(rotate_deg=90, speed=FASTEST_TURN), ""),
+        (SensorTest(linear_cm=5, speed=None), ""),
+        (SensorTest(linear_cm=5, speed=FASTEST_TURN + 1), ""),
+    ],
+)
+def test_only_turns_at_a_known_and_low_speed_determine_sensors(
+    test: SensorTest, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = SensorRun(test, np.zeros((3, 10), np.int64), np.arange(3) * 1e6)
+    monkeypatch.setattr(sys.modules[SensorData.__module__], "load", lambda *_: run)
+    with pytest.raises(FitError, match=reason) if reason else nullcontext():
+        assert len(fit_inputs(["test.csv=wall@20mm"]).objects) == 1
