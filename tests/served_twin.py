@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
 
 import pytest
 import serial
@@ -63,7 +62,7 @@ DIALECTS = KHEPERA, KHEPERA4
 """Robots of the checks of served lines."""
 
 
-def robots(variable: str, kinds: Sequence[Any]) -> list[Any]:
+def robots(variable: str, kinds: Sequence[object]) -> list[object]:
     """Return pairs of a kind and a robot for `parametrize`, each robot with each kind.
 
     The suite runs the first kind with a Khepera and the others with a Khepera IV; a night, which sets the

@@ -37,7 +37,17 @@ PROGRAMS = {
 }
 """Pages whose Python blocks another test runs, and compares."""
 
-LONG = {"branch", "datasets", "drawing", "logs", "report", "sense", "twin"}
+LONG = {
+    "branch",
+    "datasets",
+    "drawing",
+    "evolve_train_drive",
+    "experiments",
+    "logs",
+    "report",
+    "sense",
+    "twin",
+}
 """Pages that take long: the suite looks at their commands and imports alone."""
 
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -10,8 +10,10 @@ import fcntl
 import os
 import select
 import signal
+import socket
 import stat
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -64,6 +66,9 @@ MISSING_NAMES = {
     "sys": set[str](),
 }
 
+File = int | socket.socket
+Files = Sequence[File]
+
 _real_import = builtins.__import__
 
 
@@ -84,7 +89,7 @@ class _Module(ModuleType):
         setattr(vars(self)["_module"], name, value)
 
 
-def _open(path: Any, flags: int, mode: int = 0o777) -> int:
+def _open(path: str | os.PathLike[str], flags: int, mode: int = 0o777) -> int:
     if os.path.isdir(path):
         raise PermissionError(errno.EACCES, "Permission denied", str(path))
     return os.open(path, flags, mode)
@@ -96,7 +101,9 @@ def _fsync(file: int) -> None:
     os.fsync(file)
 
 
-def _select(readers: Any, writers: Any, exceptional: Any, timeout: float | None = None) -> Any:
+def _select(
+    readers: Files, writers: Files, exceptional: Files, timeout: float | None = None
+) -> tuple[Files, Files, Files]:
     files = [*readers, *writers, *exceptional]
     if not files:
         raise OSError(10022, "An invalid argument was supplied")
@@ -145,7 +152,7 @@ def _open_paths() -> set[str]:
         return paths.union(line.split(maxsplit=5)[5].rstrip() for line in maps if line.count("/"))
 
 
-def _refuse(path: Any, folder: int) -> None:
+def _refuse(path: str | bytes | os.PathLike[str], folder: int) -> None:
     """Raise a `PermissionError` if a file, or one below a folder, is open."""
     start = "" if folder < 0 else os.readlink(f"/proc/self/fd/{folder}")
     path = os.path.realpath(os.path.join(start, os.fsdecode(path)))

@@ -48,7 +48,7 @@ def compiler_flags() -> list[str]:
     unsigned. No option has a character that a shell treats specially, as a shell splits the options.
 
     Raises:
-        KhepTwinError: No such path of the headers can be made.
+        KhepTwinError: No path of the headers is free of these characters.
     """
     flags = ["-fcommon", "-funsigned-char", "-fno-pie", "-no-pie", "-idirafter"]
     headers = SOURCES / "include"

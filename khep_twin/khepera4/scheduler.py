@@ -20,6 +20,8 @@ is a word of a program's memory on which threads wait for each other; they queue
               | socket until a time-out                               | time passes with the wall clock
     begin     | external waits of more than `SHORT_WAIT_S` count once | a wait for the kernel is short, and
               | they have lasted `EXTERNAL_WAIT_S` in all             | does not count
+    between   | an external wait follows another that counted: it     | programs work between their waits for
+              | also counts the time since, less what has passed      | the network, and stay in real time
     busy      | a thread computes or writes, and none requests, for   | it may never end: time passes with the
               | `BUSY_S`                                              | wall clock
 """
@@ -121,6 +123,7 @@ class Scheduler:
     def __post_init__(self) -> None:
         self._wall_wait: tuple[bool, int] | None = None  # whether it is external, and its limit [ns]
         self._wait_start_s = self._counted_s = 0.0  # its start, and until when it was counted [s]
+        self._last_count = 0.0, 0  # wall clock [s] and simulated time [ns] when a wait last counted
         self._external_s = 0.0  # total of external waits before they count
         self._last_ticket = 0
         self._last_wakes: dict[tuple[int, int], int] = {}  # last WAKE of each process and futex address
@@ -186,6 +189,7 @@ class Scheduler:
         self._counted_s = now_s
         step_ns = round(min(elapsed_s, MAX_STEP_S) * 1e9)
         self.machine.advance_to(min(self.machine.time_ns + step_ns, limit_ns))
+        self._last_count = now_s, self.machine.time_ns
 
     def sleep(self, connection: ThreadConnection, end_ns: int, futex_address: int, last_wake: int) -> None:
         """Queue a wait until a time [ns], or until a WAKE of a futex after the last that its thread knows."""
@@ -217,6 +221,9 @@ class Scheduler:
         now_s = time.monotonic()
         if self._wall_wait is None or self._wall_wait[0] != is_external:
             self._wait_start_s = self._counted_s = now_s
+            if is_external and self._external_s >= EXTERNAL_WAIT_S:
+                last_s, last_ns = self._last_count
+                self._counted_s = min(now_s, last_s + (self.machine.time_ns - last_ns) / 1e9)
         self._wall_wait = is_external, limit_ns
         timeout_s = min(max(_MIN_POLL_S, (now_s - self._wait_start_s) / 4), _POLL_S)
         if is_external:

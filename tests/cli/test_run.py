@@ -80,14 +80,14 @@ def read_rows(folder: Path, short: bool = False) -> list[dict[str, str]]:
 
 def test_a_script_comes_out_the_same_in_this_process_and_behind_a_terminal(tmp_path: Path) -> None:
     (tmp_path / "learns.py").write_text(LEARNS)
-    words = ("run", "learns.py", "--cycles", "60", "--runs", "4")
+    words = ("run", "learns.py", "--cycles", "60", "--runs", "2")
     good(*words, "--playpen", "obstacles", "--noise", "off", "--save", "a", folder=tmp_path)
     good(*words, "--port", "khep://obstacles?noise=off", "--save", "b", folder=tmp_path)
     with served("obstacles", "--noise", "off", "--clock", "wire") as (_, path):
         good(*words, "--port", path, "--save", "c", folder=tmp_path)
     assert read_rows(tmp_path / "a") == read_rows(tmp_path / "b") == read_rows(tmp_path / "c")
-    assert [row["speed"] for row in rows(tmp_path / "c")] == ["4", "5", "6", "7"]
-    for number in range(1, 5):
+    assert [row["speed"] for row in rows(tmp_path / "c")] == ["4", "5"]
+    for number in (1, 2):
         one, other = (loadmat(tmp_path / name / f"run-00{number}.mat")["seen"] for name in "ac")
         assert one.tolist() == other.tolist()
 

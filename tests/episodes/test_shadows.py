@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -80,3 +81,23 @@ def test_a_ray_is_blocked_where_a_point_of_it_is_in_an_obstacle_or_below_the_flo
     is_blocked = is_path_blocked(plane, position, ray, glass)
     arguments = obstacle, np.array(position), np.array(ray), glass
     assert is_any_point_hidden(*arguments, -MARGIN) <= is_blocked <= is_any_point_hidden(*arguments, MARGIN)
+
+
+@pytest.mark.parametrize(
+    ("height", "rise", "glass", "is_blocked"),
+    [
+        (0.03, 0.0, 0.3, False),  # level, before the front at 1/3
+        (0.03, 0.0, 0.5, True),  # within
+        (0.03, 0.0, 1.0, True),  # behind the back at 2/3
+        (0.08, -0.06, 0.45, False),  # falls through the top at 1/2
+        (0.08, -0.06, 0.55, True),
+        (0.08, -0.04, 1.0, False),  # falls to the top's height behind the back
+    ],
+)
+def test_a_cylinder_blocks_a_ray_between_its_front_and_its_back_below_its_top(
+    height: float, rise: float, glass: float, is_blocked: bool
+) -> None:
+    obstacle = np.zeros(N_COLUMNS)
+    obstacle[[HALF_LENGTH, HALF_WIDTH, TOP]] = 0.1, -1, 0.05
+    plane = SimpleNamespace(obstacles=obstacle[None])
+    assert is_path_blocked(plane, (-0.3, 0.0, height), (0.6, 0.0, rise), glass) == is_blocked

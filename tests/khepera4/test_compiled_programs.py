@@ -224,6 +224,14 @@ def test_a_signal_that_ends_the_twin_is_forwarded_to_the_program(
     assert python(source, programs / "ends", how).stdout == output
 
 
+def test_a_program_that_is_still_running_at_the_end_is_stopped_and_has_time_to_clean_up(
+    programs: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    program = RobotProgram([str(programs / "ends"), "stop"], machine())
+    assert run_programs([program], until_ns=20_000_000) == [100 + signal.SIGTERM]
+    assert capfd.readouterr().out == "up\n"
+
+
 def test_pins_reset_the_dspic_and_report_the_charger(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -116,8 +116,11 @@ def test_a_preload_library_that_the_loader_refuses_is_one_line_before_the_start(
 def test_a_relative_cache_folder_is_one_in_the_current_folder(
     programs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    library = preload.preload_library()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", "cache")
+    Path("cache/khep_twin").mkdir(parents=True)
+    shutil.copy(library, "cache/khep_twin")
     shutil.copy(programs / "clocks", "clocks")
     assert run_program(["./clocks"], machine()) == 0
     assert capfd.readouterr().out.startswith("2026-01-01")

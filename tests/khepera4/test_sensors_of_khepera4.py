@@ -12,6 +12,7 @@ from khep_twin.khepera4.inertial import COUNTS_PER_G, DEGREES_PER_COUNT, Inertia
 from khep_twin.khepera4.machine import Machine
 from khep_twin.khepera4.registers import Control, DspicRegister
 from khep_twin.khepera4.robot import PULSES_PER_TURN, Khepera4Robot
+from khep_twin.khepera4.ultrasonic import PERIOD_NS
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
 from khep_twin.units import GRAVITY, TICK_NS
@@ -131,6 +132,23 @@ def test_disabled_ultrasonic_sensors_return_a_code_and_are_skipped() -> None:
     world.advance(1)
     expected = (2.0 - world.poses[0][0] - SONAR_MM / 1000) * 100
     assert words(world, DspicRegister.ULTRASONIC, 5)[2] == pytest.approx(expected, abs=2)
+
+
+@pytest.mark.parametrize("sensors", [(0, 1, 2, 3, 4), (0, 3), (0, 1, 4), (2,)])
+def test_ultrasonic_sensors_that_are_enabled_take_turns_in_the_order_of_their_numbers(
+    sensors: tuple[int, ...],
+) -> None:
+    world = World("arena4", noise=False)
+    robot = robot_of(world)
+    robot.dspic.write(bytes([DspicRegister.ULTRASONIC_ENABLED, sum(1 << sensor for sensor in sensors)]))
+    bursts: list[int] = []
+    for _ in range(2 * len(sensors) + 1):
+        world.advance_to(world.time_ns + PERIOD_NS)
+        assert robot._burst is not None
+        bursts.append(robot._burst[0])
+    first = sensors.index(bursts[0])
+    turns = sensors[first:] + sensors[:first]
+    assert bursts == [*turns, *turns, turns[0]]
 
 
 def test_the_accelerometer_measures_gravity_and_a_start() -> None:

@@ -17,6 +17,7 @@ from driving import COMMANDS, SECOND
 from forked import Forked
 from log_contents import messages_of
 from log_rewriting import rewritten
+from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, Writer
 from shares import share
 
@@ -78,7 +79,7 @@ def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: P
     assert recover(path).path == tmp_path / "run.recovered.2.mcap"
 
 
-@pytest.mark.parametrize("cuts", share([30, 300], 2))
+@pytest.mark.parametrize("cuts", share([20, 300], 2))
 def test_more_bytes_never_give_fewer_messages(cuts: int, tmp_path: Path, long_log: Path) -> None:
     data = long_log.read_bytes()
     points = [*sorted(random.Random(1).sample(range(len(data)), cuts)), len(data)]
@@ -290,3 +291,23 @@ def test_what_is_rescued_of_random_damage_can_be_read(tmp_path: Path, long_log: 
         except LogError as error:
             assert "no log of khep_twin" in str(error)  # noqa: PT017
     assert opened > 5
+
+
+def test_bytes_that_are_no_text_are_kept_only_of_a_damaged_attachment(tmp_path: Path) -> None:
+    content = b"\xff\xfe is no text"
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    path = tmp_path / "picture.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("", "another program")
+        writer.add_attachment(0, 0, "picture", "image/x", content)
+        writer.finish()
+    log = path.read_bytes()
+    for data, names in ((log, []), (log.replace(content, content[:-1] + b"T"), ["damaged/picture"])):
+        recovery = rescued(folder, data)
+        assert recovery is not None
+        assert recovery.n_attachments == len(names)
+        assert recovery.n_refused == (not names)
+        with recovery.path.open("rb") as file:
+            assert [attachment.name for attachment in make_reader(file).iter_attachments()] == names

@@ -129,3 +129,16 @@ def test_what_is_no_port_here_has_no_holder(url: str) -> None:
 def test_a_file_that_is_no_device_has_no_holder(tmp_path: Path) -> None:
     with (tmp_path / "file").open("w") as file:
         assert port_user(file.name) == ""
+
+
+@pytest.mark.parametrize(("held_path", "is_user"), [("/dev/null", True), ("/dev/zero", False)])
+def test_only_a_process_with_the_same_device_is_its_user(
+    held_path: str, is_user: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    descriptors = tmp_path / "123" / "fd"
+    descriptors.mkdir(parents=True)
+    (descriptors / "3").symlink_to(held_path)
+    (tmp_path / "123" / "stat").write_text("123 (host) S 1 1 1 0 -1")
+    (tmp_path / "123" / "comm").write_text("host\n")
+    monkeypatch.setattr(port_users, "_PROCESSES", tmp_path)
+    assert port_user("/dev/null") == ("process 123 (host)" if is_user else "")

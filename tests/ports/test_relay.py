@@ -321,3 +321,25 @@ def test_a_robot_that_takes_no_more_is_still_heard_and_the_relay_ends() -> None:
     os.close(device)
     assert replies == b"n\r\n"
     assert not was_alive
+
+
+@pytest.mark.parametrize(
+    ("baud", "n_bytes", "busy_s"), [(9600, 480, 0.55), (300, 480, 1.0), (38400, 96, 0.0275)]
+)
+def test_the_line_is_quiet_once_the_sent_bytes_have_passed_or_after_a_second(
+    baud: int, n_bytes: int, busy_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 5.0
+    monkeypatch.setattr(relaying, "time", SimpleNamespace(monotonic=lambda: now_s))
+    device = SimpleNamespace(write=len, read=lambda: b"", baud=baud, unsent=0)
+    dialogue = relaying._Dialogue(device)
+    sent_s = now_s = 6.0
+    assert dialogue.send(b"x" * n_bytes) == b""
+    for elapsed_s, is_quiet in (
+        (0.9 * busy_s, False),
+        (busy_s + 0.9 * 0.02, False),
+        (busy_s + 1.1 * 0.02, True),
+    ):
+        now_s = sent_s + elapsed_s
+        dialogue.read()
+        assert dialogue.is_quiet == is_quiet

@@ -11,7 +11,7 @@ from khep_twin.board.kernel import AMBIENT
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import light as lamp_light
 from khep_twin.sensing.ambient import build_light
-from khep_twin.sensing.mujoco_scene import bulb_points
+from khep_twin.sensing.mujoco_scene import bulb_points, upright_shape
 from khep_twin.sensing.occlusion import SightLines
 from khep_twin.sensing.scene import FINE
 from khep_twin.units import SENSOR_HEIGHT
@@ -136,3 +136,26 @@ def test_a_bulb_within_floor_or_wall_has_the_same_light_beside_what_can_move(bul
         world.advance_to(200_000_000)
         readings.append([int(count) for count in world.robots[0].registers[AMBIENT]])
     assert readings[0] == readings[1]
+
+
+TILTS = {0: np.eye(3), 1: np.roll(np.eye(3), 1, axis=0), 2: np.roll(np.eye(3), 2, axis=0)}
+"""Rotations by the axis of a box that points upwards along z: 2 steps, 0 or 1."""
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2])
+def test_a_box_on_any_of_its_sides_is_the_upright_box_that_it_looks_like(steps: int) -> None:
+    size, position = np.array([0.01, 0.02, 0.03]), (0.4, 0.5, 0.1)
+    for angle in np.linspace(-3, 3, 7).tolist():
+        turn = np.array(
+            [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
+        )
+        rotation = turn @ TILTS[steps]
+        box = int(mujoco.mjtGeom.mjGEOM_BOX)
+        centre, direction, (half, width), span = upright_shape(
+            box, size.tolist(), position, rotation.ravel().tolist()
+        )
+        corners = rotation @ (size * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T).T
+        along, across = np.array([direction, (-direction[1], direction[0])]) @ corners[:2]
+        assert centre == position[:2]
+        np.testing.assert_allclose([np.hypot(*direction), along.max(), across.max()], [1, half, width])
+        np.testing.assert_allclose(span, (0.1 + corners[2].min(), 0.1 + corners[2].max()))

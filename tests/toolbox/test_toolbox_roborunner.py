@@ -159,6 +159,19 @@ def test_what_cannot_be_run_is_one_line(call: Callable[[], object], error: type,
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("port", [2, "khep://default"])
+def test_a_controller_has_the_number_of_its_robot_and_1_for_a_port(port: int | str) -> None:
+    numbers: list[int] = []
+
+    def note(port_id: int, cycles_per_run: int, runs: int, pause_stat: float) -> None:
+        numbers.append(port_id)
+        brait(port_id, cycles_per_run, runs, pause_stat)
+
+    host.ports({2: "khep://default"})
+    toolbox.roborun2(note, port_id=port, cycles_per_run=2)
+    assert numbers == [port if isinstance(port, int) else 1]
+
+
 def test_an_interrupt_stops_the_motors_and_leaves_the_runs_before_it() -> None:
     host.ports({2: "khep://default"})
 

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
@@ -28,6 +29,7 @@ from khep_twin.log.recorded import read_recorded_run
 from khep_twin.playpen import Playpen
 from khep_twin.ports.host_port import NOTHING, HostPort, Received
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.web import robot_session
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.documents import Documents
 from khep_twin.web.drafts import draft_of
@@ -571,3 +573,19 @@ def test_a_page_that_is_opened_has_the_paths_of_the_robots_so_far() -> None:
         robot = {**readings, "x_mm": x_mm, "y_mm": 0.0}
         broadcaster.publish({"kind": "picture", "time": 1, "busy": False, "part": 0, "robots": [robot]})  # pyright: ignore
     assert broadcaster._paths == [[(0, 0), (10, 0), (20, 0)]]  # pyright: ignore[reportPrivateUsage]
+
+
+def test_while_a_program_runs_the_robot_is_polled_at_an_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    polls_s: list[float] = []
+    robot = SimpleNamespace(time=1000.0)
+
+    def read(robot: SimpleNamespace) -> dict[str, list[int]]:
+        polls_s.append(robot.time)
+        return {}
+
+    monkeypatch.setattr(robot_session, "_read_khepera4", read)
+    actor = RobotActor("", lambda _: None)
+    for part in range(40):
+        robot.time += 0.05
+        actor._set_progress(part / 40, robot)
+    assert [round(after - before, 3) for before, after in pairwise(polls_s)] == [0.2] * 9

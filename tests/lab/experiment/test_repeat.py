@@ -81,7 +81,7 @@ def _log_time(message: Any) -> int:
     return message[2].log_time
 
 
-@pytest.mark.parametrize("seconds", share([15, 60], 2))
+@pytest.mark.parametrize("seconds", share([8, 60], 2))
 def test_a_run_with_noise_spread_and_faults_is_the_same_in_another_process(
     seconds: int, tmp_path: Path
 ) -> None:
