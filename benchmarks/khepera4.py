@@ -8,11 +8,11 @@ import mujoco
 
 from benchmarks.scale import world_row
 from benchmarks.table import Row, Table, measure, timed
-from khep_twin.khepera4.machine import Machine
-from khep_twin.khepera4.programs import RobotProgram, run_programs
-from khep_twin.khepera4.registers import DspicRegister
-from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.playpen import Playpen
+from khep_twin.robots.khepera4.machine import Machine
+from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
+from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
 
 PLAYPEN = "arena4"
@@ -23,9 +23,9 @@ _N_SENSORS = 23
 """Numbers that a Khepera IV's sensors have: 12 infrared, 5 ultrasonic, 6 inertial; a Khepera has 8."""
 
 
-def open_world() -> tuple[World, Khepera4Robot]:
+def open_world(compiled: bool = True) -> tuple[World, Khepera4Robot]:
     """Return a world with a Khepera IV."""
-    world = World(PLAYPEN, seed=1)
+    world = World(PLAYPEN, seed=1, compiled=compiled)
     robot = world.robots[0]
     assert isinstance(robot, Khepera4Robot)
     return world, robot
@@ -38,9 +38,9 @@ def bare(seconds: float) -> None:
         mujoco.mj_step(world.model, world.data)
 
 
-def read_sensors(seconds: float, reads: bool = True) -> None:
+def read_sensors(seconds: float, reads: bool = True, compiled: bool = True) -> None:
     """Advance a world, and read all sensors at 20 Hz."""
-    world, robot = open_world()
+    world, robot = open_world(compiled)
     for _ in range(round(seconds * 20)):
         world.advance_to(world.time_ns + _READ_NS)
         if reads:
@@ -77,6 +77,7 @@ def table(folder: Path, part: float, rounds: int) -> Table:
         row("bare mj_step (floor)", lambda: bare(seconds)),
         row("World, no program", lambda: read_sensors(seconds, reads=False)),
         row("World, all sensors at 20 Hz", lambda: read_sensors(seconds)),
+        row("the same sensors, plain", lambda: read_sensors(seconds, compiled=False)),
         row("exec, all sensors at 20 Hz", lambda: run_program(program, seconds)),
         world_row("World of a Khepera, obstacles", Playpen.load("obstacles"), seconds),
         world_row("the same, plain", Playpen.load("obstacles"), seconds, compiled=False),

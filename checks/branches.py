@@ -31,6 +31,7 @@ from khep_twin.log.recorded import BranchPoint, read_recorded_run
 from khep_twin.log.snapshots import read_states
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.model import Feature
 from khep_twin.units import STEP_NS
 from khep_twin.world import SAMPLE_NS, World
 from tools.command_table import command_line
@@ -90,7 +91,7 @@ def drive(world: World, seed: int, end_ns: int) -> None:
     while world.time_ns < end_ns:
         rng = np.random.default_rng([seed, world.time_ns])
         for robot in world.robots:
-            is_khepera = world.playpen.robots[robot.index].body.in_core
+            is_khepera = Feature.EPISODES in world.playpen.robots[robot.index].robot_model.features
             words = (WORDS if is_khepera else WORDS4) + ARM * bool(robot.firmware.turrets)
             robot.uart.tx.read(world.time_ns)
             robot.send(f"{rng.choice(words)}\n".encode() * int(rng.integers(1, 3)))
@@ -128,7 +129,7 @@ def drive(world: World, seed: int, end_ns: int) -> None:
 
 def faults_of(playpen_of: Playpen) -> Sequence[str]:
     """Return the faults that all robots of a playpen may have; a Khepera IV has those of its line."""
-    if all(robot.body.in_core for robot in playpen_of.robots):
+    if all(Feature.EPISODES in robot.robot_model.features for robot in playpen_of.robots):
         return FAULTS
     return [fault for fault in FAULTS if fault.partition(":")[0].partition("@")[0] in LINE_FAULTS]
 
@@ -176,7 +177,7 @@ def change_of(number: int, at_ns: int, playpen_of: Playpen) -> tuple[BranchPoint
         edits=(str(rng.choice(edits)),) if rng.random() < 0.4 else (),
     )
     # The controller is a Khepera's.
-    return change, bool(rng.random() < 0.5) and playpen_of.robots[0].body.in_core
+    return change, bool(rng.random() < 0.5) and Feature.EPISODES in playpen_of.robots[0].robot_model.features
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:

@@ -26,6 +26,7 @@ from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recorded import read_recorded_run
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.robots.model import Feature
 from khep_twin.units import BITS_PER_BYTE, STEP_NS
 from khep_twin.world import Observer
 from tools.command_table import command_line
@@ -248,7 +249,8 @@ def playpens_of(*, kheperas: bool) -> list[str]:
     return [
         name
         for name in names("playpens")
-        if all(robot.body.in_core for robot in Playpen.load(name).robots) == kheperas
+        if all(Feature.EPISODES in robot.robot_model.features for robot in Playpen.load(name).robots)
+        == kheperas
     ]
 
 

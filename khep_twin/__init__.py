@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from khep_twin.errors import PortTimeout as PortTimeout
     from khep_twin.host.gripper import Gripper as Gripper
     from khep_twin.host.khepera import Khepera as Khepera
-    from khep_twin.host.khepera4 import Khepera4 as Khepera4
     from khep_twin.host.radio import Radio as Radio
     from khep_twin.host.vision import Vision as Vision
     from khep_twin.lab.experiment.controllers import Controller as Controller
@@ -62,6 +61,7 @@ if TYPE_CHECKING:
     from khep_twin.ports.twin import Twin as Twin
     from khep_twin.ports.twin import TwinOptions as TwinOptions
     from khep_twin.ports.twin import open_twin as open_twin
+    from khep_twin.robots.khepera4.host import Khepera4 as Khepera4
     from khep_twin.shadow.shadow import Shadow as Shadow
     from khep_twin.units import Sensor as Sensor
     from khep_twin.world import World as World

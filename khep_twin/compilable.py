@@ -17,6 +17,14 @@ ONCE: set[Callable[..., Any]] = set()
 """Functions of `FUNCTIONS` that are not inlined."""
 
 
+def unroll(groups: Any) -> Any:
+    """Return a tuple of groups of robots, for a loop over it; compiled code has the loop's body once a group.
+
+    `simulation.compiled` replaces this function by numba's `literal_unroll`.
+    """
+    return groups
+
+
 def compilable(function: Function) -> Function:
     """Mark a function as callable from compiled code; return it unchanged."""
     FUNCTIONS.append(function)

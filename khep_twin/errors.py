@@ -192,6 +192,10 @@ class LogError(KhepTwinError):
     """A log that cannot be written or read."""
 
 
+class RobotModelError(KhepTwinError):
+    """A model of robot that cannot be used."""
+
+
 class TurretError(KhepTwinError):
     """A turret that cannot be plugged on."""
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from khep_twin.board.fault_injection import Fault, Injector
 from khep_twin.board.turrets import TurretBody
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.moments import Moments
+from khep_twin.simulation.robot_arrays import Layout
 from khep_twin.simulation.turret_place import TurretWorld
 from khep_twin.simulation.wired_board import BoardFirmware, LineWorld, WiredBoard
 from khep_twin.simulation.world_state import RobotSnapshot
@@ -19,6 +21,11 @@ from khep_twin.simulation.world_state import RobotSnapshot
 
 class WorldContext(TurretWorld, LineWorld, Protocol):
     """Interface of the world to its robots."""
+
+    @property
+    def moments(self) -> Moments:
+        """Moments that robots have recorded."""
+        ...
 
     def on_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
@@ -134,14 +141,11 @@ class Robot(WiredBoard, ABC):
         """Times at which scheduled faults start or end [ns]."""
         return self.faults.next_changes_ns
 
-    def switch_on(self) -> None:
-        """Start the run at time 0."""
-
     def refresh(self) -> None:
         """Update the registers to the present, for an observer."""
 
-    def scan(self) -> None:
-        """Measure with all sensors now, if the stepping core does not."""
+    def finish_measurements(self) -> None:
+        """Evaluate recorded measurements."""
 
     def fit_turrets(self) -> None:
         """Create the bodies of its turrets in the present scene; their state is in the registers."""
@@ -153,6 +157,19 @@ class Robot(WiredBoard, ABC):
     @abstractmethod
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""
+
+    def _snapshot(
+        self, since_ns: int, layout: Layout, arrays: dict[str, bytes], *, is_stopped: bool
+    ) -> RobotSnapshot:
+        """Return the state with the arrays of a layout."""
+        return RobotSnapshot(
+            **self.board_state(since_ns)._asdict(),
+            model=layout.model,
+            version=layout.version,
+            arrays=arrays,
+            is_stopped=is_stopped,
+            leds=tuple(self._shown_leds),
+        )
 
     @abstractmethod
     def set_state(self, state: RobotSnapshot) -> None:

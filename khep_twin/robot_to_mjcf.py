@@ -19,6 +19,7 @@ from khep_twin import units
 from khep_twin.board.turrets import find_turrets, mount_heights
 from khep_twin.errors import CalibrationError
 from khep_twin.playpen import RobotEntry
+from khep_twin.robots.body import Body
 from khep_twin.sensing import calibration
 
 ASSETS = Path(str(files("khep_twin"))) / "assets"
@@ -54,14 +55,14 @@ def add_robot(
     child = mujoco.MjSpec.from_file(str(ASSETS / robot.body.scene))
     controls = _remove_keyframes(child)
     measured = calibration.read(robot.calibration)[0]
-    if (measured.ground is not None) != (robot.model == "khepera4"):
+    if (measured.ground is not None) != bool(robot.body.ground_positions):
         message = f'{robot.calibration}: of another robot than model = "{robot.model}"'
         expectation = "with" if measured.ground is None else "without"
         raise CalibrationError(f"{message}; expected a calibration {expectation} sensors of the ground")
     _fit_body(child, robot.body)
     _fit_wheels(child, measured.wheels)
     _fit_motors(child, measured.motors)
-    # The Khepera IV's other sensors look at the floor.
+    # Further sensors look at the floor.
     cameras: list[Any] = list(child.cameras)
     for camera, heading_deg in zip(cameras, measured.heading_deg, strict=False):
         heading = units.radians(heading_deg)
@@ -119,9 +120,9 @@ def _remove_keyframes(part: mujoco.MjSpec) -> list[float]:
     return controls
 
 
-def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
-    """Set the body of a Khepera II; the file has that of another model."""
-    if body is not units.BODIES["khepera2"]:
+def _fit_body(robot: mujoco.MjSpec, body: Body) -> None:
+    """Set the body of a model whose file has that of another one."""
+    if not body.fits_scene:
         return
     for name, inset in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
         geom = robot.geom(name)

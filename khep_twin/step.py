@@ -1,9 +1,9 @@
 """One step of the simulation: physics, sensors, control and supply, in this order.
 
     1. physics, with the motor voltages of the last control tick; one step of it may span several steps
-    2. the next sensor of each robot is converted at the pose before the physics step
+    2. the sensors that are due; a Khepera's next one is converted at the pose before the physics step
     3. every 10 ms the control tick: encoders, speed, controllers, duty, voltage
-    4. every 20 ms the supply is measured; below its minimum voltage the processor stops
+    4. every 20 ms the supply is measured; below its minimum voltage a Khepera's processor stops
 
 `advance` runs steps until code outside must act, for example for alternating lamps or turrets. It then
 returns, and resumes from there when it is called again. It uses only numbers, arrays and named tuples, and
@@ -15,23 +15,12 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 from khep_twin import units
-from khep_twin.board import battery, kernel
-from khep_twin.compilable import compilable, compilable_once
+from khep_twin.compilable import compilable, compilable_once, unroll
+from khep_twin.robot_core import evaluate, measure_supply, sense, start, tick
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.light import Light
-from khep_twin.sensing.noise import Tables, draws
-from khep_twin.sensing.optics import convert
-from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import (
-    Scene,
-    has_warned,
-    in_bounds,
-    joint_position,
-    joint_speed,
-    motor_torque,
-    set_motor,
-    step,
-)
+from khep_twin.sensing.noise import Tables
+from khep_twin.sensing.scene import has_warned, in_bounds, step
 
 
 class Reason(IntEnum):
@@ -62,12 +51,9 @@ STEPS, PHASE, FIRST_POWERS_STEP, N_CONVERSIONS = 0, 1, 2, 3
 `StepInputs.powers`, and number of sensor conversions of each robot so far, which indexes its noise."""
 N_COUNTERS = 4
 
-SOUND, STUCK, DEAD = 0, 1, 2
-"""States of a sensor; a stuck one repeats its last reading, the receiver of a dead one passes no current."""
-
-_PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
-_LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
-_LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
+SWITCH_ON, EVALUATE = -1, -2
+"""Values of `end_step` that let the core switch the robots on, or evaluate a recorded measurement: of robot n
+in the order of the groups with EVALUATE - n, and its part in `stops`."""
 
 
 class Timing(NamedTuple):
@@ -90,50 +76,6 @@ class Timing(NamedTuple):
     limit: float
 
 
-class RobotState(NamedTuple):
-    """One robot.
-
-    Attributes:
-        left_angle: Index of the left wheel's position.
-        right_angle: Index of the right wheel's position.
-        left_speed: Index of the left wheel's speed.
-        right_speed: Index of the right wheel's speed.
-        left_motor: Index of the left motor.
-        right_motor: Index of the right motor.
-        pose: Index of the robot's pose.
-        radius: Radius of the robot [m].
-        motor_constant: Torque per current [N m/A].
-        idle_current: Supply current with the motors at rest [A].
-        used_min: Use of the cells before the run [min]; or `battery.CHARGER`.
-        sensors: Sensors of the robot.
-        registers: State of the board (N_REGISTERS,).
-        processor: State of the processor (N_PROCESSOR,).
-        sensor_states: State of each sensor, SOUND, STUCK or DEAD (8,).
-        strengths: Fractions of their torque that the left and right motor produce (2,).
-        voltage: Last measured supply voltage (1,) [V].
-        noise: Key of the robot's random draws, as two words (2,).
-    """
-
-    left_angle: int
-    right_angle: int
-    left_speed: int
-    right_speed: int
-    left_motor: int
-    right_motor: int
-    pose: int
-    radius: float
-    motor_constant: float
-    idle_current: float
-    used_min: float
-    sensors: RobotSensors
-    registers: kernel.Registers
-    processor: Vector[int]
-    sensor_states: Vector[int]
-    strengths: Vector[float]
-    voltage: Vector[float]
-    noise: Vector[int]
-
-
 class Simulated(NamedTuple):
     """Scene, robots and lamps of a simulation.
 
@@ -141,14 +83,14 @@ class Simulated(NamedTuple):
         scene: Scene.
         timing: Divisions of time.
         light: Lamps of the scene.
-        robots: Robots of the scene.
+        groups: States of the scene's robots, one sequence for each class of state.
         counters: Counters of the simulation (N_COUNTERS,).
     """
 
     scene: Any
     timing: Timing
     light: Light
-    robots: Sequence[RobotState]
+    groups: tuple[Sequence[Any], ...]
     counters: Vector[int]
 
 
@@ -174,7 +116,7 @@ def advance(simulated: Simulated, inputs: StepInputs, end_step: int, stops: int)
         end_step: Number of steps since the start of the run.
         stops: Sum of `Stop` values at which to return earlier.
     """
-    scene, timing, robots, counters = simulated.scene, simulated.timing, simulated.robots, simulated.counters
+    scene, timing, groups, counters = simulated.scene, simulated.timing, simulated.groups, simulated.counters
     while counters[PHASE] != Phase.DONE or counters[STEPS] < end_step:
         if counters[PHASE] == Phase.DONE:
             if counters[STEPS] % timing.steps_per_motion == 0:
@@ -185,23 +127,18 @@ def advance(simulated: Simulated, inputs: StepInputs, end_step: int, stops: int)
                 return Reason.STEPPED
         steps = counters[STEPS]
         if counters[PHASE] == Phase.STEPPED:
-            _scan(simulated, inputs, (steps - 1) * timing.conversions)
+            _scan(groups, simulated, inputs, (steps - 1) * timing.conversions)
             counters[PHASE] = Phase.TICKED
             if steps % timing.steps_per_tick == 0:
                 if not in_bounds(scene, timing.limit):
                     return Reason.OUT_OF_BOUNDS
-                for i in range(len(robots)):
-                    _tick(scene, robots[i])
-                if stops & Stop.TICKED:
+                if _tick(groups, simulated, inputs, steps * timing.step_ns) or stops & Stop.TICKED:
                     return Reason.TICKED
         counters[PHASE] = Phase.DONE
         if steps % timing.steps_per_supply == 0:
             if has_warned(scene):
                 return Reason.WARNED
-            stopped = False
-            for i in range(len(robots)):
-                stopped = update_supply(scene, robots[i], steps * timing.step_ns) or stopped
-            if stopped:
+            if _measure_supplies(groups, simulated, steps * timing.step_ns):
                 return Reason.STOPPED
     return Reason.DONE
 
@@ -209,16 +146,13 @@ def advance(simulated: Simulated, inputs: StepInputs, end_step: int, stops: int)
 @compilable_once
 def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
     """Run the scan before time 0, which fills all registers; return a reason as `advance` does."""
-    scene, timing, robots = simulated.scene, simulated.timing, simulated.robots
+    scene, timing, groups = simulated.scene, simulated.timing, simulated.groups
     # MuJoCo's rangefinders, which turrets may need, have values from the second step on.
     step(scene)
-    for start in range(-units.N_SENSORS, 0, timing.conversions):
+    for first in range(-units.N_SENSORS, 0, timing.conversions):
         step(scene)
-        _scan(simulated, inputs, start)
-    stopped = False
-    for i in range(len(robots)):
-        read_encoders(scene, robots[i])
-        stopped = update_supply(scene, robots[i], 0) or stopped
+        _scan(groups, simulated, inputs, first)
+    stopped = _start(groups, simulated, inputs)
     if not in_bounds(scene, timing.limit):
         return Reason.OUT_OF_BOUNDS
     if has_warned(scene):
@@ -227,99 +161,56 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
 
 
 @compilable
-def convert_sensor(
-    simulated: Simulated, inputs: StepInputs, robot: int, row: int, time_ns: int, channel: int
-) -> None:
-    """Convert one sensor of a robot.
-
-    Args:
-        simulated: Scene, robots and lamps.
-        inputs: Lamps and random draws.
-        robot: Index of the robot.
-        row: Row of the lamps' powers.
-        time_ns: Time of the conversion [ns].
-        channel: Number of the sensor.
-    """
-    state = simulated.robots[robot]
-    registers = state.registers
-    noise = draws(inputs.tables, state.noise, simulated.counters[N_CONVERSIONS])
-    proximity, ambient = convert(
-        simulated.scene, state.sensors, simulated.light, inputs.powers[row], time_ns, channel, noise
-    )
-    if state.sensor_states[channel] == STUCK:
-        proximity, ambient = registers[_PROXIMITY + channel], registers[_AMBIENT + channel]
-    elif state.sensor_states[channel] == DEAD:
-        proximity, ambient = 0, state.sensors.ambient.ceiling
-    kernel.convert(registers, proximity, ambient)
-
-
-@compilable
-def read_encoders(scene: Scene, robot: RobotState) -> None:
-    """Set the encoders to the wheels' present angles."""
-    robot.registers[_LEFT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.left_angle))
-    robot.registers[_RIGHT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.right_angle))
-
-
-@compilable
-def update_supply(scene: Scene, robot: RobotState, time_ns: int) -> bool:
-    """Measure the supply; return True if its voltage is too low, which resets and stops the processor."""
-    registers = robot.registers
-    left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
-    robot.voltage[0] = voltage = battery.voltage(robot.used_min, time_ns)
-    current = robot.idle_current
-    current += units.supply_current(left, motor_torque(scene, robot.left_motor) / robot.motor_constant)
-    current += units.supply_current(right, motor_torque(scene, robot.right_motor) / robot.motor_constant)
-    kernel.measure(registers, units.supply_counts(voltage), round(current * 1000))
-    if voltage >= units.PROCESSOR_VOLTAGE or not robot.processor[kernel.POWERED]:
-        return False
-    kernel.reset(registers)
-    # The motors keep their duty.
-    registers[_LEFT_DUTY], registers[_RIGHT_DUTY] = left, right
-    robot.processor[kernel.POWERED] = 0
-    return True
-
-
-@compilable
-def weak_voltage(strength: float, voltage: float, constant: float, speed: float) -> float:
-    """Return the voltage [V] at which a motor produces a fraction of its torque.
-
-    A motor without current has only its back-EMF (the voltage that it generates), and no torque.
-
-    Args:
-        strength: Fraction of the torque.
-        voltage: Voltage of its duty [V].
-        constant: Torque per current [N m/A], or voltage per speed.
-        speed: Speed of the wheel [rad/s].
-    """
-    return strength * voltage + (1 - strength) * (constant * speed)
+def powers_row(simulated: Simulated, inputs: StepInputs) -> int:
+    """Return the row of the lamps' powers in the present step."""
+    counters = simulated.counters
+    return 0 if len(inputs.powers) == 1 else counters[STEPS] - 1 - counters[FIRST_POWERS_STEP]
 
 
 @compilable_once
-def _scan(simulated: Simulated, inputs: StepInputs, start: int) -> None:
-    """Convert the sensors of each robot in one step; `start` is the number of the first conversion."""
-    counters, conversions = simulated.counters, simulated.timing.conversions
-    row = 0 if len(inputs.powers) == 1 else counters[STEPS] - 1 - counters[FIRST_POWERS_STEP]
-    for offset in range(conversions):
-        for robot in range(len(simulated.robots)):
-            time_ns, channel = ((start + offset) * units.STEP_NS, (start + offset) % units.N_SENSORS)
-            convert_sensor(simulated, inputs, robot, row, time_ns, channel)
-        counters[N_CONVERSIONS] += 1
+def _scan(groups: Any, simulated: Simulated, inputs: StepInputs, first: int) -> None:
+    """Run the sensors of all robots in a step; `first` is the number of its first conversion."""
+    for group in unroll(groups):
+        for i in range(len(group)):
+            sense(group[i], simulated, inputs, first)
+    simulated.counters[N_CONVERSIONS] += simulated.timing.conversions
 
 
 @compilable
-def _tick(scene: Scene, robot: RobotState) -> None:
-    """Run the board's control loops once, from encoders to motor voltages."""
-    registers = robot.registers
-    left = units.wheel_pulses(joint_position(scene, robot.left_angle))
-    right = units.wheel_pulses(joint_position(scene, robot.right_angle))
-    kernel.run(registers, robot.processor, left, right)
-    left_voltage = units.duty_voltage(registers[_LEFT_DUTY], robot.voltage[0])
-    right_voltage = units.duty_voltage(registers[_RIGHT_DUTY], robot.voltage[0])
-    if robot.strengths[0] != 1:
-        speed = joint_speed(scene, robot.left_speed)
-        left_voltage = weak_voltage(robot.strengths[0], left_voltage, robot.motor_constant, speed)
-    if robot.strengths[1] != 1:
-        speed = joint_speed(scene, robot.right_speed)
-        right_voltage = weak_voltage(robot.strengths[1], right_voltage, robot.motor_constant, speed)
-    set_motor(scene, robot.left_motor, left_voltage)
-    set_motor(scene, robot.right_motor, right_voltage)
+def _tick(groups: Any, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
+    """Run the control period of all robots; return True if code outside must act for one of them."""
+    must_return = False
+    for group in unroll(groups):
+        for i in range(len(group)):
+            must_return = tick(group[i], simulated, inputs, time_ns) or must_return
+    return must_return
+
+
+@compilable
+def _measure_supplies(groups: Any, simulated: Simulated, time_ns: int) -> bool:
+    """Measure the supplies of all robots; return True if a processor has stopped."""
+    stopped = False
+    for group in unroll(groups):
+        for i in range(len(group)):
+            stopped = measure_supply(group[i], simulated, time_ns) or stopped
+    return stopped
+
+
+@compilable
+def _start(groups: Any, simulated: Simulated, inputs: StepInputs) -> bool:
+    """Start the run of all robots; return True if a processor lacks voltage."""
+    stopped = False
+    for group in unroll(groups):
+        for i in range(len(group)):
+            stopped = start(group[i], simulated, inputs) or stopped
+    return stopped
+
+
+@compilable_once
+def evaluate_recorded(groups: Any, simulated: Simulated, inputs: StepInputs, robot: int, part: int) -> None:
+    """Evaluate a recorded measurement of a robot, by its number in the order of the groups."""
+    first = 0
+    for group in unroll(groups):
+        if first <= robot < first + len(group):
+            evaluate(group[robot - first], simulated, inputs, part)
+        first += len(group)

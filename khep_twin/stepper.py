@@ -39,8 +39,7 @@ class Stepper:
         world: World.
         simulation: State of the stepping core.
         code: Code that runs it, plain or compiled.
-        stops: Sum of `step.Stop` values at which robots act within a run: TICKED for turrets, STEPPED and
-            TICKED for robots that the stepping core does not run.
+        stops: Sum of `step.Stop` values at which robots act within a run: TICKED for turrets.
         shows_leds: True if the scene shows the robots' LEDs.
 
     Attributes:
@@ -77,8 +76,6 @@ class Stepper:
         self._update_fault_time()
         self._simulation.on_switch = self._on_switch
         self._run(self._simulation.switch_on)
-        for robot in robots:
-            robot.switch_on()
 
     def advance_to(self, time_ns: int) -> None:
         """Advance to a time [ns]: see `World.advance_to`."""

@@ -10,7 +10,6 @@ Sources, as cited below:
 """
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from khep_twin.compilable import compilable
@@ -153,110 +152,6 @@ IDLE_CURRENT = 0.2364
 """Current of the robot with its motors at rest [A]: 180 mAh that last 45 minutes (manual, 2.3) are 240 mA, of
 which the motors take 3.6 mA at 10 pulses per 10 ms, the speed of the ROM's demonstration (assumed)."""
 
-
-@dataclass(frozen=True, slots=True)
-class Body:
-    """Body of a model of the robot.
-
-    Attributes:
-        radius: Radius [m].
-        mass: Mass of the whole robot [kg].
-        support_position: Distance of the sliding supports before and behind the centre [m].
-        sensor_positions: Positions of the sensors' faces, x forward and y left of the centre (8, 2) [m].
-        sensor_height: Height of the sensors above the ground [m].
-        idle_current: Current with the motors at rest [A].
-        height: Height [m].
-        scene: File of its model in the assets.
-        support_solref: Contact of the supports with the floor, as MuJoCo's `solref`; None for stiff ones.
-        in_core: True if the stepping core runs its board; False if the robot does, between the core's steps.
-        sensors: Names of its infrared sensors, those that look at the floor last.
-        ground_positions: Positions of those that look at the floor, as `sensor_positions`.
-        wheel_radius: Radius of the wheels [m].
-        wheel_width: Width of the wheels [m].
-        wheel_base: Distance of the wheels [m].
-        pulses_per_turn: Pulses of an encoder in a turn of its wheel.
-        near_counts: Proximity above which something is near [counts].
-    """
-
-    radius: float
-    mass: float
-    support_position: float
-    sensor_positions: tuple[tuple[float, float], ...]
-    sensor_height: float
-    idle_current: float
-    height: float = BODY_HEIGHT
-    scene: str = "khepera.xml"
-    support_solref: tuple[float, float] | None = None
-    in_core: bool = True
-    sensors: tuple[str, ...] = SENSOR_LABELS
-    ground_positions: tuple[tuple[float, float], ...] = ()
-    wheel_radius: float = WHEEL_RADIUS
-    wheel_width: float = WHEEL_WIDTH
-    wheel_base: float = WHEEL_BASE
-    pulses_per_turn: int = PULSES_PER_TURN
-    near_counts: int = 100
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """Names of its infrared sensors in its scene."""
-        return tuple(name.replace(" ", "_") for name in self.sensors)
-
-    @property
-    def pulse_length(self) -> float:
-        """Travel of a wheel per pulse [m]."""
-        return self.wheel_radius * 2 * math.pi / self.pulses_per_turn
-
-
-BODIES = {
-    "khepera1": Body(BODY_RADIUS, MASS, SUPPORT_POSITION, SENSOR_POSITIONS, SENSOR_HEIGHT, IDLE_CURRENT),
-    "khepera2": Body(
-        0.035,
-        0.080,
-        0.0295,
-        (
-            (0.0133, 0.0266),
-            (0.0227, 0.0227),
-            (0.0300, 0.0078),
-            (0.0300, -0.0078),
-            (0.0227, -0.0227),
-            (0.0133, -0.0266),
-            (-0.0289, -0.0111),
-            (-0.0289, 0.0111),
-        ),
-        0.017,
-        0.2464,
-    ),
-    "khepera4": Body(
-        0.0704,
-        0.540,
-        0.050,
-        tuple(
-            (0.068 * math.cos(heading), 0.068 * math.sin(heading))
-            for heading in map(math.radians, (135, 90, 45, 0, -45, -90, -135, 180))
-        ),
-        0.01435,
-        0.4857,
-        0.0577,
-        "khepera4/khepera4.xml",
-        (-600.0, -50.0),
-        in_core=False,
-        sensors=(
-            *("back left", "left", "front left", "front", "front right", "right", "back right", "back"),
-            *("ground left", "ground front left", "ground front right", "ground right"),
-        ),
-        ground_positions=((0.020, 0.059), (0.0613, 0.010), (0.0613, -0.010), (0.020, -0.059)),
-        wheel_radius=0.021,
-        wheel_width=0.0065,
-        wheel_base=0.1054,
-        pulses_per_turn=19_456,
-        near_counts=150,
-    ),
-}
-"""Bodies by model. The Khepera II: 70 mm and 80 g (simulators, host libraries), sensors as in its manual's
-figure 7, scaled to that diameter, their height after Webots; 250 mAh that last 60 minutes (manual II), less
-the motors' share; supports and height like the Khepera's (assumed). The Khepera IV: its manual, see
-`assets/khepera4/khepera4.xml`; 3400 mAh that last 7 hours without motors; casters on springs of some 100 N/m,
-without which wheels would leave the floor at the foot of any ramp (assumed)."""
 
 SENSOR_HEADINGS = tuple(math.radians(heading_deg) for heading_deg in (88, 45, 8, -8, -45, -88, 180, 180))
 """Heading of each sensor, counter-clockwise from straight ahead [rad] (a lamp far away, measured on one

@@ -5,10 +5,10 @@ between steps. Only `World.advance_to` advances time.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from threading import RLock
-from typing import Protocol
+from typing import Protocol, cast
 
 import mujoco
 import numpy as np
@@ -21,8 +21,6 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import to_ns
 from khep_twin.copies import NotCopied
 from khep_twin.errors import DivergedError, SnapshotError
-from khep_twin.khepera4.robot import Khepera4Robot
-from khep_twin.khepera_robot import KheperaRobot
 from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
@@ -30,6 +28,7 @@ from khep_twin.randomness import position, resume, stream
 from khep_twin.renamed import renamed_arguments
 from khep_twin.robot import Robot, RobotSettings
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
 from khep_twin.simulation.physics_state import physics_state, set_physics_state
 from khep_twin.simulation.simulation import Simulation
@@ -128,8 +127,6 @@ class World(NotCopied):
         self.code = SteppingCode(self.simulation, compiled)
         has_turrets = any(entry.turrets for entry in self._base_playpen.robots)
         stops = int(step.Stop.TICKED) if has_turrets else 0
-        if len(self._forms.core_robots) < len(self._base_playpen.robots):
-            stops = step.Stop.STEPPED | step.Stop.TICKED
         self._stepper = Stepper(self, self.simulation, self.code, stops=stops, shows_leds=not shared)
         self._rewind(seed, noise, vary, starts=None, lamps=None)
         if not shared:
@@ -181,20 +178,28 @@ class World(NotCopied):
         forms.reset(playpen)
         self.playpen = playpen if lamps is None else playpen.model_copy(update={"lamps": tuple(lamps)})
         self.lamps = Lamps(self.playpen, cache(partial(stream, seed, "lamps")))
-        records = dict(zip(forms.core_robots, simulation.records, strict=True))
         self.robots: tuple[Robot, ...] = tuple(
-            self._make_robot(index, seed, records.get(index)) for index in range(len(forms.indices))
+            self._make_robot(index, seed) for index in range(len(forms.indices))
         )
-        simulation.other_discs = lambda: [robot.disc for robot in self.robots if robot.index not in records]
-        simulation.set_lamps(self.lamps, self.playpen.lighting)
+        self._apply_lamps()
 
-    def _make_robot(self, index: int, seed: int, record: NDArray[np.void] | None) -> Robot:
-        """Return a robot; `record` is its state in the stepping core, None if the core does not run it."""
-        indices, settings = self._forms.indices[index], self._robot_settings
+    def _apply_lamps(self) -> None:
+        """Pass the lamps to the stepping core."""
+        if self._forms.reserve_lamps(len(self.playpen.lamps)):
+            self.simulation.refresh_scene()
+        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
+
+    def _finish_measurements(self) -> None:
+        """Evaluate what the robots have measured, before a change of lamps or random streams."""
+        for robot in self.robots:
+            robot.finish_measurements()
+
+    def _make_robot(self, index: int, seed: int) -> Robot:
+        """Return a robot."""
+        model = self._base_playpen.robots[index].robot_model
+        make = cast(Callable[..., Robot], model.load_class("robot", Robot))
         rng = partial(stream, seed, "robot", index)
-        if record is not None:
-            return KheperaRobot(self, index, indices, record, rng, settings)
-        return Khepera4Robot(self, index, indices, self._forms.calibration_of(index), rng, settings)
+        return make(self, index, self._forms.indices[index], rng, self._robot_settings)
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:
@@ -205,6 +210,11 @@ class World(NotCopied):
     def objects(self) -> NDArray[np.float64]:
         """Positions x, y [m] and headings [rad] of the movable objects, in the playpen's order (n, 3)."""
         return self._forms.objects
+
+    @property
+    def moments(self) -> Moments:
+        """Moments that robots have recorded."""
+        return self._forms.moments
 
     def turret_bodies(self, name: str) -> list[TurretBody | None]:
         """Return the turrets of a kind by the index of their robot; None for a robot without one."""
@@ -277,9 +287,7 @@ class World(NotCopied):
         """Convert all sensors of all robots now, without advancing time."""
         for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
             update(self.model, self.data)
-        self.simulation.scan(first_channel=self.simulation.steps)
-        for robot in self.robots:
-            robot.scan()
+        self.simulation.scan()
 
     def snapshot(self) -> bytes:
         """Return the complete state of the world, without its observers, for `restore`.
@@ -351,11 +359,12 @@ class World(NotCopied):
         except ValueError as error:
             self._stepper.failure = DivergedError(f"the world could not be restored: {error}")
             raise SnapshotError(f"the snapshot does not fit the world: {error}") from None
-        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
+        self._apply_lamps()
         self._early_events = list(state.pending_events)
 
     def reseed(self, seed: int) -> None:
         """Switch to the random streams of another seed."""
+        self._finish_measurements()
         self.simulation.reseed(seed)
         self.lamps.make_rng = cache(partial(stream, seed, "lamps"))
         for index, robot in enumerate(self.robots):
@@ -372,12 +381,13 @@ class World(NotCopied):
             lighting: New lighting; None for the current one.
             keep_switched: True to keep the switching state of the current lamps.
         """
+        self._finish_measurements()
         changes = {"lamps": tuple(lamps), "lighting": lighting or self.playpen.lighting}
         self.playpen, previous = self.playpen.model_copy(update=changes), self.lamps
         self.lamps = Lamps(self.playpen, previous.make_rng, self.time_ns, previous.flicker_phase)
         if keep_switched:
             self.lamps.continue_from(previous)
-        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
+        self._apply_lamps()
 
     def refresh(self) -> None:
         """Update the scene after fixed geoms were moved in the model, which no other world may share."""
@@ -385,7 +395,7 @@ class World(NotCopied):
         self.simulation.refresh_scene()
         for robot in self.robots:
             robot.fit_turrets()
-        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
+        self._apply_lamps()
 
     def compile(self) -> None:
         """Switch to compiled code, with the same results: see `SteppingCode.compile`."""

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from khep_twin.lab.fit.infrared import Optics, View, unclipped_counts
+from khep_twin.robots.registry import find_model
 from khep_twin.sensing import calibration
-from khep_twin.units import BODIES, N_SENSORS
+from khep_twin.units import N_SENSORS
 from studies.infrared_fits import OFFSET_PRIOR, USUAL, reference, show_optics
 from tools.command_table import command_line
 
@@ -57,7 +58,7 @@ class Report:
 
     def view(self, heading: float) -> View:
         """Return the view of the sensor with a heading [rad]."""
-        body = BODIES["khepera2"]
+        body = find_model("khepera2").body
         faces = body.sensor_positions
         bearings = np.full(len(self.distances), np.radians(-90 if self.is_aside else 0))
         edge, radius = -faces[5][1] if self.is_aside else faces[2][0], body.radius if self.is_robot else 0.0
@@ -146,7 +147,7 @@ def pykhepera_wall(folder: Path) -> Wall:
 
 def fit_wall(wall: Wall) -> tuple[float, list[float]]:
     """Fit pykhepera's robot: its gain over the manufacturer's, by the sensors ahead, and readings at rest."""
-    manual, body = calibration.read("khepera2-manual")[0], BODIES["khepera2"]
+    manual, body = calibration.read("khepera2-manual")[0], find_model("khepera2").body
     rests: list[float] = []
     gains: list[float] = []
     for sensor in range(N_SENSORS):

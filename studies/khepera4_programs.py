@@ -17,10 +17,10 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 
-from khep_twin.khepera4.machine import Machine
-from khep_twin.khepera4.programs import RobotProgram, run_programs
-from khep_twin.khepera4.registers import DspicRegister
-from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.robots.khepera4.machine import Machine
+from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
+from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
 from tools.command_table import command_line
 

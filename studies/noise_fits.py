@@ -128,7 +128,7 @@ def twin(
         seed: Seed of the noise, the bearings and of the mains' phases.
     """
     world, rng = _room(), np.random.default_rng(seed)
-    sensors, simulation = world.simulation.plain.robots[0].sensors, world.simulation
+    sensors, simulation = world.simulation.plain.groups[0][0].sensors, world.simulation
     if noise is not None:
         sensors = sensors._replace(proximity=sensors.proximity._replace(noise=[noise] * units.N_SENSORS))
     readings = np.zeros((len(distances_mm), N_BEARINGS, units.N_SENSORS))

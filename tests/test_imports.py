@@ -16,15 +16,19 @@ ORDER = [
     ["signals", "status_line", "invocation"],
     ["files"],
     ["board"],
+    ["robots"],
+    ["robots.khepera.model", "robots.khepera4.channels"],
+    ["robots.khepera4.model"],
     ["playpen"],
     ["sensing"],
     ["firmware", "sensors", "robot_to_mjcf"],
-    ["playpen_to_mjcf"],
+    ["playpen_to_mjcf", "robot_core"],
     ["step"],
+    ["robots.khepera.core"],
     ["simulation"],
     ["vision"],
     ["robot"],
-    ["khepera_robot", "khepera4"],
+    ["robots.khepera"],
     ["stepper"],
     ["world"],
     ["interventions", "drawing"],
@@ -35,11 +39,13 @@ ORDER = [
     ["shadow"],
     ["envs"],
     ["lab.conformance", "lab.experiment", "lab.sensor_test"],
+    ["robots.khepera4"],
     ["lab.challenge", "lab.fit", "lab.report", "sweep"],
     ["lab.dataset"],
     ["toolbox"],
     ["web"],
     ["cli"],
+    ["robots.khepera4.command"],
     ["__main__"],
 ]
 """Packages and the modules of the top level; each imports only from lines above its own."""
@@ -48,7 +54,7 @@ SIMULATORS = {"mujoco", "dm_control", "rerun", "matplotlib", "numpy", "mcap"}
 """What `khep_twin.host` must do without, to run on a laptop beside the robot."""
 
 
-NAMES_OF_PACKAGES = {PACKAGE / "__init__.py", PACKAGE / "lab" / "__init__.py"}
+NAMES_OF_PACKAGES = {PACKAGE / folder / "__init__.py" for folder in ("", "envs", "host", "lab")}
 """What names the packages below it, for type checkers and when a name is used."""
 
 
@@ -59,9 +65,9 @@ def modules() -> list[Path]:
 
 
 def part_of(name: str) -> str:
-    """Return a module's part of ORDER: its package, below `lab` the package there, or the module itself."""
-    names = name.split(".")
-    return ".".join(names[:2]) if names[0] == "lab" else names[0]
+    """Return a module's part of ORDER, the longest that it is or is in."""
+    parts = (part for parts in ORDER for part in parts if f"{name}.".startswith(f"{part}."))
+    return max(parts, key=len)
 
 
 def imports_of(path: Path) -> set[str]:

@@ -12,6 +12,7 @@ from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.robots.registry import find_model
 from khep_twin.sensing.calibration import MotorCalibration
 from khep_twin.units import TYRE_FRICTION
 
@@ -54,7 +55,7 @@ def forces(twin: Episode) -> dict[str, float]:
 def test_the_wheels_carry_nearly_all_of_the_robot(model: str) -> None:
     twin = episode(model=model)
     twin.run(1.0)
-    body, contact_forces = units.BODIES[model], forces(twin)
+    body, contact_forces = find_model(model).body, forces(twin)
     weight = body.mass * units.GRAVITY
     # Moments about the axle: the mass behind it stands on the back support.
     mass_behind = body.mass - 2 * units.WHEEL_MASS
@@ -114,11 +115,11 @@ def test_at_full_duty_a_robot_accelerates_by_the_friction_of_its_slipping_tyres(
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_robot_pushes_with_its_tyres_friction(model: str) -> None:
-    radius_mm = units.BODIES[model].radius * 1e3
+    radius_mm = find_model(model).body.radius * 1e3
     twin = episode(x_mm=WALL_X_MM - radius_mm - 0.5, model=model)
     run_with_duty(twin, 100, 1.5)
     contact_forces = forces(twin)
-    weight = units.BODIES[model].mass * units.GRAVITY
+    weight = find_model(model).body.mass * units.GRAVITY
     assert contact_forces["shell"] == pytest.approx(
         TYRE_FRICTION * (contact_forces["left_tyre"] + contact_forces["right_tyre"]), rel=0.01
     )
@@ -226,5 +227,5 @@ def test_a_driving_robot_draws_the_manuals_capacity_over_its_autonomy(
     current = motors.friction_torque_n_m / motors.constant
     voltage = motors.constant * speed + motors.resistance * current
     assert np.mean(duties) == pytest.approx(units.DUTY_LIMIT * voltage / units.SUPPLY_VOLTAGE, abs=1)
-    drawn = units.BODIES[model].idle_current + 2 * current * voltage / units.SUPPLY_VOLTAGE
+    drawn = find_model(model).body.idle_current + 2 * current * voltage / units.SUPPLY_VOLTAGE
     assert drawn * 1e3 == pytest.approx(capacity_mah / hours, abs=0.5)

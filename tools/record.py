@@ -31,6 +31,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_mjcf
+from khep_twin.robots.model import Feature
 from tools.command_table import command_line
 
 RECORD = Path(__file__).with_suffix(".json")
@@ -57,7 +58,11 @@ def drive(robot):
 def names() -> list[str]:
     """Return the shipped playpens with Kheperas alone."""
     playpens = sorted(path.stem for path in Path("khep_twin/assets/playpens").glob("*.toml"))
-    return [name for name in playpens if all(robot.body.in_core for robot in Playpen.load(name).robots)]
+    return [
+        name
+        for name in playpens
+        if all(Feature.EPISODES in robot.robot_model.features for robot in Playpen.load(name).robots)
+    ]
 
 
 def digest(*parts: bytes) -> str:

@@ -102,9 +102,9 @@ def check_khepera4(stream: bytes) -> None:
         AssertionError: A reply has another form, a register left its range, or the server is out of step
             afterwards.
     """
-    from khep_twin.khepera4.dspic import Dspic
-    from khep_twin.khepera4.motor_control import PWM_LIMIT
-    from khep_twin.khepera4.server import BINARY_BYTES, END, ERROR, Kh4Server
+    from khep_twin.robots.khepera4.dspic import Dspic
+    from khep_twin.robots.khepera4.motor_control import PWM_LIMIT
+    from khep_twin.robots.khepera4.server import BINARY_BYTES, END, ERROR, Kh4Server
 
     dspic = Dspic()
     server, pulses = Kh4Server(dspic), 0
@@ -140,5 +140,5 @@ def seeds(folder: Path) -> None:
 
 def main() -> None:
     """Run libFuzzer with options of the command line."""
-    modules = ("khep_twin", "khep_twin.firmware", "khep_twin.board.gripper_body", "khep_twin.khepera4")
+    modules = ("khep_twin", "khep_twin.firmware", "khep_twin.board.gripper_body", "khep_twin.robots.khepera4")
     fuzz(check, seeds, modules, "-max_len=512")

@@ -39,7 +39,7 @@ MODULES = (
     "khep_twin.lab.experiment.branch",
     "khep_twin.lab.report.report",
     "khep_twin.shadow.recording",
-    "khep_twin.khepera4",
+    "khep_twin.robots.khepera4",
     "khep_twin.simulation.number_reader",
     "khep_twin.simulation.snapshot_format",
 )

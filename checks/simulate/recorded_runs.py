@@ -23,6 +23,7 @@ from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.resume import run_end_ns
 from khep_twin.ports.serve import PeriodicFlush
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.robots.model import Feature
 
 PLAYPENS = "default", "default", "two-lamps", "gripper", "stripes", "looping-maze", "arena4"
 """Shipped playpens that are opened within 20 ms; two with turrets, one that sees, one with a Khepera IV."""
@@ -207,7 +208,10 @@ class Run:
 
 def _has_kheperas(path: Path) -> bool:
     """Return whether all robots of a log are Kheperas, which may have faults of sensors and motors."""
-    return all(robot.body.in_core for robot in playpen_of(read_label(path).attachments, path).robots)
+    return all(
+        Feature.EPISODES in robot.robot_model.features
+        for robot in playpen_of(read_label(path).attachments, path).robots
+    )
 
 
 def _reply(command: bytes, number: int) -> bytes:

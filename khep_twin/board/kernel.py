@@ -250,6 +250,16 @@ def divide(numerator: int, denominator: int) -> int:
 
 
 @compilable
+def square_root(square: int) -> int:
+    """Return the integer part of the square root of a number above 0."""
+    root, previous_root = square, square + 1
+    while root < previous_root:  # Newton's method on integers, from above
+        previous_root = root
+        root = (root + square // root) // 2
+    return previous_root
+
+
+@compilable
 def clip(value: int, limit: int) -> int:
     """Clip `value` to -limit to limit."""
     return min(max(value, -limit), limit)
@@ -330,12 +340,7 @@ def _stopping_speed(distance: int, acceleration: int) -> int:
     With v = n a + r and r < a the distance is (n + 1) (n a / 2 + r). The speeds of later ticks cover the
     remainder, which is below n + 1.
     """
-    square = 8 * (distance // acceleration) + 1
-    root, previous_root = square, square + 1
-    while root < previous_root:  # Newton's method on integers, from above
-        previous_root = root
-        root = (root + square // root) // 2
-    steps = (previous_root - 1) // 2
+    steps = (square_root(8 * (distance // acceleration) + 1) - 1) // 2
     return steps * acceleration + (distance - acceleration * steps * (steps + 1) // 2) // (steps + 1)
 
 

@@ -125,6 +125,4 @@ ROMS: Mapping[str, Rom] = {
         memory=512 * 1024,
         modes=KHEPERA_2_MODES,
     ),
-    # The server of the Khepera IV, with no banner and one baud rate (its manual, chapter 6).
-    "kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(115200)}),
 }

@@ -23,7 +23,6 @@ from khep_twin.cli.completion import complete_in_bash, explain_error
 from khep_twin.cli.conform import conform
 from khep_twin.cli.design import design
 from khep_twin.cli.drive import drive
-from khep_twin.cli.exec import execute
 from khep_twin.cli.fit import fit
 from khep_twin.cli.log import recover, repeat
 from khep_twin.cli.options import Commands, notify
@@ -40,6 +39,7 @@ from khep_twin.cli.streams import exit_code
 from khep_twin.cli.sweep import sweep
 from khep_twin.cli.view import view
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, user_error_text
+from khep_twin.robots.registry import installed_models
 from khep_twin.signals import first_signal, handle_signals, leave
 from khep_twin.status_line import STATUS_LINE_VARIABLE, beside_status_line
 
@@ -59,7 +59,9 @@ _LOGS = (view, report, export, recover, repeat, branch)
 _MEASUREMENTS = (sense, fit, calibrate)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)
-app.command("exec")(execute)
+for robot_model in installed_models().values():
+    for command_name in robot_model.commands:
+        app.command(command_name)(robot_model.load_command(command_name))
 app.command("compile")(compile_all)
 app.command()(conform)
 

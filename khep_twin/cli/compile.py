@@ -6,12 +6,19 @@ import typer
 
 from khep_twin.cli.options import usage
 from khep_twin.errors import KhepTwinError, choices
+from khep_twin.robots.registry import default_model, find_family, installed_families
+
+_ARENA = 'version = 1\nname = "compile"\n[arena]\nwidth_mm = {width}\nheight_mm = 600\n'
+_ROBOT = '[[robot]]\nmodel = "{model}"\nx_mm = {x}\ny_mm = 300\nheading_deg = 0\n'
 
 
 def compile_all(
     parts: Annotated[
         list[str] | None,
-        typer.Argument(help="world, episodes, plane, vision or shadow; all of them by default."),
+        typer.Argument(
+            help="world, episodes, plane, vision or shadow, all of them by default; or world.FAMILY, with "
+            "further families behind dots, for worlds of these robots."
+        ),
     ] = None,
 ) -> None:
     """Compile the stepping core with numba, for later commands.
@@ -21,8 +28,9 @@ def compile_all(
     from khep_twin.simulation import ready
 
     for part in parts or ():
-        if part not in ready.CODE:
-            raise usage(f"part {part!r}: unknown; {choices(part, ready.CODE)}")
+        if not ready.is_part(part):
+            worlds = (f"world.{family}" for family in installed_families())
+            raise usage(f"part {part!r}: unknown; {choices(part, (*ready.CODE, *worlds))}")
     functions = [function for part in parts or ready.CODE for function in ready.functions_of(part)]
     if not all(map(ready.can_cache, functions)):
         raise KhepTwinError(f"nothing is compiled, as {ready.NO_CACHE_REASON}")
@@ -38,6 +46,7 @@ def _compile_part(part: str) -> None:
     """Call the functions of a part, a key of `ready.CODE`, once, which compiles them."""
     import numpy as np
 
+    from khep_twin import playpen as playpens
     from khep_twin.episodes.controllers import Braitenberg
     from khep_twin.episodes.episode import Episode
     from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -48,8 +57,12 @@ def _compile_part(part: str) -> None:
     from khep_twin.vision.camera import take_test_image
     from khep_twin.world import World
 
-    if part == "world":
-        world = World(Playpen.load("default"), compiled=True)
+    kind, *families = part.split(".")
+    if kind == "world":
+        models = [find_family(family) for family in families] or [default_model()]
+        text = _ARENA.format(width=600 * len(models))
+        text += "".join(_ROBOT.format(model=model.name, x=300 + 600 * i) for i, model in enumerate(models))
+        world = World(playpens.parse(text, part), compiled=True)
         world.advance_to(world.timing.step_ns)
     elif part == "vision":
         take_test_image()

@@ -45,6 +45,13 @@ def controllers() -> list[Completion]:
     return [(name, "built in") for name in BUILT_IN] + _local_files(".py") + _local_files(".npz")
 
 
+def models() -> list[Completion]:
+    """Return the models of robots."""
+    from khep_twin.robots.registry import installed_models
+
+    return [(name, model.title) for name, model in installed_models().items()]
+
+
 def ports() -> list[Completion]:
     """Return the ports of this machine, and the URLs of twins in this process."""
     from khep_twin.files.toml_files import names

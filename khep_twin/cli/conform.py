@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from khep_twin.cli.completion import logs, ports
+from khep_twin.cli.completion import logs, models, ports
 from khep_twin.cli.options import Force, check_new, refuse, usage
 from khep_twin.errors import PortError
 from khep_twin.files.atomic import unusable, write_atomic
-from khep_twin.lab.conformance.model import RobotModel
+from khep_twin.robots.registry import DEFAULT, installed_families
 
 _PORT_OPTIONS = {"move", "baudrate", "model"}
 """Options that do not apply to a log, by their parameters' names."""
@@ -26,10 +26,14 @@ def conform(
     ],
     move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
     model: Annotated[
-        RobotModel, typer.Option(help="Model of the robot: khepera, also for the Khepera II, or khepera4.")
-    ] = RobotModel.KHEPERA,
+        str,
+        typer.Option(
+            help=f"Model of the robot, or its family: {', '.join(installed_families())}.",
+            autocompletion=models,
+        ),
+    ] = DEFAULT,
     baudrate: Annotated[
-        int | None, typer.Option(help="Baud rate of the line; by default 9600, or 115200 for a Khepera IV.")
+        int | None, typer.Option(help="Baud rate of the line; by default the usual one of the model.")
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Also write the report to this JSON file.")] = None,
     force: Force = False,

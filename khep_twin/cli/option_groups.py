@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from khep_twin.cli.completion import playpens
+from khep_twin.cli.completion import models, playpens
 from khep_twin.cli.options import Force, Switch, notify, running_mode, usage
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ class RobotOptions:
     model: Annotated[
         str | None,
         typer.Option(
-            help="Model of the robot, khepera1, khepera2 or khepera4: body, sensors and, without --rom, "
-            "firmware."
+            help="Model of the robot: body, sensors and, without --rom, firmware.",
+            autocompletion=models,
         ),
     ] = None
     battery_used_min: Annotated[

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from khep_twin.envs.gymnasium import make as make
     from khep_twin.envs.gymnasium import make_vec as make_vec
     from khep_twin.envs.gymnasium_vector import KheperaVectorEnvironment as KheperaVectorEnvironment
-    from khep_twin.envs.khepera4 import KheperaIVEnvironment as KheperaIVEnvironment
     from khep_twin.envs.pettingzoo import ParallelEnvironment as ParallelEnvironment
     from khep_twin.envs.randomization import Randomization as Randomization
     from khep_twin.envs.task_episode import TaskEpisode as TaskEpisode
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from khep_twin.envs.tasks import Task as Task
     from khep_twin.envs.tasks import batched as batched
     from khep_twin.envs.tasks import with_parts as with_parts
+    from khep_twin.robots.khepera4.environments import KheperaIVEnvironment as KheperaIVEnvironment
 else:
     from khep_twin import lazy
 

@@ -17,9 +17,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
-KHEPERA_4_TASKS = ("KheperaIVObstacleAvoidance", "KheperaIVLineFollowing")
-"""Tasks of `khepera4.TASKS`, which needs Gymnasium."""
-
 _REGISTRY = "gymnasium.envs.registration"
 
 _TIME_OPTIONS = frozenset({"task", "seconds", "period_ns"})
@@ -33,6 +30,7 @@ def register() -> None:
             sys.meta_path.insert(0, _RegistrationFinder())
         return
     from khep_twin.envs.tasks import TASKS
+    from khep_twin.robots.registry import installed_models
 
     registry: Any = module
     for task in TASKS:
@@ -43,10 +41,10 @@ def register() -> None:
                 vector_entry_point="khep_twin.envs.gymnasium_vector:KheperaVectorEnvironment",
                 kwargs={"task": task},
             )
-    for task in KHEPERA_4_TASKS:
-        if (name := f"khep_twin/{task}-v0") not in registry.registry:
-            entry = "khep_twin.envs.khepera4:KheperaIVEnvironment"
-            registry.register(name, entry_point=entry, kwargs={"task": task})
+    for model in installed_models().values():
+        for task, environment in model.environments.items():
+            if (name := f"khep_twin/{task}-v0") not in registry.registry:
+                registry.register(name, entry_point=environment, kwargs={"task": task})
 
 
 class TimeLimitedSpec:

@@ -42,7 +42,7 @@ def _run(arguments, end_step, stops, slots):
         episode = stepping.EpisodeArguments(*arrays)
         light = Light(episode.law[0], episode.bulbs, episode.hidden)
         scene = MujocoCalls(episode.scene[0][0], episode.scene[1])
-        simulated = Simulated(scene, episode.timing[0], light, episode.robots, episode.counters)
+        simulated = Simulated(scene, episode.timing[0], light, episode.groups, episode.counters)
         inputs = StepInputs(episode.powers, episode.tables)
         reason = stepping.run_slot(episode.controllers, simulated, inputs, end_step, stops, slots, i)
     return reason

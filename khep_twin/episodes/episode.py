@@ -108,7 +108,7 @@ class Episode(NotCopied):
         self.guard = self._world.guard
         self._simulation = self._world.simulation
         self._simulation.step_with(self._advance, self._compiled)
-        self.boards: NDArray[np.int64] = self._simulation.records["registers"]
+        self.boards: NDArray[np.int64] = self._simulation.records[0]["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
         self._has_started = False
         self._lamps = DEFAULT_OPTIONS.lamps
@@ -234,7 +234,7 @@ class Episode(NotCopied):
         if self._awaits_speeds:
             is_finite = stepping.drive_by_line(self._simulation.plain, self._controllers, robot, left, right)
         else:
-            powered = self._simulation.records["processor"][robot, kernel.POWERED]
+            powered = self._simulation.records[0]["processor"][robot, kernel.POWERED]
             is_finite = not powered or stepping.drive(self.boards[robot].data, left, right)
         if not is_finite:
             raise DivergedError(

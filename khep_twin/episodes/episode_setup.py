@@ -11,8 +11,9 @@ from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen, PlaypenLike
-from khep_twin.playpen.checks import require_kheperas
+from khep_twin.playpen.checks import require_feature
 from khep_twin.playpen.starts import Start, at_spots
+from khep_twin.robots.model import Feature
 from khep_twin.sensing import calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.mujoco_forms import SceneModel
@@ -63,7 +64,7 @@ class EpisodeSetup:
         name, robots = playpen.name, playpen.robots
         if len(robots) == 0:
             raise PlaypenError(f"{name}: 0 robots; expected one for an episode")
-        require_kheperas(playpen, "an episode")
+        require_feature(playpen, Feature.EPISODES)
         if planar and (playpen.arena.table or any(block.ramp for block in playpen.blocks)):
             raise PlaypenError(f"{name}: a table or a ramp; expected level floor and walls in the plane")
         if planar and len(robots) > 1:

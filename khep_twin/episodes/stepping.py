@@ -90,7 +90,7 @@ class EpisodeArguments(NamedTuple):
     law: Records
     bulbs: Records
     hidden: Records
-    robots: Records
+    groups: Records
     counters: Records
     powers: Records
     tables: Records
@@ -181,8 +181,8 @@ def run_slot(
     if len(slots.indices) > 0:
         slot = slots.indices[index]
         end_step = int(slots.end_steps[slot])
-        for robot in range(len(simulated.robots) if len(slots.speeds) else 0):
-            state = simulated.robots[robot]
+        for robot in range(len(simulated.groups[0]) if len(slots.speeds) else 0):
+            state = simulated.groups[0][robot]
             left, right = slots.speeds[slot, robot, 0], slots.speeds[slot, robot, 1]
             if controllers.kind == CALLER:
                 is_driven = drive_by_line(simulated, controllers, robot, left, right)
@@ -201,8 +201,8 @@ def run_slot(
 @compilable
 def observe(simulated: Simulated, controllers: Controllers, slots: SlotArrays, slot: int) -> None:
     """Copy registers (at a line as last read) and poses of an episode's robots into the arrays of a slot."""
-    for robot in range(len(simulated.robots)):
-        state = simulated.robots[robot]
+    for robot in range(len(simulated.groups[0])):
+        state = simulated.groups[0][robot]
         for index in range(kernel.N_REGISTERS):
             if controllers.kind == CALLER:
                 slots.registers[slot, robot, index] = controllers.host_registers[robot][index]
@@ -226,7 +226,7 @@ def next_step(controllers: Controllers) -> int:
 @compilable
 def control(simulated: Simulated, controllers: Controllers) -> bool:
     """Handle all due events of the controllers; return False if a speed is not finite."""
-    for robot in range(len(simulated.robots)):
+    for robot in range(len(simulated.groups[0])):
         event = controllers.events[robot]
         while event[NEXT_STEP] <= simulated.counters[STEPS]:
             if not _handle_event(simulated, controllers, robot):
@@ -250,7 +250,7 @@ def drive_by_line(
 @compilable
 def _handle_event(simulated: Simulated, controllers: Controllers, robot: int) -> bool:
     """Handle the due event of a robot's line; return False if a speed is not finite."""
-    state, line = simulated.robots[robot], controllers.line
+    state, line = simulated.groups[0][robot], controllers.line
     registers, ambient = state.registers, state.sensors.ambient
     event, host_registers = controllers.events[robot], controllers.host_registers[robot]
     is_driven = controllers.kind != CONSTANT_SPEED and state.processor[kernel.POWERED]

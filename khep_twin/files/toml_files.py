@@ -8,8 +8,8 @@ number, the table, the key, its value and the expected values:
 
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from itertools import islice
 from pathlib import Path
@@ -17,9 +17,9 @@ from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_origin
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from khep_twin.errors import Expected, KhepTwinError, Location, Problem, choices
 from khep_twin.files.atomic import open_regular
@@ -60,6 +60,28 @@ class TomlTable(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=False
     )
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """Constraint of a text: one of the names that are known when a file is read.
+
+    Attributes:
+        names: Function that returns the names.
+    """
+
+    names: Callable[[], Iterable[str]]
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._check, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Table:
+        return {**handler(schema), "enum": [*self.names()]}
+
+    def _check(self, name: str) -> str:
+        if name not in self.names():
+            raise PydanticCustomError("literal_error", "unknown")
+        return name
 
 
 def folder(kind: str) -> Path:
@@ -293,8 +315,7 @@ def _describe_problem(
     assignment = _format_assignment(key, problem["input"])
     if kind == "extra_forbidden":
         return f"{assignment}: unknown key; {choices(key, keys)}", tuple(keys)
-    if kind == "literal_error" and field is not None:
-        literals = _literals_in(field.annotation)
+    if kind in ("literal_error", "string_type") and field is not None and (literals := choices_of(field)):
         return f"{assignment}: unknown; {choices(_to_text(problem['input']), literals)}", tuple(literals)
     return f"{assignment}; expected {(expected := _describe_expected(field))}", expected
 
@@ -327,6 +348,14 @@ def _table_in(annotation: object) -> type[BaseModel] | None:
     return next((table for part in get_args(annotation) if (table := _table_in(part)) is not None), None)
 
 
+def choices_of(field: FieldInfo) -> list[object]:
+    """Return the values of a field that has a fixed set, by a `Literal` or `OneOf`; empty for others."""
+    names: list[object] = [
+        name for rule in field.metadata if isinstance(rule, OneOf) for name in rule.names()
+    ]
+    return names or _literals_in(field.annotation)
+
+
 def _literals_in(annotation: object) -> list[object]:
     if get_origin(annotation) is Literal:
         return list(get_args(annotation))
@@ -340,7 +369,7 @@ def _describe_expected(field: FieldInfo | None) -> str:
     if field.description:
         return field.description
     annotation = _required_type(field.annotation)
-    if literals := _literals_in(annotation):
+    if literals := choices_of(field):
         return " or ".join(format_value(literal) for literal in literals)
     if annotation is int or annotation is float:
         word = "an integer" if annotation is int else "a number"

@@ -9,12 +9,6 @@ if TYPE_CHECKING:
     from khep_twin.host.gripper import Gripper as Gripper
     from khep_twin.host.host_robot import HostRobot as HostRobot
     from khep_twin.host.khepera import Khepera as Khepera
-    from khep_twin.host.khepera4 import Khepera4 as Khepera4
-    from khep_twin.host.khepera4_results import Battery as Battery
-    from khep_twin.host.khepera4_results import Distances as Distances
-    from khep_twin.host.khepera4_results import InfraredCounts as InfraredCounts
-    from khep_twin.host.khepera4_results import Vector3 as Vector3
-    from khep_twin.host.khepera4_results import Wheels as Wheels
     from khep_twin.host.moves import turn_pulses as turn_pulses
     from khep_twin.host.moves import way_pulses as way_pulses
     from khep_twin.host.radio import Radio as Radio
@@ -30,6 +24,12 @@ if TYPE_CHECKING:
     from khep_twin.host.vision import read_image as read_image
     from khep_twin.host.vision import read_light as read_light
     from khep_twin.host.vision import read_region as read_region
+    from khep_twin.robots.khepera4.host import Khepera4 as Khepera4
+    from khep_twin.robots.khepera4.host_results import Battery as Battery
+    from khep_twin.robots.khepera4.host_results import Distances as Distances
+    from khep_twin.robots.khepera4.host_results import InfraredCounts as InfraredCounts
+    from khep_twin.robots.khepera4.host_results import Vector3 as Vector3
+    from khep_twin.robots.khepera4.host_results import Wheels as Wheels
     from khep_twin.units import RadioStatus as RadioStatus
     from khep_twin.units import Sensor as Sensor
 else:

@@ -3,16 +3,23 @@
 import math
 from collections.abc import Callable
 from types import TracebackType
-from typing import Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import serial
 
 from khep_twin.errors import PortError
 from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand
-from khep_twin.host.line import KHEPERA, Dialect, Line, LineTimes
+from khep_twin.host.line import Line, LineTimes
+from khep_twin.robots.model import Dialect, RobotModel
 
 Value = TypeVar("Value")
+
+
+def open_robot(model: RobotModel, url: StrPath, **options: Any) -> "HostRobot":
+    """Open the robot of a model at a port; options are those of the model's host class."""
+    host_class: Callable[..., HostRobot] = model.load_class("host", HostRobot)
+    return host_class(url, **options)
 
 
 class HostRobot:
@@ -39,7 +46,7 @@ class HostRobot:
         timeout: float | None,
         baudrate: int | Literal["auto"],
         retries: int,
-        dialect: Dialect = KHEPERA,
+        dialect: Dialect,
     ) -> None:
         if timeout is not None and not 0 <= timeout < math.inf:
             raise ValueError(f"timeout = {timeout}; expected a finite number from 0")
@@ -135,6 +142,14 @@ class HostRobot:
             PortError: The port is that of a server with `--clock wire` or `--speed max`.
         """
         self._line.sleep(duration)
+
+    def stop(self) -> None:
+        """Stop the wheels."""
+        raise NotImplementedError
+
+    def read_panel(self) -> dict[str, list[int]]:
+        """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [register]."""
+        raise NotImplementedError
 
     def ask(self, request: str) -> str:
         """Send any line, once, and return the reply, or a tool's first line, without its line ending.

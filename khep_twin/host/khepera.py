@@ -26,6 +26,7 @@ from khep_twin.host.moves import TARGET_LIMIT_PULSES, turn_pulses, way_pulses
 from khep_twin.host.results import MotionStatus as MotionStatus
 from khep_twin.host.results import MotorMode, Positions, SensorCounts, Speeds, Versions
 from khep_twin.host.results import WheelStatus as WheelStatus
+from khep_twin.robots.khepera.model import KHEPERA_1
 from khep_twin.units import WHEEL_BASE
 
 A = TypeVar("A")
@@ -66,7 +67,7 @@ class Khepera(HostRobot):
     ) -> None:
         if not 0 < wheel_base < math.inf:
             raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
-        super().__init__(url, timeout, baudrate, retries)
+        super().__init__(url, timeout, baudrate, retries, KHEPERA_1.dialect)
         self._wheel_base = wheel_base
         self._mode_codes: tuple[int, int, int] | None = None
 
@@ -75,6 +76,10 @@ class Khepera(HostRobot):
     def set_speed(self, left: int, right: int) -> None:
         """Drive the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127 (command D)."""
         self._run(commands.set_speed(left, right))
+
+    def stop(self) -> None:
+        """Stop the wheels."""
+        self.set_speed(0, 0)
 
     def set_target(self, left: int, right: int) -> None:
         """Move the wheels to these positions [pulses of 0.08 mm]; return immediately (command C)."""
@@ -172,6 +177,11 @@ class Khepera(HostRobot):
     def ambient(self) -> SensorCounts:
         """Return eight ambient counts as ordered in `proximity`, 500 (dark) to 50 (bright) (command O)."""
         return self._run(commands.ambient())
+
+    def read_panel(self) -> dict[str, list[int]]:
+        """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [pulses/10 ms]."""
+        proximity, ambient, speed = self.burst(commands.proximity(), commands.ambient(), commands.speed())
+        return {"proximity": [*proximity], "ambient": [*ambient], "speed": [*speed]}
 
     def converter(self, channel: int) -> int:
         """Return one channel of the 10-bit analogue-to-digital converter, 1024 = 4.09 V (command I)."""

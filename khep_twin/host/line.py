@@ -4,7 +4,6 @@ The robot replies to each line with one line, in order. A missing or malformed r
 `Resynchronization`; only then is a command repeated, if it is repeatable.
 """
 
-import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -13,13 +12,14 @@ from typing import Literal, NamedTuple, TypeVar
 
 import serial
 
-from khep_twin.board.protocol import MOTION_COMMANDS
 from khep_twin.errors import PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.files.paths import StrPath
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.final_stop import STOP_WAIT, FinalStop, StopResult
 from khep_twin.host.resynchronization import Resynchronization
 from khep_twin.host.robot_port import RobotPort, decode_line
+from khep_twin.robots.model import Dialect, RobotModel
+from khep_twin.robots.registry import find_model, find_other_family
 from khep_twin.units import BITS_PER_BYTE
 
 Value = TypeVar("Value")
@@ -27,53 +27,6 @@ E = TypeVar("E", PortError, ProtocolError)
 
 LONGEST_OUTPUT = 10.0
 """Longest wait for the end of a tool's output [s]; `list` takes 2 s at 9600 baud."""
-
-
-class Dialect(NamedTuple):
-    """Protocol of a kind of robot, as the line needs it.
-
-    Attributes:
-        robot_name: Kind of robot, for messages.
-        host_class: Name of the host class for it.
-        versions_reply: Pattern of the reply to B.
-        probe_letters: Reads that resynchronize the line.
-        stop_requests: Requests that stop the motors, one after the other.
-        moving: Prefixes of requests that move the robot.
-    """
-
-    robot_name: str
-    host_class: str
-    versions_reply: re.Pattern[str]
-    probe_letters: str
-    stop_requests: tuple[str, ...]
-    moving: tuple[str, ...]
-
-    def may_move(self, request: str) -> bool:
-        """Return whether a request may move the robot."""
-        return request not in self.stop_requests and request.lstrip().startswith(self.moving)
-
-    def find_other(self, versions_reply: str) -> "Dialect | None":
-        """Return the dialect of a reply to B if it is another one."""
-        matches = [other for other in DIALECTS.values() if other.versions_reply.fullmatch(versions_reply)]
-        return matches[0] if matches and matches[0] is not self else None
-
-    def other_robot(self, kind: type[E], text: str, other: "Dialect") -> E:
-        """Return an error about a robot of another kind; programs see the class for it in the traceback."""
-        error = kind(text, key="model", value=other.host_class.lower(), expected=self.robot_name)
-        error.add_note(f"khep_twin.host.{other.host_class} is the class for {other.robot_name}")
-        return error
-
-
-KHEPERA = Dialect(
-    "a Khepera", "Khepera", re.compile(r"b,\d.*"), "BHEK", ("D,0,0",), (*MOTION_COMMANDS, "run", "restart")
-)
-KHEPERA4 = Dialect(
-    "a Khepera IV", "Khepera4", re.compile(r"b,[A-P],\d+"), "BERG", ("A,2", "D,0,0"), ("A", "D", "F", "L")
-)
-"""Dialects. On the Khepera IV D does not stop the Braitenberg vehicle, and H and K are not reads."""
-
-DIALECTS = {"khepera1": KHEPERA, "khepera2": KHEPERA, "khepera4": KHEPERA4}
-"""Dialects by model of the robot."""
 
 
 class LineTimes(NamedTuple):
@@ -115,7 +68,7 @@ class Line:
         timeout: float | None,
         baudrate: int | Literal["auto"],
         retries: int,
-        dialect: Dialect = KHEPERA,
+        dialect: Dialect,
     ) -> None:
         if not (retries >= 0 and float(retries).is_integer()):
             raise ValueError(f"retries={retries!r}; expected an integer from 0")
@@ -129,9 +82,9 @@ class Line:
         self.port = RobotPort(url, timeout, baudrate, retries)
         # The model of a twin in this process is known before the first exchange.
         model = self.port.model
-        if model is not None and (other := DIALECTS[model]) is not dialect:
+        if model is not None and (other := find_model(model)).dialect is not dialect:
             self.port.serial_port.close()
-            raise self._model_error(other)
+            raise self._port_error(other)
         if baudrate == "auto":
             self.port.find_baud_rate()
         self._resynchronization = Resynchronization(self.port, dialect.probe_letters, self._stop_request)
@@ -212,9 +165,9 @@ class Line:
             raise self.port.timeout_error(*self._missing_reply, start) from None
         if late_replies is None:
             raise error from None
-        if other := self._dialect.find_other(self._resynchronization.versions_reply):
-            text = f"{error}; {other.robot_name} answers so"
-            raise self._dialect.other_robot(ProtocolError, text, other) from None
+        if other := find_other_family(self._dialect, self._resynchronization.versions_reply):
+            text = f"{error}; {other.dialect.robot_name} answers so"
+            raise self._model_error(ProtocolError, text, other) from None
         return late_replies
 
     def check_model(self) -> None:
@@ -222,13 +175,18 @@ class Line:
         if self.port.model is not None:  # checked at the opening
             return
         with suppress(PortTimeout, ProtocolError):
-            if other := self._dialect.find_other(self.ask("B")):
-                raise self._model_error(other)
+            if other := find_other_family(self._dialect, self.ask("B")):
+                raise self._port_error(other)
 
-    def _model_error(self, other: Dialect) -> PortError:
-        return self._dialect.other_robot(
-            PortError, f"{self.port.name}: the robot is {other.robot_name}", other
-        )
+    def _port_error(self, other: RobotModel) -> PortError:
+        text = f"{self.port.name}: the robot is {other.dialect.robot_name}"
+        return self._model_error(PortError, text, other)
+
+    def _model_error(self, kind: type[E], text: str, other: RobotModel) -> E:
+        """Return an error about a robot of another kind; programs see the class for it in the traceback."""
+        error = kind(text, key="model", value=other.family, expected=self._dialect.robot_name)
+        error.add_note(f"{other.dialect.host_class} is the class for {other.dialect.robot_name}")
+        return error
 
     def _yield_to_stop(self) -> None:
         """Wait for a pending stop, as a lock alone could be taken by the same thread for ever."""

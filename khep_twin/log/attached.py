@@ -19,9 +19,9 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import CalibrationError, KhepTwinError, LogError
 from khep_twin.files.toml_files import SIZE_LIMIT, validate
 from khep_twin.log.decoding import DecodeError, first_line, printable
+from khep_twin.log.robot_models import models_of
 from khep_twin.playpen import Playpen
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import BODIES, Body
 
 MAX_DEPTH = 64
 """Maximum depth of nested elements in a scene."""
@@ -49,22 +49,15 @@ def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -
         return validate(Calibration, _attachment_text(attachments, name), name, CalibrationError)
 
 
-def bodies_of(attachments: Mapping[str, str], robots: Sequence[str], source: object) -> dict[str, Body]:
-    """Return the body of each robot; that of a Khepera if the log has no playpen."""
-    entries = playpen_of(attachments, source).robots if "playpen.toml" in attachments else ()
-    recorded_bodies = {f"khepera{index}": entry.body for index, entry in enumerate(entries)}
-    return {robot: recorded_bodies.get(robot, BODIES["khepera1"]) for robot in robots}
-
-
 def compile_shapes(attachments: Mapping[str, str], robots: Sequence[str], source: object) -> mujoco.MjModel:
     """Compile the scene of a log, reduced to its shapes, and check that it contains these robots."""
-    bodies = bodies_of(attachments, robots, source)
+    models = models_of(attachments, robots)
     with _attachment_errors(source, "scene.xml"):
         model = _compile_mjcf(_attachment_text(attachments, "scene.xml"))
         names = {model.body(index).name for index in range(model.nbody)}
         names |= {model.cam(index).name for index in range(model.ncam)}
-        for robot, body in bodies.items():
-            for name in ("base", *body.cameras):
+        for robot, robot_model in models.items():
+            for name in ("base", *robot_model.body.cameras):
                 if f"{robot}/{name}" not in names:
                     raise DecodeError(f"no {robot}/{name}", "it, as the log's robots have it")
         return model

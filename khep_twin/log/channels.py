@@ -11,7 +11,7 @@
     /khepera0/duty              std_msgs/Float64MultiArray  left, right, -255 to 255
     /khepera0/leds              std_msgs/Float64MultiArray  LED 0 (lateral), 1 (frontal), 1 when lit
     /khepera0/ultrasonic        std_msgs/Float64MultiArray  left to right [cm], of a Khepera IV, whose other
-                                                channels are in `khepera4.channels`
+                                                channels are in its model
     /khepera0/registers         std_msgs/Int64MultiArray    complete state of the board
     /khepera0/gripper           std_msgs/Int64MultiArray    complete state of a turret, by its name
     /khepera0/vision            sensor_msgs/Image           greys from left to right, of a camera turret

@@ -16,12 +16,12 @@ from khep_twin import __version__
 from khep_twin.board.protocol import Command, LineReader
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.firmware import parse
-from khep_twin.khepera_robot import SAMPLED
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.sample_layout import channel_names_message
 from khep_twin.log.transcript import Transcript
+from khep_twin.robots.khepera.robot import SAMPLED
 from khep_twin.units import K213_NUMBER, K213_PIXELS
 
 ROBOT = "khepera0"

@@ -1,6 +1,6 @@
 """Messages of a log by topic: collected while a file is read, decoded on request."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, TextLine
-from khep_twin.log.columns import is_khepera4
 from khep_twin.log.decoding import (
     LATEST_NS,
     DecodeError,
@@ -23,6 +22,7 @@ from khep_twin.log.decoding import (
     stack_images,
 )
 from khep_twin.log.entries import Entry
+from khep_twin.log.robot_models import channel_widths
 from khep_twin.log.shadow_channels import LINE_TOPICS
 
 NUMERIC_DECODERS: dict[str, Callable[[list[bytes]], NDArray[np.int64] | NDArray[np.float64]]] = {
@@ -34,9 +34,6 @@ NUMERIC_DECODERS: dict[str, Callable[[list[bytes]], NDArray[np.int64] | NDArray[
 
 REPEAT_CHANNELS = ("host_events", "state", "snapshot")
 """Channels that only `khep-twin repeat` and `branch` read; their messages have any length."""
-
-SAMPLE_WIDTHS = {"proximity": (8, 12), "ambient": (8, 12), "speed": (4,), "duty": (2,), "registers": (0,)}
-"""Numbers per message by sampled channel of a robot, for each model; 0: as in the first message."""
 
 _MAX_INTEGER = 2**62  # largest number accepted as an integer
 
@@ -86,9 +83,10 @@ class Messages:
         _, values = self._decode(f"/{robot}/{name}", partial(read_samples, name=name))
         return values.astype(np.int64)
 
-    def is_khepera4(self, robot: str) -> bool:
-        """Return whether a robot is a Khepera IV."""
-        return is_khepera4(robot, self._by_topic)
+    @property
+    def topics(self) -> Collection[str]:
+        """Topics of the messages."""
+        return self._by_topic.keys()
 
     def lines(self, topic: str) -> list[TextLine]:
         """Return the lines of a transcript or the events."""
@@ -148,13 +146,13 @@ def line_topics(robots: Iterable[str]) -> set[str]:
 
 def read_samples(messages: Sequence[bytes], name: str) -> _Values:
     """Return the values of messages of a robot's sampled channel (n, width)."""
-    width, *other_widths = SAMPLE_WIDTHS.get(name, (0,))
+    width, *other_widths = channel_widths(name)
     if not messages:
         return np.zeros((0, width))
     if name == "registers":
         return stack_arrays(messages, "q", width, f" of {name}")
-    if other_widths and len(read_array(messages[0], "d")) in other_widths:
-        width = other_widths[0]
+    if (first_width := len(read_array(messages[0], "d"))) in other_widths:
+        width = first_width
     values = stack_arrays(messages, "d", width, f" of {name}")
     in_range = ((values >= -_MAX_INTEGER) & (values <= _MAX_INTEGER)).all(axis=1)
     if not in_range.all():

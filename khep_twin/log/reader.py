@@ -20,16 +20,17 @@ from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
-from khep_twin.log.columns import KHEPERA4_COLUMNS, name_columns
+from khep_twin.log.columns import name_columns
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, read_errors
 from khep_twin.log.entries import Entry, Label, make_label, run_metadata
-from khep_twin.log.messages import SAMPLE_WIDTHS, Messages, TimeSeries, check_time, is_repeat_channel
+from khep_twin.log.messages import Messages, TimeSeries, check_time, is_repeat_channel
+from khep_twin.log.robot_models import SAMPLED_CHANNELS, further_channels, models_of
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.checks import require_kheperas
+from khep_twin.playpen.checks import require_feature
 from khep_twin.renamed import renamed_attribute
-
-_EXTRA_CHANNELS = [kind for kind in KHEPERA4_COLUMNS if kind not in SAMPLE_WIDTHS]
+from khep_twin.robots.model import Feature, RobotModel
+from khep_twin.robots.registry import default_model
 
 BATCH_BYTES = 32 << 20
 """Messages that `read_batches` reads at a time, besides a chunk [bytes]."""
@@ -48,7 +49,8 @@ class RobotTrack:
         duty: Duties left, right (n, 2) [-255 to 255]; of a Khepera IV [-2940 to 2940].
         registers: Complete state of the board (n, n_registers).
         serial: Transcript, in order of time.
-        extra_channels: Further channels of a Khepera IV by name (n, columns), e.g. "ultrasonic"; or none.
+        extra_channels: Further channels of its model by name (n, columns), e.g. "ultrasonic"; or none.
+        model: Its model.
     """
 
     times_ns: NDArray[np.int64]
@@ -60,6 +62,7 @@ class RobotTrack:
     registers: NDArray[np.int64]
     serial: list[TextLine]
     extra_channels: Mapping[str, NDArray[np.int64]] = field(default_factory=dict[str, NDArray[np.int64]])
+    model: RobotModel = field(default_factory=default_model)
     more = renamed_attribute("more", "extra_channels")
 
 
@@ -105,7 +108,7 @@ class LoggedRun:
         """Return the samples of all robots as columns (n,) by name, for `pandas.DataFrame`.
 
         The columns are "time_s", "robot", and those of `khep-twin export` for pose, proximity, ambient, speed
-        and duty, of a Khepera IV also its further channels; NaN where a robot lacks a column. Rows are sorted
+        and duty, and the further channels of its model; NaN where a robot lacks a column. Rows are sorted
         by time, then by robot.
         """
         tracks = [*self.robots.values()]
@@ -113,14 +116,13 @@ class LoggedRun:
         order = np.argsort(times_ns, kind="stable")
         names = np.repeat([*self.robots], [len(track.times_ns) for track in tracks])
         table: dict[str, NDArray[np.generic]] = {"time_s": times_ns[order] / 1e9, "robot": names[order]}
-        is_mixed = len({bool(track.extra_channels) for track in tracks}) > 1
+        is_mixed = len({track.model.family for track in tracks}) > 1
         values_by_column: dict[str, dict[int, NDArray[np.generic]]] = {}
         for index, track in enumerate(tracks):
             kinds = ("pose", "proximity", "ambient", "speed", "duty")
             channels = {kind: getattr(track, kind) for kind in kinds} | dict(track.extra_channels)
             for kind, values in channels.items():
-                khepera4 = bool(track.extra_channels)
-                _, columns = name_columns(kind, values.shape[1], khepera4=khepera4, is_mixed=is_mixed)
+                _, columns = name_columns(kind, values.shape[1], track.model, is_mixed=is_mixed)
                 for (column, _), column_values in zip(columns, values.T, strict=True):
                     values_by_column.setdefault(column, {})[index] = column_values
         gaps = [np.full(len(track.times_ns), np.nan) for track in tracks]
@@ -152,27 +154,27 @@ def read_log(path: StrPath) -> LoggedRun:
         label = _read_label(path, content)
         messages = Messages(path, content.messages())
     times_ns, poses = messages.poses(label.robots)
+    models = models_of(label.attachments, label.robots, messages.topics)
     robots = {
         name: RobotTrack(
             times_ns,
             pose,
-            *(messages.samples(name, kind) for kind in SAMPLE_WIDTHS),
+            *(messages.samples(name, kind) for kind in SAMPLED_CHANNELS),
             serial=messages.lines(f"/{name}/serial"),
-            extra_channels={
-                kind: messages.samples(name, kind) for kind in _EXTRA_CHANNELS if messages.is_khepera4(name)
-            },
+            extra_channels={kind: messages.samples(name, kind) for kind in further_channels(models[name])},
+            model=models[name],
         )
         for name, pose in zip(label.robots, poses, strict=True)
     }
     return LoggedRun(label.metadata, label.attachments, robots, messages.lines("/events"), path)
 
 
-def require_kheperas_in(label: Label, source: object, feature: str) -> None:
-    """Raise a `LogError` if a robot of a log is no Khepera or Khepera II, as `feature` requires."""
-    text = label.attachments.get("playpen.toml", "")
-    if "khepera4" in text:
+def require_feature_in(label: Label, source: object, feature: Feature) -> None:
+    """Raise a `LogError` if the model of a robot of a log does not support a use."""
+    models = models_of(label.attachments, label.robots)
+    if any(feature not in model.features for model in models.values()):
         try:
-            require_kheperas(playpen_of(label.attachments, source), feature)
+            require_feature(playpen_of(label.attachments, source), feature)
         except PlaypenError as error:
             raise LogError(f"{source}: {error}") from None
 

@@ -21,8 +21,9 @@ from khep_twin.log.decoding import LATEST_NS, DecodeError, read_errors, read_lin
 from khep_twin.log.entries import robot_names, run_metadata
 from khep_twin.log.host_events import read_events
 from khep_twin.log.mcap_recovery import IntactRecords, Progress
-from khep_twin.log.messages import NUMERIC_DECODERS, REPEAT_CHANNELS, SAMPLE_WIDTHS, line_topics, read_samples
+from khep_twin.log.messages import NUMERIC_DECODERS, REPEAT_CHANNELS, line_topics, read_samples
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
+from khep_twin.log.robot_models import SAMPLED_CHANNELS
 from khep_twin.log.snapshots import read_states
 from khep_twin.machine import lock
 
@@ -198,7 +199,7 @@ class MessageFilter:
     def __init__(self, robots: Sequence[str]) -> None:
         self._base_frames = {f"{robot}/base" for robot in robots}
         self._line_topics = line_topics(robots)
-        self._sampled_topics = {f"/{robot}/{name}" for robot in robots for name in SAMPLE_WIDTHS}
+        self._sampled_topics = {f"/{robot}/{name}" for robot in robots for name in SAMPLED_CHANNELS}
         self._widths: dict[tuple[str, str], int] = {}
 
     def accepts(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:

@@ -4,24 +4,24 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import cast
 
-from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find_turrets
 from khep_twin.errors import Location, PlaypenError, Problem, TurretError
 from khep_twin.playpen.footprint import find_overhangs, overlap
 from khep_twin.playpen.overlap import PlacedPart, centre_problems, part_label, placement_problems
 from khep_twin.playpen.parts import (
     BULB_RADIUS_MM,
-    MODEL_ROMS,
-    MODELS,
     SHORTEST_BLINK_S,
     RobotEntry,
     Spot,
     Wall,
+    model_defaults,
 )
 from khep_twin.playpen.polygon import edges
 from khep_twin.playpen.stripes import PANEL_LIMIT, Stripe
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen.tables import PlaypenTables
+from khep_twin.robots.model import Feature
+from khep_twin.robots.registry import installed_models, titles_with
 
 LOWEST_WALL_MM, LOWEST_WALL_WITH_TURRET_MM = 15.0, 30.0
 """Lowest walls of an arena with bare robots, and with turrets [mm]. At full speed,
@@ -62,12 +62,12 @@ def playpen_problems(
     )
 
 
-def require_kheperas(playpen: PlaypenTables, purpose: str) -> None:
-    """Raise a `PlaypenError` where a robot is no Khepera or Khepera II, which `purpose` requires."""
+def require_feature(playpen: PlaypenTables, feature: Feature) -> None:
+    """Raise a `PlaypenError` where the model of a robot does not support a use."""
     for number, robot in enumerate(playpen.robots, 1):
-        if not robot.body.in_core:
+        if feature not in robot.robot_model.features:
             robot_text = f"{playpen.name}: robot {number}: model = {robot.model!r}"
-            raise PlaypenError(f"{robot_text}; expected a Khepera or Khepera II for {purpose}")
+            raise PlaypenError(f"{robot_text}; expected {titles_with(feature)} for {feature.value}")
 
 
 def at_spot(robot: RobotEntry, spot: Spot) -> RobotEntry:
@@ -130,7 +130,8 @@ def default_keys(model: str, spots: Sequence[Mapping[str, object]]) -> dict[str,
     """Return a robot's keys that follow from its model and spots, for a file that omits them."""
     first_spot: Mapping[str, object] = spots[0] if spots else {}
     pose = {key: first_spot[key] for key in ("x_mm", "y_mm", "heading_deg") if key in first_spot}
-    return {**MODELS.get(model, {}), **pose}
+    defaults: Mapping[str, str] = model_defaults(model) if model in installed_models() else {}
+    return {**defaults, **pose}
 
 
 def _read_tables(data: dict[str, object], kind: str) -> list[dict[str, object]]:
@@ -274,7 +275,8 @@ def _robot_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     spot_names = [spot.name for spot in playpen.spots]
     for index, robot in enumerate(playpen.robots):
         robot_name = part_label("robot", index + 1, robot.name)
-        if reason := ROMS[robot.rom].refusal_reason(robot.mode):
+        roms = robot.robot_model.roms
+        if robot.rom in roms and (reason := roms[robot.rom].refusal_reason(robot.mode)):
             yield Problem(("robot", index, "mode"), f"{robot_name}: mode = {robot.mode}: {reason}")
         for key, value, expected in find_unfit_keys(robot):
             text = f"{robot_name}: {key} = {value!r} with model = {robot.model!r}"
@@ -296,10 +298,10 @@ def _robot_problems(playpen: PlaypenTables) -> Iterator[Problem]:
 
 def find_unfit_keys(robot: RobotEntry) -> Iterator[tuple[str, object, str]]:
     """Yield keys of a robot that do not fit its model: key, value and expected values."""
-    roms = MODEL_ROMS[robot.model]
+    roms = robot.robot_model.roms
     if robot.rom not in roms:
         yield "rom", robot.rom, " or ".join(roms)
-    if robot.turrets and not robot.body.in_core:
+    if robot.turrets and Feature.TURRETS not in robot.robot_model.features:
         yield "turrets", [*robot.turrets], "none"
 
 

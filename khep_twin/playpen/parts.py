@@ -5,13 +5,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from khep_twin.board.rom import Rom
 from khep_twin.board.turrets import installed_turrets
-from khep_twin.files.toml_files import NAME_RULE, Name, TomlTable
+from khep_twin.files.toml_files import NAME_RULE, Name, OneOf, TomlTable
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.polygon import Point, area, edges, find_crossing, find_inner_walls, wall_pieces
 from khep_twin.playpen.stripes import Stripes
 from khep_twin.playpen.surfaces import Colour
-from khep_twin.units import BODIES, BULB_RADIUS, ROOM_LUX, Body
+from khep_twin.robots.body import Body
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import DEFAULT, find_model, installed_models, installed_roms
+from khep_twin.units import BULB_RADIUS, ROOM_LUX
 
 BULB_RADIUS_MM = BULB_RADIUS * 1000
 """Radius of a lamp's bulb [mm]."""
@@ -319,25 +323,17 @@ class RadioChannel(TomlTable):
     air_time_ms: Annotated[float, Field(gt=0, le=10_000)] = 30.0
 
 
-MODEL_ROMS: Mapping[str, tuple[str, ...]] = {
-    "khepera1": ("5.02", "4.06", "khepera2"),
-    "khepera2": ("khepera2", "5.02", "4.06"),
-    "khepera4": ("kh4server",),
-}
-"""Firmware versions of each model of the robot, the default first."""
-
-MODELS: Mapping[str, Mapping[str, str]] = {
-    model: {"calibration": model, "rom": roms[0]} for model, roms in MODEL_ROMS.items()
-}
-"""Default sensors and firmware of each model of the robot."""
+def model_defaults(model: str) -> Mapping[str, str]:
+    """Return the keys of a robot that its model determines, if a file omits them."""
+    robot_model = find_model(model)
+    return {"calibration": robot_model.calibration, "rom": next(iter(robot_model.roms))}
 
 
 class RobotEntry(TomlTable):
     """A robot at its start.
 
     Attributes:
-        model: Model; calibration and rom default to "khepera2" for "khepera2", and to "khepera4" and
-            "kh4server" for "khepera4".
+        model: Model; it determines the defaults of calibration and rom.
         calibration: Calibration of its sensors: a name in assets/calibration, or the path of a file.
         mode: Running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
             demonstration in which the robot drives, 7 for the self-test, and 8 and 9 with rom khepera2 for
@@ -355,20 +351,30 @@ class RobotEntry(TomlTable):
     spots: Annotated[
         tuple[str, ...], Field(max_length=1000, description='names of spots, such as ["a", "b"]')
     ] = ()
-    model: Literal["khepera1", "khepera2", "khepera4"] = "khepera1"
+    model: Annotated[str, OneOf(installed_models)] = DEFAULT
     calibration: Annotated[
         str,
         Field(min_length=1, max_length=1024, description="the name of a calibration, or the path of a file"),
     ] = "khepera1"
     mode: Annotated[int, Field(ge=0, le=15)] = 1
-    rom: Literal["5.02", "4.06", "khepera2", "kh4server"] = "5.02"
+    rom: Annotated[str, OneOf(installed_roms)] = "5.02"
     turrets: Annotated[tuple[str, ...], Field(max_length=32, description='names, such as ["gripper"]')] = ()
     battery_used_min: Annotated[float | None, Field(ge=0, le=1000)] = None
 
     @property
+    def robot_model(self) -> RobotModel:
+        """Its model."""
+        return find_model(self.model)
+
+    @property
+    def firmware(self) -> Rom:
+        """Version of its firmware, one of its model's."""
+        return self.robot_model.roms[self.rom]
+
+    @property
     def body(self) -> Body:
         """Body of its model."""
-        return BODIES[self.model]
+        return self.robot_model.body
 
     @property
     def footprint(self) -> Circle:

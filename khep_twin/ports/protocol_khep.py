@@ -105,7 +105,7 @@ class Serial(SerialBase):
 
     @property
     def robot_model(self) -> str:
-        """Model of the robot, such as "khepera4"."""
+        """Name of the robot's model."""
         return self.twin.world.playpen.robots[self.twin.robot.index].model
 
     @property

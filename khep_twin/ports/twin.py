@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 from typing import Self
 
 from khep_twin.board.fault_injection import parse_fault
-from khep_twin.board.rom import ROMS
 from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
 from khep_twin.files.paths import StrPath
@@ -18,9 +17,10 @@ from khep_twin.log.recorder import Recorder, WorldRecorder
 from khep_twin.log.run_description import LogPrefix, RunDescription
 from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.checks import find_unfit_keys, playpen_problems
-from khep_twin.playpen.parts import MODELS
+from khep_twin.playpen.parts import model_defaults
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.robot import Robot
+from khep_twin.robots.registry import installed_models, installed_roms
 from khep_twin.world import World
 
 
@@ -63,10 +63,10 @@ class TwinOptions:
         used_min = self.battery_used_min
         if used_min is not None and not 0 <= used_min <= 1000:
             raise PortError(key="battery_used_min", value=used_min, expected="0 to 1000")
-        if self.rom is not None and self.rom not in ROMS:
-            raise PortError(key="rom", value=self.rom, expected=ROMS)
-        if self.model is not None and self.model not in MODELS:
-            raise PortError(key="model", value=self.model, expected=MODELS)
+        if self.rom is not None and self.rom not in installed_roms():
+            raise PortError(key="rom", value=self.rom, expected=installed_roms())
+        if self.model is not None and self.model not in installed_models():
+            raise PortError(key="model", value=self.model, expected=installed_models())
 
 
 class SimulatedTime:
@@ -230,12 +230,12 @@ def equip_playpen(playpen: PlaypenLike, options: TwinOptions) -> tuple[Playpen, 
     for index in indices:
         old_robot = robots[index]
         model = old_robot.model if options.model is None else options.model
-        model_values = {} if model == old_robot.model else {"model": model, **MODELS[model]}
+        model_values = {} if model == old_robot.model else {"model": model, **model_defaults(model)}
         robots[index] = new_robot = old_robot.model_copy(update={**model_values, **option_values})
         for key, value, expected in find_unfit_keys(new_robot):
             problem = f"{key} = {value!r} with model = {new_robot.model!r}"
             raise PortError(f"{problem}; expected {expected}", key=key, value=value)
-        if reason := ROMS[new_robot.rom].refusal_reason(new_robot.mode):
+        if reason := new_robot.firmware.refusal_reason(new_robot.mode):
             problem = f"mode = {new_robot.mode:X} with rom = {new_robot.rom!r}: {reason}"
             raise PortError(problem, key="mode", value=new_robot.mode)
     new_playpen = new_playpen.model_copy(update={"robots": tuple(robots)})

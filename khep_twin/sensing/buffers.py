@@ -12,6 +12,9 @@ Numbers = TypeVar("Numbers", bound=NamedTuple)
 _RECORD_TYPES: dict[np.dtype[np.void], np.dtype[np.void]] = {}
 """Record types, one object for each: numba compares different objects field by field at every call."""
 
+RECORD_CLASSES: dict[np.dtype[np.void], type[Any]] = {}
+"""Class of the named tuples with each record type."""
+
 
 class Vector(Protocol[Value]):
     """One-dimensional sequence of numbers (n,): an array, its memoryview, or a list."""
@@ -77,6 +80,7 @@ def _record_type(values: NamedTuple) -> np.dtype[np.void]:
             array: NDArray[Any] = np.asarray(cast(Any, value))
             fields.append((name, np.int64 if array.dtype.kind == "i" else array.dtype, array.shape))
     dtype = np.dtype(fields, align=True)
+    RECORD_CLASSES.setdefault(dtype, type(values))
     return _RECORD_TYPES.setdefault(dtype, dtype)
 
 

@@ -19,6 +19,12 @@ ALL_SENSORS: dict[str, Colour] = SENSORS | {
 }
 """Colours of the sensors of all models, by their names."""
 
+
+def sensor_colour(name: str) -> Colour:
+    """Return the colour of a sensor by its name; grey for another name."""
+    return ALL_SENSORS.get(name, ALL_SENSORS["back"])
+
+
 AXES: dict[str, Colour] = {"x": _WARM[0], "y": (148, 216, 45), "z": COLD[1]}
 """Colours of a vector's parts."""
 

@@ -6,6 +6,7 @@
 import math
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -37,9 +38,17 @@ _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 
 
 class MujocoScene:
-    """A compiled scene with its state, which implements `scene.Scene`."""
+    """A compiled scene with its state, which implements `scene.BeamScene`.
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    Args:
+        model: Compiled scene.
+        data: State of the scene.
+        moments: Recorded moments: positions of joints, then powers of lamps (n, n_qpos + n_powers).
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, moments: Floats | None = None) -> None:
+        self._moments = np.zeros((0, 0)) if moments is None else moments
+        self._is_floor = is_floor(model)
         self._model, self._data = model, data
         self._warnings: NDArray[np.int32] = data.warning.number
         self._body_positions: Floats = data.xpos.ravel()
@@ -59,6 +68,7 @@ class MujocoScene:
         self._nearby_geoms: dict[int, tuple[float, float, list[int], NDArray[np.int64]]] = {}
         self._reflectances: list[float] = model.geom_user[geoms, 0].tolist()
         self._geoms = np.array(geoms, np.int64)
+        self._geom = np.zeros(1, np.int32)
         self._bulb_points = [bulb_points(disc) for disc in (COARSE, FINE)]
 
     def step(self) -> None:
@@ -181,6 +191,34 @@ class MujocoScene:
             n_blocked += 0 <= hit < glass
         return n_blocked / len(points)
 
+    def save_moment(self, moment: int, powers: Sequence[float]) -> None:
+        """Implement the query `save_moment`."""
+        row, n_qpos = self._moments[moment], len(self._qpos)
+        row[:n_qpos] = self._qpos
+        row[n_qpos : n_qpos + len(powers)] = powers
+
+    def copy_moment(self, source: int, destination: int) -> None:
+        """Implement the query `copy_moment`."""
+        self._moments[destination] = self._moments[source]
+
+    def sensor_frame(self, sensors: RobotSensors, channel: int) -> Sequence[float]:
+        """Implement the query `sensor_frame`."""
+        return self._frames[sensors.cameras[channel]].tolist()
+
+    def ray(self, sensors: RobotSensors, start: Triple, direction: Triple) -> tuple[float, float]:
+        """Implement the query `ray`."""
+        model, geom, vector = self._model, self._geom, np.array(direction)
+        length = mujoco.mj_ray(model, self._data, np.array(start), vector, None, True, sensors.base, geom)
+        return length, float(model.geom_user[geom[0], 0]) if length >= 0 else 0.0
+
+    def cast_rays(self, sensors: RobotSensors, beams: Any, start: Triple, reach: float) -> None:
+        """Implement the query `cast_rays`."""
+        lengths, normals, vectors = map(np.asarray, (beams.lengths, beams.normals, beams.vectors))
+        geoms, origin, base = np.zeros(len(lengths), np.int32), np.array(start), sensors.base
+        outputs = geoms, lengths, normals, len(lengths), reach
+        mujoco.mj_multiRay(self._model, self._data, origin, vectors, None, True, base, *outputs)
+        lengths[self._is_floor[geoms]] = -1
+
 
 @cache
 def bulb_points(disc: int) -> Floats:
@@ -195,9 +233,14 @@ def bulb_points(disc: int) -> Floats:
     return np.concatenate([half, half * (-1, 1)])
 
 
+def is_floor(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which geoms are floor or paint on it."""
+    return (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT_HEIGHT)
+
+
 def visible_geoms(model: mujoco.MjModel) -> list[int]:
     """Return the geoms that sensors see: all visible ones except floor and paint."""
-    is_paint = (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT_HEIGHT)
+    is_paint = is_floor(model)
     is_paint |= model.geom_group == GROUND_GROUP
     is_visible = (model.geom_rgba[:, 3] > 0) & (model.geom_type != _PLANE) & ~is_paint
     return np.flatnonzero(is_visible).tolist()

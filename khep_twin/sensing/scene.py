@@ -7,7 +7,7 @@ function for each kind of scene: `khep_twin.simulation.mujoco_calls` for MuJoCo,
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -108,6 +108,27 @@ class Scene(SceneMotion, SceneJoints, SceneSight, SceneRays, Protocol):
     """A scene with its robots."""
 
 
+class BeamScene(Scene, Protocol):
+    """A scene for robots that record moments, and whose rays meet the floor or form beams."""
+
+    def save_moment(self, moment: int, powers: Sequence[float]) -> None:
+        """Implement the query `save_moment`."""
+
+    def copy_moment(self, source: int, destination: int) -> None:
+        """Implement the query `copy_moment`."""
+
+    def sensor_frame(self, sensors: RobotSensors, channel: int) -> Sequence[float]:
+        """Implement the query `sensor_frame`."""
+        ...
+
+    def ray(self, sensors: RobotSensors, start: Triple, direction: Triple) -> tuple[float, float]:
+        """Implement the query `ray`."""
+        ...
+
+    def cast_rays(self, sensors: RobotSensors, beams: Any, start: Triple, reach: float) -> None:
+        """Implement the query `cast_rays`."""
+
+
 def step(scene: Scene) -> None:
     """Advance the physics by one step."""
     scene.step()
@@ -205,6 +226,40 @@ def hidden_part(
         glass: Distance of the bulb's surface, in lengths of `ray`.
     """
     return scene.hidden_part(sensors, channel, disc, left, up, ray, glass)
+
+
+def save_moment(scene: BeamScene, moment: int, powers: Sequence[float]) -> None:
+    """Record the positions of all joints and the powers of the lamps [W] as a moment, by its number."""
+    scene.save_moment(moment, powers)
+
+
+def copy_moment(scene: BeamScene, source: int, destination: int) -> None:
+    """Copy a recorded moment."""
+    scene.copy_moment(source, destination)
+
+
+def sensor_frame(scene: BeamScene, sensors: RobotSensors, channel: int) -> Sequence[float]:
+    """Return the rotation matrix of a sensor, row by row (9,); it looks along its -z axis."""
+    return scene.sensor_frame(sensors, channel)
+
+
+def ray(scene: BeamScene, sensors: RobotSensors, start: Triple, direction: Triple) -> tuple[float, float]:
+    """Return length [m] and reflectance of a ray's end, floor and paint included; a length of -1 for none."""
+    return scene.ray(sensors, start, direction)
+
+
+def cast_rays(scene: BeamScene, sensors: RobotSensors, beams: Any, start: Triple, reach: float) -> None:
+    """Cast rays from a point, up to a length [m]; the floor is no obstacle.
+
+    Args:
+        scene: Scene of the robot.
+        sensors: Sensors of the robot, which the rays ignore.
+        beams: Unit vectors of the rays (`vectors`, (3 * n,)), and buffers that are filled in: `lengths` [m],
+            below 0 without an obstacle (n,), `normals` of the obstacles (3 * n,), and their indices `geoms`.
+        start: Point.
+        reach: Longest length [m].
+    """
+    scene.cast_rays(sensors, beams, start, reach)
 
 
 def decide(

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 from khep_twin.errors import LogError
 from khep_twin.log.decoding import decode_messages, read_line
-from khep_twin.log.reader import read_raw, require_kheperas_in
+from khep_twin.log.reader import read_raw, require_feature_in
 from khep_twin.log.transcript import unescape
+from khep_twin.robots.model import Feature
 
 
 class LineChunk(NamedTuple):
@@ -37,7 +38,7 @@ def read_recording(path: Path, robot: int = 0) -> RecordedRobot:
         LogError: There is no log, it is incomplete, or it has no line of that robot.
     """
     label, messages, _ = read_raw(path, lambda topic: topic.endswith("/serial"))
-    require_kheperas_in(label, path, "the shadow")
+    require_feature_in(label, path, Feature.SHADOW)
     names = label.robots
     index = robot if len(names) > 1 else 0
     if not 0 <= index < len(names):

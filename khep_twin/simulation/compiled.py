@@ -8,19 +8,22 @@ file, or in the user's cache folder, until a source file changes.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import hashlib
+import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import TypeVar
 
 import mujoco
 import numba
-from numba.extending import register_jitable
+from numba.extending import overload, register_jitable
 
-from khep_twin import step, units
-from khep_twin.board import battery, kernel
+from khep_twin import robot_core, step, units
 from khep_twin.compilable import FUNCTIONS
+from khep_twin.robot_core import CORES, DUTIES, Core, core_of
+from khep_twin.robots.registry import default_model, find_family
 from khep_twin.sensing import (
     light,
     mujoco_scene,
@@ -31,6 +34,7 @@ from khep_twin.sensing import (
     scene,
     seen_surfaces,
 )
+from khep_twin.sensing.buffers import RECORD_CLASSES
 from khep_twin.sensing.light import Light
 from khep_twin.simulation import addresses, foreign, linking, mujoco_calls
 from khep_twin.simulation.announcement import ANNOUNCER
@@ -41,11 +45,21 @@ from khep_twin.step import Simulated, StepInputs
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _OPTICS = noise, seen_surfaces, reflection, robot_sensors, light, optics, mujoco_scene
-SOURCES = (units, battery, kernel, scene, *_OPTICS, step, addresses, foreign, mujoco_calls)
-"""Modules that are compiled."""
+_CORE_SOURCES = (units, scene, *_OPTICS, robot_core, step, addresses, foreign, mujoco_calls)
+"""Modules that are compiled for all robots."""
 
 _REGISTERED: list[object] = []
 """Functions of `FUNCTIONS` that are registered with numba, in the same order."""
+
+
+def sources_of(*models: str) -> tuple[ModuleType, ...]:
+    """Return the modules that are compiled for worlds of robots with these cores."""
+    cores = [core_of(find_family(model)) for model in models]
+    return (*_CORE_SOURCES, *(sys.modules[name] for core in cores for name in core.modules))
+
+
+SOURCES = sources_of(default_model().family)
+"""Modules that are compiled for worlds of robots of the default family."""
 
 
 def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
@@ -84,18 +98,56 @@ def source_of(module: ModuleType) -> Path:
 
 def register() -> None:
     """Register with numba the functions that compiled code may call."""
+    if not _REGISTERED:
+        step.unroll = numba.literal_unroll
+        for duty in DUTIES:
+            overload(duty, strict=False, jit_options=INNER)(_chooser(duty.__name__))
     for function in FUNCTIONS[len(_REGISTERED) :]:
         _REGISTERED.append(register_jitable(**INNER)(function))
 
 
-def _advance(scene, timing, law, bulbs, hidden_sectors, robots, counters, powers, tables, end_step, stops):
+def _chooser(duty):
+    """Return a function that returns the function of a duty for the state of a robot, by its numba type."""
+
+    def choose(robot, *rest):
+        core = _find_core(robot)
+        return core and getattr(core, duty)
+
+    return choose
+
+
+def _find_core(kind) -> Core | None:
+    """Return the core whose states have this record type."""
+    for record_type, state in RECORD_CLASSES.items():
+        if state in CORES and numba.from_dtype(record_type) == kind:
+            return CORES[state]
+    return None
+
+
+def _advance(scene, timing, law, bulbs, hidden_sectors, groups, counters, powers, tables, end_step, stops):
     calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden_sectors)
-    simulated = Simulated(calls, timing[0], light, robots, counters)
+    simulated = Simulated(calls, timing[0], light, groups, counters)
     inputs = StepInputs(powers, tables)
+    if end_step < step.SWITCH_ON:
+        step.evaluate_recorded(groups, simulated, inputs, step.EVALUATE - end_step, stops)
+        return step.Reason.DONE
     if end_step < 0:
         return step.switch_on(simulated, inputs)
     return step.advance(simulated, inputs, end_step, stops)
 
 
-advance = compiled(_advance, SOURCES)
-"""`step.advance`, compiled; `step.switch_on` if `end_step` is negative."""
+@cache
+def advance_of(*models):
+    """Return `simulation.plain_advance` compiled for worlds of robots with these cores, in this order."""
+    return compiled(_copy(_advance, "_".join(("advance", *models))), sources_of(*models))
+
+
+def _copy(function, name):
+    """Return a copy of a function with another name."""
+    copy = FunctionType(function.__code__, function.__globals__, name)
+    copy.__module__ = function.__module__
+    return copy
+
+
+advance = advance_of("khepera")
+"""The core of worlds of Kheperas, compiled."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.compilable import compilable
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.buffers import as_records
-from khep_twin.sensing.mujoco_scene import bulb_points, fixed_shape, upright_shape, visible_geoms
+from khep_twin.sensing.mujoco_scene import bulb_points, fixed_shape, is_floor, upright_shape, visible_geoms
 from khep_twin.sensing.robot_sensors import chip_behind
 from khep_twin.sensing.scene import COARSE, FINE, MAX_SPEED
 from khep_twin.sensing.seen_surfaces import add_upright
@@ -53,12 +53,16 @@ class Addresses(NamedTuple):
         geom_xpos: Positions of geoms (n_geoms, 3).
         geom_xmat: Orientations of geoms (n_geoms, 9).
         geom_size: Sizes of geoms (n_geoms, 3).
+        moments: Recorded moments (n, n_moment).
         warnings: Counters of warnings, at every second int32 (n_warnings,).
         n_qpos: Number of joint positions.
         n_qvel: Number of joint speeds.
         n_xpos: Number of coordinates of bodies.
         n_warnings: Number of kinds of warnings.
+        n_moment: Numbers of a recorded moment: joint positions, then powers of lamps.
         ray: Buffer for a ray's vector (3,).
+        start: Buffer for a ray's start (3,).
+        normal: Buffer for the normal at a ray's end (3,).
         coarse: COARSE points of a bulb (9, 2).
         fine: FINE points of a bulb (64, 2).
     """
@@ -78,12 +82,16 @@ class Addresses(NamedTuple):
     geom_xpos: int
     geom_xmat: int
     geom_size: int
+    moments: int
     warnings: int
     n_qpos: int
     n_qvel: int
     n_xpos: int
     n_warnings: int
+    n_moment: int
     ray: Any
+    start: Any
+    normal: Any
     coarse: Any
     fine: Any
 
@@ -96,6 +104,7 @@ class Solid(NamedTuple):
         geom_type: Type of the geom.
         body: Body of the geom.
         is_visible: 1 if proximity sensors see it, 0 for floor and paint.
+        is_floor: 1 for floor and paint, which return no echo.
         is_fixed: 1 if it cannot move; only then the fields from `x` to `top` are set.
         x: Centre, x [m].
         y: Centre, y [m].
@@ -113,6 +122,7 @@ class Solid(NamedTuple):
     geom_type: int = 0
     body: int = 0
     is_visible: int = 0
+    is_floor: int = 0
     is_fixed: int = 0
     x: float = 0.0
     y: float = 0.0
@@ -138,8 +148,16 @@ class MujocoCalls(NamedTuple):
     solids: NDArray[np.void]
 
 
-def make_calls(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.void], NDArray[np.void]]:
-    """Return a scene for compiled code, as the arrays of `MujocoCalls`; model and state must outlive it."""
+def make_calls(
+    model: mujoco.MjModel, data: mujoco.MjData, moments: NDArray[np.float64]
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Return a scene for compiled code, as the arrays of `MujocoCalls`; the arguments must outlive it.
+
+    Args:
+        model: Compiled scene.
+        data: State of the scene.
+        moments: Recorded moments, as for `MujocoScene`.
+    """
     array_names = ("qpos", "qvel", "ctrl", "xpos", "xmat", "cam_xpos", "cam_xmat", "geom_xpos", "geom_xmat")
     addresses = Addresses(
         step=function_address("mj_step"),
@@ -149,26 +167,32 @@ def make_calls(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[NDArray[np.v
         **{name: getattr(data, name).ctypes.data for name in array_names},
         force=data.actuator_force.ctypes.data,
         geom_size=model.geom_size.ctypes.data,
+        moments=moments.ctypes.data,
         warnings=data.warning.number.ctypes.data,
         n_qpos=data.qpos.size,
         n_qvel=data.qvel.size,
         n_xpos=data.xpos.size,
         n_warnings=len(data.warning.number),
+        n_moment=moments.shape[1],
         ray=np.zeros(3),
+        start=np.zeros(3),
+        normal=np.zeros(3),
         coarse=bulb_points(COARSE),
         fine=bulb_points(FINE),
     )
     drawn_geoms, visible = np.flatnonzero(model.geom_rgba[:, 3] > 0).tolist(), set(visible_geoms(model))
-    solids = [_make_solid(model, geom, geom in visible) for geom in drawn_geoms]
+    floor = is_floor(model)
+    solids = [_make_solid(model, geom, geom in visible, floor[geom]) for geom in drawn_geoms]
     return as_records([addresses], addresses), as_records(solids, Solid())
 
 
-def _make_solid(model: mujoco.MjModel, geom: int, is_visible: bool) -> Solid:
+def _make_solid(model: mujoco.MjModel, geom: int, is_visible: bool, is_floor: bool) -> Solid:
     solid = Solid(
         geom,
         int(model.geom_type[geom]),
         int(model.geom_bodyid[geom]),
         is_visible=int(is_visible),
+        is_floor=int(is_floor),
         bound=float(model.geom_rbound[geom]),
         reflectance=float(model.geom_user[geom, 0]),
     )
@@ -176,7 +200,7 @@ def _make_solid(model: mujoco.MjModel, geom: int, is_visible: bool) -> Solid:
     if shape is None or not is_visible:
         return solid
     (x, y), (cosine, sine), (half, width), (bottom, top) = shape
-    return Solid(*solid[:4], 1, x, y, cosine, sine, half, width, bottom, top, *solid[-2:])
+    return Solid(*solid[:5], 1, x, y, cosine, sine, half, width, bottom, top, *solid[-2:])
 
 
 @implements(queries.step, MujocoCalls)
@@ -334,26 +358,116 @@ def _is_blocked(scene, base, camera, x, y, glass):
             along, across = dx * x + dy * y, dx * y - dy * x
             if along < -bound or along - bound > square or abs(across) > bound:
                 continue
-        hit = _ray_length(scene, solid, camera)
+        hit = _ray_length(scene, solid, scene.address.cam_xpos + 24 * camera, 0)
         if 0 <= hit < glass:
             return True
     return False
 
 
 @compilable
-def _ray_length(scene, solid, camera):
-    """Return MuJoCo's length of the ray in the buffer from a camera to a geom, negative for no hit."""
+def _ray_length(scene, solid, start, normal):
+    """Return MuJoCo's length of the ray in the buffer from an address to a geom, negative for no hit."""
     addresses, geom = scene.address, solid.geom
     return call_ray_geom(
         addresses.ray_geom,
         addresses.geom_xpos + 24 * geom,
         addresses.geom_xmat + 72 * geom,
         addresses.geom_size + 24 * geom,
-        addresses.cam_xpos + 24 * camera,
+        start,
         address_of(addresses.ray),
         solid.geom_type,
-        0,
+        normal,
     )
+
+
+@implements(queries.save_moment, MujocoCalls)
+def _save_moment(scene, moment, powers):
+    addresses = scene.address
+    first = moment * addresses.n_moment
+    for i in range(addresses.n_qpos):
+        store(addresses.moments, first + i, load(addresses.qpos, i))
+    for i in range(len(powers)):
+        store(addresses.moments, first + addresses.n_qpos + i, powers[i])
+
+
+@implements(queries.copy_moment, MujocoCalls)
+def _copy_moment(scene, source, destination):
+    moments, count = scene.address.moments, scene.address.n_moment
+    for i in range(count):
+        store(moments, destination * count + i, load(moments, source * count + i))
+
+
+@implements(queries.sensor_frame, MujocoCalls)
+def _sensor_frame(scene, sensors, channel):
+    return _matrix(scene.address.cam_xmat, sensors.cameras[channel])
+
+
+@implements(queries.ray, MujocoCalls)
+def _ray(scene, sensors, start, direction):
+    addresses = scene.address
+    addresses.start[0], addresses.start[1], addresses.start[2] = start
+    addresses.ray[0], addresses.ray[1], addresses.ray[2] = direction
+    nearest, reflectance = -1.0, 0.0
+    for i in range(len(scene.solids)):
+        solid = scene.solids[i]
+        if solid.body == sensors.base or not _may_meet(scene, solid, start, direction):
+            continue
+        length = _ray_length(scene, solid, address_of(addresses.start), 0)
+        if length >= 0 and (length < nearest or nearest < 0):
+            nearest, reflectance = length, solid.reflectance
+    return nearest, reflectance
+
+
+@compilable
+def _may_meet(scene, solid, start, direction):
+    """Return whether the line of a ray with a unit vector passes through a geom's bounding sphere."""
+    if solid.geom_type == _PLANE:
+        return True
+    centre = _vector(scene.address.geom_xpos, solid.geom)
+    x, y, z = centre[0] - start[0], centre[1] - start[1], centre[2] - start[2]
+    along, bound = x * direction[0] + y * direction[1] + z * direction[2], solid.bound + 1e-6
+    return along > -bound and x * x + y * y + z * z - along * along <= bound * bound
+
+
+@implements(queries.cast_rays, MujocoCalls)
+def _cast_rays(scene, sensors, beams, start, reach):
+    lengths, solids = beams.lengths, beams.geoms
+    scene.address.start[0], scene.address.start[1], scene.address.start[2] = start
+    for ray in range(len(lengths)):
+        lengths[ray], solids[ray] = reach, -1
+    for i in range(len(scene.solids)):
+        if scene.solids[i].body != sensors.base and not _is_behind(scene, scene.solids[i], beams, start):
+            _cast_to_solid(scene, i, beams, start)
+    for ray in range(len(lengths)):
+        if solids[ray] < 0 or scene.solids[solids[ray]].is_floor:
+            lengths[ray] = -1.0
+
+
+@compilable
+def _is_behind(scene, solid, beams, start):
+    """Return whether a geom lies behind a beam, whose middle ray is its axis."""
+    if solid.geom_type == _PLANE:
+        return False
+    centre, axis = _vector(scene.address.geom_xpos, solid.geom), 3 * (len(beams.lengths) // 2)
+    along = (centre[0] - start[0]) * beams.vectors[axis] + (centre[1] - start[1]) * beams.vectors[axis + 1]
+    return along + (centre[2] - start[2]) * beams.vectors[axis + 2] < -solid.bound - 1e-6
+
+
+@compilable
+def _cast_to_solid(scene, index, beams, start):
+    """Shorten the rays of a beam that end at a geom, by its index in `solids`."""
+    addresses, solid, lengths, vectors = scene.address, scene.solids[index], beams.lengths, beams.vectors
+    buffer, normal = addresses.ray, addresses.normal
+    for ray in range(len(lengths)):
+        x, y, z = vectors[3 * ray], vectors[3 * ray + 1], vectors[3 * ray + 2]
+        if not _may_meet(scene, solid, start, (x, y, z)):
+            continue
+        buffer[0], buffer[1], buffer[2] = x, y, z
+        length = _ray_length(scene, solid, address_of(addresses.start), address_of(normal))
+        if 0 <= length < lengths[ray]:
+            lengths[ray], beams.geoms[ray] = length, index
+            for axis in range(3):
+                beams.normals[3 * ray + axis] = normal[axis]
 
 
 @implements(queries.decide)

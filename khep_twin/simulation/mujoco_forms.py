@@ -5,39 +5,33 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, NamedTuple, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board.battery import CHARGER
-from khep_twin.board.kernel import N_PROCESSOR, N_REGISTERS
 from khep_twin.clock import n_steps
-from khep_twin.playpen import Lighting, Playpen, RobotEntry
+from khep_twin.playpen import Lighting, Playpen
 from khep_twin.playpen.model import MANY_ROBOTS
 from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import set_step, to_spec
+from khep_twin.robot_core import core_of
 from khep_twin.sensing import calibration
-from khep_twin.sensing.ambient import LightSource, ambient_optics
-from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Light
 from khep_twin.sensing.mujoco_scene import MujocoScene
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensors import proximity_optics
 from khep_twin.simulation.fitted_robots import CalibratedRobots
+from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.physics_state import FIELDS_CHANGED_BY_RUNS, fingerprint
 from khep_twin.simulation.simulation import NO_LIGHT
 from khep_twin.status_line import announced
-from khep_twin.step import Reason, RobotState, Timing
+from khep_twin.step import Reason, Timing
 
 Floats = NDArray[np.float64]
-
-Joints = tuple[int, int, int, int, int, int, int]
-"""Indices of both wheels' positions and speeds, of both motors, and of the pose."""
 
 
 class SceneModel(NamedTuple):
@@ -86,6 +80,8 @@ class MujocoForms:
     Attributes:
         model: Compiled scene: that of `scene_model`, or a copy once robots of a shared model have varied.
         indices: Indices of each robot.
+        cores: Core of each robot.
+        moments: Recorded moments.
     """
 
     def __init__(self, scene_model: SceneModel, data: mujoco.MjData, shared: bool = False) -> None:
@@ -100,6 +96,8 @@ class MujocoForms:
             name: getattr(self.model, name).copy() for name in FIELDS_CHANGED_BY_RUNS
         }
         count = len(self._playpen.robots)
+        self.cores = [core_of(entry.robot_model) for entry in self._playpen.robots]
+        self.moments = Moments(self.model, sum(core.n_moments for core in self.cores))
         self.indices = [RobotIndices.of(self.model, f"khepera{index}") for index in range(count)]
         bodies = [self.model.body(name).id for name in movable_names(self._playpen)]
         self._free_joints: list[int] = self.model.jnt_qposadr[self.model.body_jntadr[bodies]].tolist()
@@ -116,6 +114,7 @@ class MujocoForms:
 
     def refresh(self) -> None:
         """Update the forms after fixed geoms were moved in the model."""
+        self.moments.use(self.model)
         self._plain: MujocoScene | None = None
         self._arrays: tuple[Any, ...] | None = None
         # With several robots no line of sight is precomputed, so those of one robot serve all.
@@ -131,7 +130,7 @@ class MujocoForms:
     def plain(self) -> MujocoScene:
         """Return the scene for plain code."""
         if self._plain is None:
-            self._plain = MujocoScene(self.model, self._data)
+            self._plain = MujocoScene(self.model, self._data, self.moments.rows)
         return self._plain
 
     def compiled(self) -> tuple[Any, ...]:
@@ -139,7 +138,7 @@ class MujocoForms:
         from khep_twin.simulation.mujoco_calls import make_calls
 
         if self._arrays is None:
-            self._arrays = make_calls(self.model, self._data)
+            self._arrays = make_calls(self.model, self._data, self.moments.rows)
         solids = self._arrays[1]
         # The rims of varied robots may have another size.
         solids["bound"] = self.model.geom_rbound[solids["geom"]]
@@ -150,6 +149,7 @@ class MujocoForms:
         if self._calibrated is None:
             if self._shared:
                 self.model = copy.copy(self.model)
+                self.moments.use(self.model)
                 self._plain = None
                 self._arrays = None
             self._calibrated = CalibratedRobots(self.model, self.indices)
@@ -166,27 +166,23 @@ class MujocoForms:
         """Number of robots in the playpen."""
         return len(self.indices)
 
-    @property
-    def core_robots(self) -> Sequence[int]:
-        """Numbers of the robots that the stepping core runs."""
-        return [number for number, entry in enumerate(self._playpen.robots) if entry.body.in_core]
-
-    def robot_states(self) -> list[RobotState]:
-        """Return the states of the robots that the stepping core runs."""
-        states: list[RobotState] = []
-        for number in self.core_robots:
-            indices = self.indices[number]
-            joints = *indices.wheel_qpos, *indices.wheel_dofs, *indices.motors, indices.pose
-            states.append(
-                robot_state(
-                    self.model, indices, joints, self._run_calibrations[number], self._playpen.robots[number]
-                )
-            )
+    def robot_states(self) -> list[Any]:
+        """Return the state of each robot before a start."""
+        states: list[Any] = []
+        first_moment = 0
+        robots = zip(self.cores, self.indices, self._run_calibrations, self._playpen.robots, strict=True)
+        for core, indices, measured, entry in robots:
+            states.append(core.make_state(self.model, indices, measured, entry, first_moment))
+            first_moment += core.n_moments
         return states
 
-    def calibration_of(self, number: int) -> Calibration:
-        """Return the calibration of a robot in this run."""
-        return self._run_calibrations[number]
+    def reserve_lamps(self, n_lamps: int) -> bool:
+        """Make space for lamps in recorded moments; return whether the forms have been replaced."""
+        if not self.moments.reserve(n_lamps):
+            return False
+        self._plain = None
+        self._arrays = None
+        return True
 
     def describe_error(self, reason: int) -> str:
         """Return why the physics cannot continue."""
@@ -261,31 +257,6 @@ def timing(playpen: Playpen, motion_ns: int, step_ns: int) -> Timing:
         steps_per_tick=n_steps(units.TICK_NS, motion_ns) * steps_per_motion,
         steps_per_supply=n_steps(units.SCAN_NS, step_ns),
         limit=1.0 + max(units.metres(width), units.metres(height)),
-    )
-
-
-def robot_state(
-    model: mujoco.MjModel, indices: RobotIndices, joints: Joints, measured: Calibration, entry: RobotEntry
-) -> RobotState:
-    """Return the state of a robot before its start, by its calibration and its entry of the playpen."""
-    return RobotState(
-        *joints,
-        radius=entry.body.radius,
-        motor_constant=measured.motors.constant,
-        idle_current=entry.body.idle_current,
-        used_min=CHARGER if entry.battery_used_min is None else entry.battery_used_min,
-        sensors=RobotSensors(
-            indices.base,
-            list(indices.cameras),
-            proximity_optics(model, indices, measured),
-            ambient_optics(measured.ambient),
-        ),
-        registers=cast(Any, np.zeros(N_REGISTERS, np.int64)),
-        processor=np.zeros(N_PROCESSOR, np.int64),
-        sensor_states=np.zeros(units.N_SENSORS, np.int64),
-        strengths=np.ones(2),
-        voltage=np.zeros(1),
-        noise=np.zeros(2, np.int64),
     )
 
 

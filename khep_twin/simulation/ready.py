@@ -3,7 +3,7 @@
 import importlib.util
 import subprocess
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from importlib import import_module
@@ -13,6 +13,7 @@ from typing import Any
 
 from khep_twin.errors import MissingNumbaError
 from khep_twin.machine import lock, lower_priority
+from khep_twin.robots.registry import default_model, installed_families
 
 CODE = {
     "world": "khep_twin.simulation.compiled:advance",
@@ -21,7 +22,10 @@ CODE = {
     "vision": "khep_twin.vision.compiled:capture",
     "shadow": "khep_twin.shadow.compiled:advance",
 }
-"""Parts of khep_twin that can be compiled, and their functions; of the shadow's, one of several."""
+"""Parts of khep_twin that can be compiled, and their functions; of the shadow's, one of several.
+
+A world of other robots than those of the default family is a part of its own, see `world_part`.
+"""
 
 BACKGROUND_NOTICE = (
     "khep_twin: numba compiles in the background, once per version; this run goes on uncompiled meanwhile, "
@@ -89,9 +93,22 @@ def compile_lock(part: str) -> Generator[None]:
         yield
 
 
+def world_part(models: Sequence[str]) -> str:
+    """Return the part of a world with robots of these families, in the order of its groups."""
+    return "world" if [*models] == [default_model().family] else ".".join(("world", *models))
+
+
+def is_part(name: str) -> bool:
+    """Return whether a name is that of a part, also of a world with robots of installed families."""
+    kind, *families = name.split(".")
+    return name in CODE or (kind == "world" and bool(families) and {*families} <= {*installed_families()})
+
+
 def function_of(part: str) -> Callable[..., Any]:
     """Return the function of a part, compiled at its first call; errors as for `module_of`."""
-    return getattr(module_of(part), CODE[part].partition(":")[2])
+    name, *models = part.split(".")
+    module: Any = module_of(name)
+    return module.advance_of(*models) if models else getattr(module, CODE[part].partition(":")[2])
 
 
 def module_of(part: str) -> ModuleType:
@@ -118,6 +135,8 @@ def find_missing_numba() -> MissingNumbaError | None:
 
 def functions_of(part: str) -> list[Callable[..., Any]]:
     """Return all compiled functions of a part; errors as for `module_of`."""
+    if part not in CODE:
+        return [function_of(part)]
     module = module_of(part)
     functions = [value for value in vars(module).values() if hasattr(value, "py_func")]
     return [function for function in functions if function.__module__ == module.__name__]

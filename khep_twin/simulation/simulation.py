@@ -4,6 +4,7 @@ Both share the same memory and give the same values, bit for bit; a run may swit
 """
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -14,11 +15,13 @@ from khep_twin import step
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lighting
 from khep_twin.randomness import key, stream
+from khep_twin.robot_core import CORES
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, HiddenSector, Light, LightLaw
 from khep_twin.sensing.noise import Scale, check_scale, compiled_tables, key_words, plain_tables
-from khep_twin.step import RobotState, Simulated, StepInputs, Timing
+from khep_twin.simulation.moments import Moments
+from khep_twin.step import Simulated, StepInputs, Timing
 from khep_twin.units import N_SENSORS
 
 NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True, 1, 0.0), (), ())
@@ -28,7 +31,7 @@ _MAX_STEPS = 20_000
 """Largest number of steps per call of compiled code, which signals cannot interrupt."""
 
 Advance = Callable[..., int]
-"""`step.advance`, or `step.switch_on` if `end_step` is negative; compiled code has separate arrays."""
+"""Function like `plain_advance`; compiled code has separate arrays."""
 
 
 class SceneForms(Protocol):
@@ -56,13 +59,8 @@ class SceneForms(Protocol):
         """Number of robots in the playpen."""
         ...
 
-    @property
-    def core_robots(self) -> Sequence[int]:
-        """Numbers of the robots that the stepping core runs."""
-        ...
-
-    def robot_states(self) -> list[RobotState]:
-        """Return the states of the robots that the stepping core runs."""
+    def robot_states(self) -> list[Any]:
+        """Return the state of each robot before a start, named tuples of classes in `robot_core.CORES`."""
         ...
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
@@ -99,8 +97,7 @@ class Simulation:
         title: Subject of error messages.
         lamps: Lamps of the scene; none at first.
         on_switch: Function that is called when the next one of lamps that are on one at a time is on.
-        other_discs: Function that returns the discs of robots outside the stepping core, x, y, radius [m].
-        records: Robots as records of `step.RobotState` (n_robots,): their current state.
+        records: Groups of robots as records of their states: their current state.
         counters: Counters (step.N_COUNTERS,).
         plain: State for plain code.
         inputs: Lamps, and distributions of random draws, for plain code.
@@ -108,12 +105,23 @@ class Simulation:
 
     def __init__(self, scene: SceneForms, timing: Timing) -> None:
         self._scene = scene
-        robots = scene.robot_states()
+        states = scene.robot_states()
+        names = [CORES[type(state)].name for state in states]
+        self._numbers = [
+            [number for number, name in enumerate(names) if name == model] for model in sorted({*names})
+        ]
+        self._order = list(chain(*self._numbers))
+        self._places = {
+            number: (group, index)
+            for group, numbers in enumerate(self._numbers)
+            for index, number in enumerate(numbers)
+        }
+        groups = self._group(states)
         self.title = "the simulation"
         self.lamps: Lamps | None = None
         self.on_switch: Callable[[], None] | None = None
-        self.other_discs: Callable[[], list[tuple[float, float, float]]] = list
-        self.records: Any = as_records(robots, robots[0]) if robots else np.zeros(0, np.int64)
+        self.records: tuple[Any, ...] = tuple(as_records(group, group[0]) for group in groups)
+        self._initial_records = [records.copy() for records in self.records]
         self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
         self._keys: tuple[int, ...] = ()
         self._noise = 0.0
@@ -123,12 +131,27 @@ class Simulation:
         self.inputs = StepInputs([[]], plain_tables(0.0))
         self._core: Advance = plain_advance
         self._scene_args: tuple[Any, ...] = ()
-        self._set_plain(robots)
+        self._set_plain(groups)
 
     @property
     def steps(self) -> int:
         """Number of steps done."""
         return self.plain.counters[step.STEPS]
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Names of the robots' cores, in the order of the groups."""
+        return tuple(CORES[type(group[0])].name for group in self.plain.groups)
+
+    def state_of(self, robot: int) -> Any:
+        """Return the state of a robot for plain code, by its number in the playpen."""
+        group, index = self._places[robot]
+        return self.plain.groups[group][index]
+
+    def record_of(self, robot: int) -> Any:
+        """Return the record of a robot's state, by its number in the playpen."""
+        group, index = self._places[robot]
+        return self.records[group][index]
 
     @property
     def noise(self) -> float:
@@ -180,15 +203,18 @@ class Simulation:
         if vary or self._has_varied:
             self._scene.vary_robots((lambda robot: stream(seed, "robot", robot, "spread")) if vary else None)
             self.refresh_scene()
-            robots = self._scene.robot_states()
-            for record, robot in zip(self.records, robots, strict=True):
-                fill_record(record, robot)
-            self._set_plain(robots)
+            groups = self._group(self._scene.robot_states())
+            for records, initial, group in zip(self.records, self._initial_records, groups, strict=True):
+                for record, state in zip(initial, group, strict=True):
+                    fill_record(record, state)
+                records[:] = initial
+            self._set_plain(groups)
         self._has_varied = vary
-        for name in ("registers", "processor", "sensor_states", "voltage") if len(self.records) else ():
-            self.records[name] = 0
-        if len(self.records):
-            self.records["strengths"] = 1
+        for records, initial, group in zip(
+            self.records, self._initial_records, self.plain.groups, strict=True
+        ):
+            for name in CORES[type(group[0])].changing:
+                records[name] = initial[name]
         self.counters[:] = 0
         self._set_keys(self._make_keys(seed) if self._noise else ())
 
@@ -266,17 +292,33 @@ class Simulation:
             if reason != step.Reason.DONE or end >= end_step:
                 return reason
 
-    def scan(self, first_channel: int) -> None:
-        """Convert all sensors of all robots now, in plain code, starting with `first_channel`."""
+    def scan(self) -> None:
+        """Measure with all sensors of all robots now, in plain code."""
         inputs = self.inputs
         if self.lamps is not None:
             inputs = inputs._replace(powers=[self.lamps.powers])
-        time_ns = self.steps * self.plain.timing.step_ns
-        for offset in range(N_SENSORS):
-            channel = (first_channel + offset) % N_SENSORS
-            for robot in range(len(self.plain.robots)):
-                step.convert_sensor(self.plain, inputs, robot, 0, time_ns, channel)
-            self.counters[step.N_CONVERSIONS] += 1
+        for robot in chain(*self.plain.groups):
+            CORES[type(robot)].scan(robot, self.plain, inputs)
+        self.counters[step.N_CONVERSIONS] += N_SENSORS
+
+    def evaluate(self, robot: int, part: int, moment: int, moments: Moments) -> None:
+        """Evaluate a measurement of a robot that is recorded as a moment.
+
+        Args:
+            robot: Number of the robot in the playpen.
+            part: Number of the measurement, as for `robot_core.evaluate`.
+            moment: Number of the moment.
+            moments: All moments.
+        """
+        moments.show(moment)
+        number, powers = step.EVALUATE - self._order.index(robot), moments.powers(moment)
+        if self._uses_compiled:
+            *arguments, _, tables = self._arguments
+            arguments[0] = moments.compiled()
+            self._core(*arguments, powers, tables, number, part)
+        else:
+            inputs = self.inputs._replace(powers=powers.tolist())
+            self._core(self.plain._replace(scene=moments.plain()), inputs, number, part)
 
     def check_reason(self, reason: int) -> int:
         """Check the reason of a return of the stepping core, and return it.
@@ -302,19 +344,25 @@ class Simulation:
         """Update lamps that are on one at a time."""
         if self.lamps is None:
             return
-        discs = self.other_discs()
-        for robot in self.plain.robots:
-            x, y, _, _ = self.plain.scene.pose(robot.pose)
-            discs.append((x, y, robot.radius))
+        discs = [
+            (*self.plain.scene.pose(robot.pose)[:2], robot.radius) for robot in chain(*self.plain.groups)
+        ]
         has_switched = self.lamps.update(self.steps * self.plain.timing.step_ns, discs)
         self._set_powers([self.lamps.powers])
         if has_switched and self.on_switch is not None:
             self.on_switch()
 
-    def _set_plain(self, robots: Sequence[RobotState]) -> None:
-        """Set the robots of plain code: memoryviews of the records, with the constants of `robots`."""
-        plain = [as_plain(robot, record) for robot, record in zip(robots, self.records, strict=True)]
-        self.plain = self.plain._replace(robots=plain)
+    def _group(self, states: Sequence[Any]) -> list[list[Any]]:
+        """Return states of the robots by groups."""
+        return [[states[number] for number in numbers] for numbers in self._numbers]
+
+    def _set_plain(self, groups: Sequence[Sequence[Any]]) -> None:
+        """Set the groups of plain code: memoryviews of the records, with the constants of `groups`."""
+        plain = tuple(
+            [as_plain(state, record) for state, record in zip(group, records, strict=True)]
+            for group, records in zip(groups, self.records, strict=True)
+        )
+        self.plain = self.plain._replace(groups=plain)
         self._bind_arguments()
 
     def _bind_arguments(self) -> None:
@@ -338,14 +386,17 @@ class Simulation:
     def _set_keys(self, keys: tuple[int, ...]) -> None:
         """Set the key of each robot's random draws; empty for no noise."""
         self._keys = keys
-        for record, number in zip(self.records, self._scene.core_robots, strict=True):
-            record["noise"] = self.key_words(number)
+        for number in range(self._scene.n_robots):
+            self.record_of(number)["noise"] = self.key_words(number)
         self.inputs = self.inputs._replace(tables=plain_tables(self.noise))
         self._bind_arguments()
 
 
 def plain_advance(simulated: Simulated, inputs: StepInputs, end_step: int, stops: int) -> int:
-    """Run `step.advance`, or `step.switch_on` if `end_step` is negative."""
+    """Run `step.advance`, or for `end_step` below 0 what `step.SWITCH_ON` and `step.EVALUATE` stand for."""
+    if end_step < step.SWITCH_ON:
+        step.evaluate_recorded(simulated.groups, simulated, inputs, step.EVALUATE - end_step, stops)
+        return step.Reason.DONE
     if end_step < 0:
         return step.switch_on(simulated, inputs)
     return step.advance(simulated, inputs, end_step, stops)

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from khep_twin.errors import SnapshotError
 
-VERSION = 2
+VERSION = 3
 """Version of the format, incremented when the fields of a state change, except a last one with a default."""
 
 _MAGIC = b"KHEPSNAP"

@@ -1,6 +1,6 @@
 """Choice of the code that steps a world: plain code first, compiled code when it saves time."""
 
-from khep_twin.simulation.ready import function_of, when_ready
+from khep_twin.simulation.ready import function_of, when_ready, world_part
 from khep_twin.simulation.simulation import Advance, Simulation
 
 _MIN_STEPS = 30_000
@@ -22,7 +22,8 @@ class SteppingCode:
     def __init__(self, simulation: Simulation, compiled: bool | None) -> None:
         self._simulation = simulation
         self.switch_step: int | None = None
-        n_robots = len(simulation.records)
+        self._part = world_part(simulation.models)
+        n_robots = sum(map(len, simulation.records))
         if compiled is None and n_robots:
             self.switch_step = _MIN_STEPS // n_robots
         elif compiled:
@@ -34,11 +35,11 @@ class SteppingCode:
         Raises:
             MissingNumbaError: numba is not installed.
         """
-        self._switch_to(function_of("world"))
+        self._switch_to(function_of(self._part))
 
     def switch_if_ready(self) -> None:
         """Switch to compiled code if it is ready; if not, start its compilation and check again later."""
-        if (advance := when_ready("world")) is None:
+        if (advance := when_ready(self._part)) is None:
             self.switch_step = self._simulation.steps + _MIN_STEPS // 10
         else:
             self._switch_to(advance)

@@ -43,11 +43,9 @@ class RobotSnapshot(NamedTuple):
 
     Attributes:
         firmware: State of the firmware.
-        registers: State of the board, as 64-bit integers.
-        processor: State of the processor, as 64-bit integers.
-        sensor_states: State of each sensor, SOUND, STUCK or DEAD of `step`, as 64-bit integers.
-        strengths: Part of its torque that each motor delivers, as 64-bit floats.
-        voltage: Supply voltage at the last measurement [V], as one 64-bit float.
+        model: Name of the robot's core.
+        version: Version of its `arrays`.
+        arrays: Arrays of its state in the stepping core, by their paths: 64-bit numbers, see `robot_arrays`.
         is_stopped: Whether the processor has stopped for lack of voltage.
         baud: Baud rate of the robot's serial port.
         rx: Bytes to the robot.
@@ -59,11 +57,9 @@ class RobotSnapshot(NamedTuple):
     """
 
     firmware: FirmwareState
-    registers: Base64UrlBytes
-    processor: Base64UrlBytes
-    sensor_states: Base64UrlBytes
-    strengths: Base64UrlBytes
-    voltage: Base64UrlBytes
+    model: Annotated[str, Field(max_length=64)]
+    version: int
+    arrays: dict[str, Base64UrlBytes]
     is_stopped: bool
     baud: Annotated[int, Field(gt=0, le=10**9)]
     rx: LineState

@@ -5,7 +5,7 @@
 
 Each sensor has a pair of bars, proximity (0 to 1023) and ambient light (0 to 500 counts, long in the dark).
 Each wheel has a bar for its speed (0 to 20 pulses/10 ms, downwards when it drives backwards). The view is a
-window where there is a screen, or a picture that each call rewrites. `khep_twin.sensing.bars` defines the
+window where there is a screen, or a picture that each call rewrites. `khep_twin.robots.bars` defines the
 ranges of the bars.
 """
 
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.drawings import is_replaceable, write_drawing
 from khep_twin.files.paths import StrPath
-from khep_twin.sensing.bars import BARS
+from khep_twin.robots.registry import default_model
 from khep_twin.toolbox.windows import refresh, show
 from khep_twin.units import SENSOR_POSITIONS, WHEEL_BASE
 
@@ -37,6 +37,7 @@ _BAR_HEIGHT, _BAR_WIDTH = 0.012, 0.0028
 
 _PROXIMITY, _LIGHT, _SPEED, _EMPTY = "#e4572e", "#f4c846", "#4dabf7", "#f1f1ef"
 _DPI = 90
+_BARS = default_model().bars
 
 _open_view: "list[_View]" = []
 """View that is open, or empty."""
@@ -105,7 +106,7 @@ class _View:
         """Set the lengths of the bars."""
         for (name, bars), values in zip(self._bars.items(), (proximity, light, speed), strict=True):
             for bar, value in zip(bars, values.tolist(), strict=True):
-                bar.set_height(BARS[name].filled_part(value) * _BAR_HEIGHT)
+                bar.set_height(_BARS[name].filled_part(value) * _BAR_HEIGHT)
 
     def show(self) -> Path | None:
         """Draw the view on the screen, or write its file."""
@@ -142,7 +143,7 @@ def _draw_robot() -> "tuple[Figure, Axes]":
     axes.add_patch(Polygon(nose, facecolor=INK, lw=0))
     for forward, left in SENSOR_POSITIONS:
         axes.add_patch(Circle((-left, forward), 0.0013, facecolor=INK, lw=0))
-    colours = zip(BARS.values(), (_PROXIMITY, _LIGHT, _SPEED), strict=True)
+    colours = zip(_BARS.values(), (_PROXIMITY, _LIGHT, _SPEED), strict=True)
     handles = [Line2D([], [], color=colour, lw=5, label=bar.legend) for bar, colour in colours]
     figure.legend(
         handles=handles,

@@ -3,16 +3,17 @@
 import re
 import unicodedata
 from collections.abc import Mapping
-from typing import Literal, get_args, get_origin
 
 from khep_twin import playpen as playpens
-from khep_twin.board.rom import ROMS
+from khep_twin.board.rom import Rom
 from khep_twin.errors import PlaypenError
 from khep_twin.files import toml_files
+from khep_twin.files.toml_files import choices_of
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.parts import MODEL_ROMS, MODELS, Lighting, RobotEntry
+from khep_twin.playpen.parts import Lighting, RobotEntry, model_defaults
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
-from khep_twin.units import BODIES
+from khep_twin.robots.model import Feature
+from khep_twin.robots.registry import installed_models
 
 Draft = dict[str, object]
 
@@ -74,22 +75,22 @@ def models() -> dict[str, object]:
     `modes` has the running modes of each ROM: number and description.
     """
     return {
-        model: {
-            "defaults": dict(MODELS[model]),
-            "modes": {rom: _modes(rom) for rom in roms},
-            "has_turrets": BODIES[model].in_core,
+        name: {
+            "defaults": dict(model_defaults(name)),
+            "modes": {version: _modes(rom) for version, rom in model.roms.items()},
+            "has_turrets": Feature.TURRETS in model.features,
         }
-        for model, roms in MODEL_ROMS.items()
+        for name, model in installed_models().items()
     }
 
 
 def key_choices() -> dict[str, object]:
     """Return the values of the keys that have a fixed set, by table and key."""
     return {
-        f"{table}.{key}": get_args(field.annotation)
+        f"{table}.{key}": values
         for table, kind in (("lighting", Lighting), ("robot", RobotEntry))
         for key, field in kind.model_fields.items()
-        if get_origin(field.annotation) is Literal
+        if (values := choices_of(field))
     }
 
 
@@ -98,10 +99,10 @@ def surfaces() -> dict[str, object]:
     return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}
 
 
-def _modes(rom: str) -> dict[int, str]:
+def _modes(rom: Rom) -> dict[int, str]:
     """Return a description of each running mode of a ROM that the twin has."""
     return {
         number: ", ".join(filter(None, [f"{mode.baud} baud", mode.function]))
-        for number, mode in ROMS[rom].modes.items()
+        for number, mode in rom.modes.items()
         if not mode.refusal
     }

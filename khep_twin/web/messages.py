@@ -55,8 +55,8 @@ class RobotConnected(TypedDict):
 class RobotReadings(TypedDict):
     """Readings of a robot; a robot at a port lacks the keys after `vision`.
 
-    `vision` is missing if the image was not read, and None without a camera; `more` has further channels of a
-    Khepera IV.
+    `vision` is missing if the image was not read, and None without a camera; `more` has further channels
+    of its model.
     """
 
     proximity: Sequence[int]

@@ -19,7 +19,6 @@ from collections.abc import Callable, Sequence
 from khep_twin.board.protocol import LINE_END
 from khep_twin.clock import NEVER_NS, Pacer
 from khep_twin.errors import KhepTwinError
-from khep_twin.host.line import DIALECTS
 from khep_twin.machine import wait_readable
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.host_port import HostPort
@@ -57,13 +56,13 @@ class OutsideHost:
         self._connection = Connection(twin, robot, port, notify)
         self._notify = notify
         self._partial_line = bytearray()
-        self._model = self._world.playpen.robots[robot.index].model
+        self._dialect = self._world.playpen.robots[robot.index].robot_model.dialect
         self._stop_requests: deque[bytes] = deque()
         self._awaits_stop_reply = False
 
     def stop_motors(self) -> None:
         """Send the requests that stop the motors at the next exchanges, and drop their replies."""
-        requests = ("", *DIALECTS[self._model].stop_requests)  # the host's unfinished line ends first
+        requests = ("", *self._dialect.stop_requests)  # the host's unfinished line ends first
         self._stop_requests.extend(f"{request}\n".encode() for request in requests)
 
     def descriptors(self) -> Sequence[int]:

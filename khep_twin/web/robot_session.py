@@ -7,12 +7,12 @@ import re
 import threading
 from contextlib import suppress
 
-from khep_twin.board.rom import ROMS
 from khep_twin.errors import ProtocolError
-from khep_twin.host import Khepera, Khepera4, Vision, commands
-from khep_twin.host.khepera4 import SPEED_UNIT
-from khep_twin.host.line import DIALECTS
-from khep_twin.playpen.parts import MODELS
+from khep_twin.host import Khepera, Vision
+from khep_twin.host.host_robot import HostRobot, open_robot
+from khep_twin.robots.khepera.model import KHEPERA_1
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import installed_models
 from khep_twin.web import messages
 from khep_twin.web.messages import Publish
 from khep_twin.web.robot_shape import robot_shape
@@ -44,11 +44,11 @@ class RobotActor(SessionActor):
             if isinstance(robot, Khepera):
                 with suppress(ProtocolError):  # a robot without this turret
                     self._vision = Vision(robot)
-            shape = robot_shape(model, MODELS[model]["calibration"])
+            shape = robot_shape(model, model.calibration)
             self.publish({"kind": "robot", "robots": [{**shape, "name": robot.name, "port": self._url}]})
             while not self._is_ending():
                 if self._halt.is_set():
-                    _stop(robot)
+                    robot.stop()
                     self._halt.clear()
                 self._poll(robot)
                 for job in self.jobs[:1]:
@@ -67,10 +67,16 @@ class RobotActor(SessionActor):
         if robot.time - self._poll_time > 2 * _POLL_INTERVAL:
             self._poll(robot)
 
-    def _poll(self, robot: Khepera | Khepera4) -> None:
+    def _poll(self, robot: HostRobot) -> None:
         """Read the sensors and publish the robot's state to the page."""
         self.output.flush()
-        readings = _read_khepera(robot) if isinstance(robot, Khepera) else _read_khepera4(robot)
+        values = robot.read_panel()
+        readings: messages.RobotReadings = {
+            "proximity": values["proximity"],
+            "ambient": values["ambient"],
+            "speed": values["speed"],
+            "leds": [0, 0],
+        }
         self._poll_time = robot.time
         if self._vision is not None and not self.jobs:  # a program must not wait for an image
             readings["vision"] = [*self._vision.image()]
@@ -80,7 +86,7 @@ class RobotActor(SessionActor):
         )
 
 
-def _open_robot(url: str) -> tuple[str, Khepera | Khepera4]:
+def _open_robot(url: str) -> tuple[RobotModel, HostRobot]:
     """Open the robot at a port; return its model, the one with the BIOS nearest to that in the reply to B.
 
     Raises:
@@ -89,39 +95,24 @@ def _open_robot(url: str) -> tuple[str, Khepera | Khepera4]:
     robot = Khepera(url, baudrate="auto")
     try:
         reply = robot.ask("B")
-        models = [model for model, dialect in DIALECTS.items() if dialect.versions_reply.fullmatch(reply)]
+        known_models = installed_models()
+        models = [model for model in known_models.values() if model.dialect.versions_reply.fullmatch(reply)]
         if not models:
-            raise ProtocolError(f"{url}: the reply to B is {reply!r}; expected one of {', '.join(DIALECTS)}")
+            names = ", ".join(known_models)
+            raise ProtocolError(f"{url}: the reply to B is {reply!r}; expected one of {names}")
     except BaseException:
         robot.port.close()
         raise
     version = _parse_version(reply)
-    model = min(models, key=lambda model: abs(_parse_version(ROMS[MODELS[model]["rom"]].bios) - version))
-    if DIALECTS[model].host_class == Khepera.__name__:
+    model = min(models, key=lambda model: abs(_parse_version(next(iter(model.roms.values())).bios) - version))
+    if model.dialect is KHEPERA_1.dialect:
         return model, robot
     baud = robot.port.baudrate
     robot.port.close()
-    return model, Khepera4(url, baudrate=baud)
+    return model, open_robot(model, url, baudrate=baud)
 
 
 def _parse_version(text: str) -> float:
     """Return the first number in a text, 0 if there is none."""
     match = re.search(r"\d+(\.\d+)?", text)
     return float(match[0]) if match else 0.0
-
-
-def _stop(robot: Khepera | Khepera4) -> None:
-    if isinstance(robot, Khepera4):
-        robot.stop()
-    else:
-        robot.set_speed(0, 0)
-
-
-def _read_khepera(robot: Khepera) -> messages.RobotReadings:
-    proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
-    return {"proximity": [*proximity], "ambient": [*ambient], "speed": [*speed], "leds": [0, 0]}
-
-
-def _read_khepera4(robot: Khepera4) -> messages.RobotReadings:
-    speed = [round(value / SPEED_UNIT) for value in robot.speed()]
-    return {"proximity": [*robot.proximity()], "ambient": [*robot.ambient()], "speed": speed, "leds": [0, 0]}

@@ -16,9 +16,8 @@ from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.toml_files import summary
 from khep_twin.lab.experiment.controllers import BUILT_IN
+from khep_twin.robots.registry import default_model, installed_models
 from khep_twin.sensing import colours
-from khep_twin.sensing.bars import BARS
-from khep_twin.units import BODIES
 from khep_twin.web import drafts, requests
 from khep_twin.web.answers import Actions, action, body_endpoint, endpoint, internal_error
 from khep_twin.web.broadcaster import Broadcaster
@@ -109,7 +108,7 @@ class Page:
             "surfaces": drafts.surfaces(),
             "library": {name: summary("playpens", name) for name in playpens.names()},
             "controllers": list(BUILT_IN),
-            "bars": {name: asdict(bar) for name, bar in BARS.items()},
+            "bars": {name: asdict(bar) for name, bar in default_model().bars.items()},
             "colours": {"sensors": colours.ALL_SENSORS, "wheels": colours.WHEELS},
             "turrets": {
                 name: {"description": kind.description, "parts": start_parts(name)}
@@ -117,7 +116,9 @@ class Page:
             },
             "models": drafts.models(),
             "choices": drafts.key_choices(),
-            "shapes": {model: robot_shape(model, model) for model in BODIES},
+            "shapes": {
+                name: robot_shape(model, model.calibration) for name, model in installed_models().items()
+            },
             "runs": running_twin,
         }
 

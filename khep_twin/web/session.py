@@ -19,7 +19,8 @@ from enum import IntEnum
 
 from khep_twin.errors import KhepTwinError, PortError, user_error_text
 from khep_twin.host import Khepera
-from khep_twin.host.line import DIALECTS, KHEPERA
+from khep_twin.robots.model import Feature, RobotModel
+from khep_twin.robots.registry import titles_with
 from khep_twin.web.fork_guard import ForkGuard
 from khep_twin.web.jobs import Job
 from khep_twin.web.messages import Message, Publish
@@ -53,7 +54,7 @@ class SessionActor:
         self._phase = Phase.OPEN
         self._phase_lock = threading.Lock()
         self.jobs: tuple[Job | None, ...] = ()
-        self.models: Sequence[str] = ()
+        self.models: Sequence[RobotModel] = ()
         self._stopping_jobs: tuple[Job | None, ...] = ()
         self._job_threads: set[int] = set()
         # Jobs report their completed part at each cycle; it is sent with the pictures.
@@ -81,9 +82,10 @@ class SessionActor:
             text = "the robot is busy; expected a stopped robot" if self.is_alive else "it has ended"
             raise PortError(text)
         for number, (job, model) in enumerate(zip(jobs, self.models, strict=False), 1):
-            if job is not None and DIALECTS[model] is not KHEPERA:
-                problem = f"robot {number} is {DIALECTS[model].robot_name}"
-                raise PortError(f"{problem}; expected {KHEPERA.robot_name} for programs of the page")
+            if job is not None and Feature.PROGRAMS not in model.features:
+                problem = f"robot {number} is {model.dialect.robot_name}"
+                expected = f"{titles_with(Feature.PROGRAMS)} for {Feature.PROGRAMS.value}"
+                raise PortError(f"{problem}; expected {expected}")
         self._progress = 0.0
         self.jobs = jobs
 

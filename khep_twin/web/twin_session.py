@@ -21,7 +21,6 @@ from khep_twin.ports.event_sources import set_exact_timeouts
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.service_registry import registered_ports
 from khep_twin.ports.twin import TwinOptions, open_twin
-from khep_twin.units import BODIES
 from khep_twin.web import messages
 from khep_twin.web.messages import Publish
 from khep_twin.web.paced_twin import OutsideHost, PacedTwin
@@ -40,7 +39,7 @@ class TwinActor(SessionActor):
 
     def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, publish: Publish) -> None:
         super().__init__(publish)
-        self.models = [robot.model for robot in playpen.robots]
+        self.models = [robot.robot_model for robot in playpen.robots]
         self.playpen = playpen
         self._options = options
         self.log = log
@@ -169,8 +168,8 @@ class TwinActor(SessionActor):
                     "name": robot.name,
                     "port": port.path,
                     "baud": robot.firmware.baud,
-                    **robot_shape(entry.model, entry.calibration),
-                    "sensor_height_mm": BODIES[entry.model].sensor_height * 1e3,
+                    **robot_shape(entry.robot_model, entry.calibration),
+                    "sensor_height_mm": entry.body.sensor_height * 1e3,
                     "leds_mm": np.round(1e3 * sites[list(robot.indices.leds), :2], 2).tolist(),
                     "turrets": entry.turrets,
                 }

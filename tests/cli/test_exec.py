@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from command_line import khep_twin
 
-from khep_twin.khepera4.preload import compiler_flags
 from khep_twin.log.reader import read_log
+from khep_twin.robots.khepera4.preload import compiler_flags
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux" or shutil.which("cc") is None, reason="there is no Linux with a C compiler"

@@ -10,13 +10,13 @@ gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 import khep_twin  # noqa: E402
-from khep_twin.envs.khepera4 import TASKS, KheperaIVEnvironment  # noqa: E402
-from khep_twin.envs.registration import KHEPERA_4_TASKS  # noqa: E402
 from khep_twin.errors import KhepTwinError, PlaypenError  # noqa: E402
+from khep_twin.robots.khepera4.environments import TASKS, KheperaIVEnvironment  # noqa: E402
+from khep_twin.robots.khepera4.model import KHEPERA_4  # noqa: E402
 
 
 def test_the_registered_tasks_are_those_there_are() -> None:
-    assert set(KHEPERA_4_TASKS) == set(TASKS)
+    assert set(KHEPERA_4.environments) == set(TASKS)
 
 
 @pytest.mark.parametrize("task", TASKS)

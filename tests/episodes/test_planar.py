@@ -263,7 +263,7 @@ def test_omitting_distant_obstacles_changes_no_count(name: str) -> None:
     scene = arena() if name == "arena" else Playpen.load(name)
     setup = EpisodeSetup(scene, planar=True)
     assert setup.planar_scene is not None
-    sensors = PlanarWorld(setup.scene_model, setup.planar_scene).simulation.plain.robots[0].sensors
+    sensors = PlanarWorld(setup.scene_model, setup.planar_scene).simulation.plain.groups[0][0].sensors
     backend = planar_forms(scene, units.TICK_NS, 0, 0, 0)
     rng, floor, n_visible, n_omitted = np.random.default_rng(8), scene.arena, 0, 0
     n_near: list[int] = []

@@ -10,8 +10,8 @@ from shares import share
 from khep_twin.errors import MoveError, PortError, ProtocolError, StoppedError
 from khep_twin.host import Distances, Khepera, Khepera4, Vector3
 from khep_twin.host.discovery import identify_robot
-from khep_twin.khepera4.registers import Control, DspicRegister
-from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.robots.khepera4.robot import Khepera4Robot
 
 
 @pytest.fixture

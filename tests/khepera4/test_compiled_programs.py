@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.khepera4.machine import CHARGER_PIN, Machine
-from khep_twin.khepera4.programs import RobotProgram, run_programs
-from khep_twin.khepera4.registers import DspicRegister
-from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.robots.khepera4.machine import CHARGER_PIN, Machine
+from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
+from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
 
 pytestmark = [

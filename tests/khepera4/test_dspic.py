@@ -2,10 +2,10 @@
 
 import pytest
 
-from khep_twin.khepera4.dspic import Dspic
-from khep_twin.khepera4.motor_control import PWM_LIMIT
-from khep_twin.khepera4.registers import Control, DspicRegister
-from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.robots.khepera4.dspic import Dspic
+from khep_twin.robots.khepera4.motor_control import PWM_LIMIT
+from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
 
 
@@ -111,7 +111,8 @@ def test_a_read_continues_through_the_map_and_ends_with_zeros() -> None:
     assert [int.from_bytes(content[at : at + 2], "little") for at in range(24, 48, 2)] == list(
         range(100, 112)
     )
-    dspic.set_battery(bytes(range(12)))
+    for index in range(12):
+        dspic.state.memory[DspicRegister.BATTERY + index] = index
     assert dspic.read(DspicRegister.BATTERY, 16) == bytes([*range(12), 0, 0, 0, 0])
 
 

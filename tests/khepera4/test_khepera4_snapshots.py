@@ -11,11 +11,10 @@ from khep_twin.log.recorded import BranchPoint
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.changes import set_values
 from khep_twin.ports.resume import transfer_world
-from khep_twin.simulation.world_state import RobotSnapshot, WorldState
+from khep_twin.simulation.world_state import WorldState
 from khep_twin.world import World
 
 NAN, INF = np.float64("nan").tobytes(), np.float64("inf").tobytes()
-ARRAYS = "registers", "processor", "sensor_states", "strengths", "voltage"
 KHEPERA4, KHEPERA = 0, 2
 
 
@@ -39,6 +38,11 @@ def changed(state: WorldState, index: int, **fields: object) -> WorldState:
     return state._replace(robots=tuple(robots))
 
 
+def with_array(state: WorldState, index: int, name: str, data: bytes) -> WorldState:
+    """Return a state with another array of a robot."""
+    return changed(state, index, arrays={**state.robots[index].arrays, name: data})
+
+
 def refusal(world: World, state: WorldState) -> str:
     """Return the message of a state that a world refuses."""
     with pytest.raises(SnapshotError) as refused:
@@ -49,57 +53,78 @@ def refusal(world: World, state: WorldState) -> str:
 
 
 @pytest.mark.parametrize("index", [KHEPERA4, KHEPERA])
-@pytest.mark.parametrize("name", ARRAYS)
 def test_an_array_of_another_length_is_refused_wherever_numbers_are_missing(
-    world: World, state: WorldState, index: int, name: str
+    world: World, state: WorldState, index: int
 ) -> None:
-    robot: RobotSnapshot = state.robots[index]
-    data: bytes = getattr(robot, name)
-    starts = sorted({0, 8, len(data) // 16 * 8, max(len(data) - 8, 0)} & set(range(0, len(data), 8)))
-    damaged = [data[:start] + data[start + 8 :] for start in starts] + [data + bytes(8), data + b"\0"]
-    for content in damaged:
-        message = refusal(world, changed(state, index, **{name: content}))
-        assert f"robot {index}: " in message
-        assert "expected" in message
-        assert name in message or "processor[" in message, message
+    for name, data in state.robots[index].arrays.items():
+        starts = sorted({0, 8, len(data) // 16 * 8, max(len(data) - 8, 0)} & set(range(0, len(data), 8)))
+        damaged = [data[:start] + data[start + 8 :] for start in starts] + [data + bytes(8), data + b"\0"]
+        for content in damaged:
+            message = refusal(world, with_array(state, index, name, content))
+            assert f"robot {index}: " in message
+            assert "expected" in message
+            assert name in message, message
 
 
-def test_numbers_of_the_wrong_kind_are_refused_with_their_place(world: World, state: WorldState) -> None:
-    robot: RobotSnapshot = state.robots[KHEPERA4]
-    for start in range(0, len(robot.strengths), 8):
-        for number in (NAN, INF):
-            message = refusal(
-                world,
-                changed(
-                    state, KHEPERA4, strengths=robot.strengths[:start] + number + robot.strengths[start + 8 :]
-                ),
+@pytest.mark.parametrize("index", [KHEPERA4, KHEPERA])
+def test_numbers_of_the_wrong_kind_are_refused_with_their_place(
+    world: World, state: WorldState, index: int
+) -> None:
+    floats = "gauge", "inertial.velocity", "positions", "strengths", "voltage"
+    for name, data in state.robots[index].arrays.items():
+        wrong = (NAN, INF) if name in floats else ((2**62).to_bytes(8, "little"),)
+        step = max(len(data) // 400, 1) * 8
+        for start in range(0, len(data), step):
+            for number in wrong:
+                content = data[:start] + number + data[start + 8 :]
+                assert f"{name}[{start // 8}], " in refusal(world, with_array(state, index, name, content))
+
+
+def test_an_array_too_many_or_too_few_and_another_version_are_refused(
+    world: World, state: WorldState
+) -> None:
+    for index in (KHEPERA4, KHEPERA):
+        robot = state.robots[index]
+        first = next(iter(robot.arrays))
+        without = {name: data for name, data in robot.arrays.items() if name != first}
+        for arrays in (without, {**robot.arrays, "more": b""}, {}):
+            message = refusal(world, changed(state, index, arrays=arrays))
+            assert f"robot {index}: arrays " in message
+            assert (
+                f"expected {', '.join(sorted(name for name in robot.arrays if name != 'positions'))}"
+                in message
             )
-            assert f"strengths[{start // 8}], " in message
-    for start in range(0, len(robot.processor), 160):
-        huge = robot.processor[:start] + (2**62).to_bytes(8, "little") + robot.processor[start + 8 :]
-        assert "processor[" in refusal(world, changed(state, KHEPERA4, processor=huge))
-    other = robot.registers[:80] + b"\7" * 8 + robot.registers[88:]
-    assert "registers[10], register" in refusal(world, changed(state, KHEPERA4, registers=other))
+        assert "version 7; expected" in refusal(world, changed(state, index, version=7))
+
+
+def test_numbers_that_contradict_each_other_are_refused(world: World, state: WorldState) -> None:
+    arrays = state.robots[KHEPERA4].arrays
+    future = (1 << 20).to_bytes(8, "little")
+    assert "inertial.n_rates = 1048576; expected at most 30" in refusal(
+        world, with_array(state, KHEPERA4, "inertial.n_rates", future)
+    )
+    assert "dspic.powered = 0; expected 1" in refusal(
+        world, with_array(state, KHEPERA4, "dspic.powered", bytes(8))
+    )
+    assert "positions = 0 numbers; expected" in refusal(world, with_array(state, KHEPERA4, "positions", b""))
+    none = with_array(state, KHEPERA4, "burst", b"\xff" * 8)
+    assert "positions = " in refusal(world, none)
+    assert len(arrays["positions"]) == 8 * len(world.data.qpos)
 
 
 def test_a_state_of_another_robot_model_is_refused(world: World, state: WorldState) -> None:
     for one, other in ((KHEPERA4, KHEPERA), (KHEPERA, KHEPERA4)):
         fields = state.robots[other]._asdict()
-        assert f"robot {one}: " in refusal(world, changed(state, one, **fields))
+        expected = f"robot {one}: state of model {fields['model']!r}, version 1; expected "
+        assert expected in refusal(world, changed(state, one, **fields))
         assert f"robot {one}: " in refusal(world, changed(state, one, firmware=fields["firmware"]))
     assert "states of 5 LEDs; expected 3" in refusal(world, changed(state, KHEPERA4, leds=(0,) * 5))
     faults = state.robots[KHEPERA].faults._replace(active=("dead:left",))
     assert "fault 'dead:left'" in refusal(world, changed(state, KHEPERA, faults=faults))
 
 
-def test_registers_of_a_khepera_outside_their_range_are_refused(world: World, state: WorldState) -> None:
-    robot: RobotSnapshot = state.robots[KHEPERA]
-    for index in range(0, len(robot.registers) // 8):
-        numbers = np.frombuffer(robot.registers, np.int64).copy()
-        numbers[index] = 2**62
-        assert f"registers[{index}]" in refusal(world, changed(state, KHEPERA, registers=numbers.tobytes()))
-    assert "strengths[0]" in refusal(world, changed(state, KHEPERA, strengths=NAN + robot.strengths[8:]))
-    firmware = robot.firmware._replace(running="x\n")
+def test_a_program_that_a_khepera_lacks_is_refused(world: World, state: WorldState) -> None:
+    firmware = state.robots[KHEPERA].firmware._replace(running="x\n")
     assert "ROM function 'x\\n'" in refusal(world, changed(state, KHEPERA, firmware=firmware))
 
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from khep_twin.khepera4.machine import BYTE_NS, CHARGER_PIN, READ_FLAG, RESET_PIN, Machine
-from khep_twin.khepera4.registers import ADDRESS
+from khep_twin.robots.khepera4.machine import BYTE_NS, CHARGER_PIN, READ_FLAG, RESET_PIN, Machine
+from khep_twin.robots.khepera4.registers import ADDRESS
 
 
 class Clock:

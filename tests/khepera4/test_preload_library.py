@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from test_compiled_programs import machine, machine_of, output_of, pytestmark, run_program
 
-from khep_twin.khepera4.programs import RobotProgram, run_programs
+from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
 from khep_twin.world import World
 
 __all__ = ["pytestmark"]

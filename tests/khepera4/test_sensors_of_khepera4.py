@@ -8,13 +8,13 @@ import pytest
 from khep_twin.board.fault_injection import parse_fault
 from khep_twin.errors import CalibrationError
 from khep_twin.interventions.move_robot import place_robot, scan
-from khep_twin.khepera4.inertial import COUNTS_PER_G, DEGREES_PER_COUNT, Inertial
-from khep_twin.khepera4.machine import Machine
-from khep_twin.khepera4.registers import Control, DspicRegister
-from khep_twin.khepera4.robot import PULSES_PER_TURN, Khepera4Robot
-from khep_twin.khepera4.ultrasonic import PERIOD_NS
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
+from khep_twin.robots.khepera4.inertial import COUNTS_PER_G, DEGREES_PER_COUNT, at_rest, measure
+from khep_twin.robots.khepera4.machine import Machine
+from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.robots.khepera4.robot import PULSES_PER_TURN, Khepera4Robot
+from khep_twin.robots.khepera4.ultrasonic import PERIOD_NS
 from khep_twin.units import GRAVITY, TICK_NS
 from khep_twin.world import World
 
@@ -144,8 +144,7 @@ def test_ultrasonic_sensors_that_are_enabled_take_turns_in_the_order_of_their_nu
     bursts: list[int] = []
     for _ in range(2 * len(sensors) + 1):
         world.advance_to(world.time_ns + PERIOD_NS)
-        assert robot._burst is not None
-        bursts.append(robot._burst[0])
+        bursts.append(robot._state.burst[0])
     first = sensors.index(bursts[0])
     turns = sensors[first:] + sensors[:first]
     assert bursts == [*turns, *turns, turns[0]]
@@ -184,10 +183,10 @@ def test_each_axis_of_both_sensors_draws_once_from_the_numbers_of_its_own_period
         numbers.append(number)
         return 0.0, 0.0
 
-    monkeypatch.setattr("khep_twin.khepera4.inertial.draws", draws)
-    sensors = Inertial((1, 2), noise=1.0)
+    monkeypatch.setattr("khep_twin.robots.khepera4.inertial.draws", draws)
+    sensors, memory, upright, still = at_rest(), [0] * 256, [1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0], (0.0, 0.0, 0.0)
     for period in range(1, 200):
-        sensors.tick(period * TICK_NS, [1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0], [0.0] * 3, [0.0] * 3)
+        measure(sensors, memory, [], [1, 2], period * TICK_NS, upright, still, still)
         assert len(numbers) in (2, 4)
         assert numbers == [*range(4 * period, 4 * period + len(numbers))]
         numbers.clear()

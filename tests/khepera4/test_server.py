@@ -2,9 +2,9 @@
 
 import pytest
 
-from khep_twin.khepera4.dspic import Dspic
-from khep_twin.khepera4.registers import Control, DspicRegister
-from khep_twin.khepera4.server import Kh4Server
+from khep_twin.robots.khepera4.dspic import Dspic
+from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.robots.khepera4.server import Kh4Server
 
 
 def sensing() -> Dspic:
@@ -14,7 +14,7 @@ def sensing() -> Dspic:
     dspic.set_words(DspicRegister.ULTRASONIC, [25, 2000, 1000, 0, 250])
     dspic.set_words(DspicRegister.GYROSCOPE, range(-15, 15))
     dspic.set_words(DspicRegister.ACCELEROMETER, [-16384] * 30)
-    dspic.set_battery(
+    battery = (
         bytes([3])
         + (2000).to_bytes(2, "little")
         + bytes([80])
@@ -23,6 +23,8 @@ def sensing() -> Dspic:
         + (6400).to_bytes(2, "little")
         + (800).to_bytes(2, "little")
     )
+    for index, byte in enumerate(battery):
+        dspic.state.memory[DspicRegister.BATTERY + index] = byte
     return dspic
 
 

@@ -14,19 +14,18 @@ from matplotlib.patches import FancyArrowPatch, Polygon, Rectangle
 import khep_twin
 from khep_twin.drawing.map import draw
 from khep_twin.errors import LogError
-from khep_twin.khepera4.ultrasonic import RADIUS
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.run_statistics import clearance
 from khep_twin.lab.report.export import choose_channels, write_table
 from khep_twin.lab.report.pages import html, pictures
 from khep_twin.lab.report.report import make_report
-from khep_twin.log.columns import KHEPERA4_COLUMNS
 from khep_twin.log.reader import read_first_messages, read_series
 from khep_twin.log.recorded import PROGRAM, read_recorded_run
 from khep_twin.log.viewer.replay import view
 from khep_twin.playpen import Playpen
 from khep_twin.ports.resume import resume_run
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.khepera4.model import KHEPERA_4, SONAR
 
 NS = 1_000_000_000
 COMMANDS = (b"K,63,0,0,0,32,0,0,0,0\r\n", b"D,200,150\r\n", b"U,4\r\n", b"N\r\n", b"G\r\n")
@@ -44,10 +43,10 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_channels_of_a_khepera4_have_names_and_units() -> None:
-    assert KHEPERA4_COLUMNS["proximity"][0] == ("proximity_back_left", "counts")
-    assert KHEPERA4_COLUMNS["proximity"][-1] == ("proximity_ground_right", "counts")
-    assert KHEPERA4_COLUMNS["ultrasonic"][2] == ("ultrasonic_front", "cm")
-    assert KHEPERA4_COLUMNS["control"][-1] == ("control_status_led", "register")
+    assert KHEPERA_4.channels["proximity"][0] == ("proximity_back_left", "counts")
+    assert KHEPERA_4.channels["proximity"][-1] == ("proximity_ground_right", "counts")
+    assert KHEPERA_4.channels["ultrasonic"][2] == ("ultrasonic_front", "cm")
+    assert KHEPERA_4.channels["control"][-1] == ("control_status_led", "register")
 
 
 def test_a_read_log_has_the_channels_of_both_models(mixed: Path) -> None:
@@ -86,7 +85,7 @@ def test_a_view_has_beams_as_long_as_readings_and_leds_in_their_colours(mixed: P
     reading = int(track.extra_channels["ultrasonic"][track.times_ns.tolist().index(time_ns), 2])
     # Its axis is in the middle of the sector, and the sector of a disabled sensor has no size.
     middle = np.array(strips[2])[5]
-    assert middle[0] == pytest.approx(RADIUS + reading / 100 * (reading < 1000), abs=1e-4)
+    assert middle[0] == pytest.approx(SONAR.radius + reading / 100 * (reading < 1000), abs=1e-4)
     assert np.ptp(np.array(strips[0]), axis=0).max() == 0
     _, colours = values_of(tmp_path / "run.rrd", "/obstacles/khepera0_leds", "Ellipsoids3D:colors")[-1]
     assert [int(colour) >> 8 for colour in colours] == [0xFF0000, 0x00FF00, 0]

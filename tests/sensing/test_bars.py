@@ -8,8 +8,7 @@ import pytest
 from khep_twin.log.viewer import robot_panel
 from khep_twin.log.viewer.collected import Samples
 from khep_twin.log.viewer.robot_panel import panel_chunks
-from khep_twin.sensing.bars import BARS
-from khep_twin.units import BODIES
+from khep_twin.robots.registry import default_model
 
 
 @pytest.mark.parametrize(
@@ -26,14 +25,14 @@ from khep_twin.units import BODIES
     ],
 )
 def test_a_bar_is_filled_by_its_value(name: str, value: float, part: float) -> None:
-    assert BARS[name].filled_part(value) == pytest.approx(part)
+    assert default_model().bars[name].filled_part(value) == pytest.approx(part)
 
 
 def test_a_recorded_bar_of_light_is_full_in_the_dark_and_short_where_it_is_bright() -> None:
     counts = np.full((1, 8), 500.0)
     counts[0, 3] = 50
     track = Samples(np.array([0]), np.zeros((1, 8)), counts, np.zeros((1, 2)))
-    chunks = panel_chunks("khepera0", track, BODIES["khepera1"])
+    chunks = panel_chunks("khepera0", track, default_model())
     (light,) = (chunk for chunk in chunks if chunk.entity_path.endswith("/light"))
     strips: Any = light.to_record_batch()["LineStrips2D:strips"][0].as_py()
     heights = [strip[0][1] - strip[1][1] for strip in strips]

@@ -23,7 +23,7 @@ def share_of_clear(text: str, n: int = 400) -> float:
     world = World(playpen.parse(text, "sight"), noise=False)
     sight_lines = SightLines(world.model, world.robots[0].indices, world.lamps.positions)
     light, plain = build_light(sight_lines, playpen.Lighting()), world.simulation.plain
-    sensors = plain.robots[0].sensors
+    sensors = plain.groups[0][0].sensors
     position = world.data.cam_xpos[sensors.cameras[0]]
     width, depth = world.playpen.arena.width_mm / 1e3, world.playpen.arena.height_mm / 1e3
     n_clear = 0
@@ -95,7 +95,7 @@ def test_corners_of_the_gripper_beside_a_sensor_stop_light(
     world = World(Playpen.load("gripper"), noise=False, compiled=False)
     world.advance_to(100_000_000)
     model, data = world.model, world.data
-    scene, sensors = world.simulation.plain.scene, world.simulation.plain.robots[0].sensors
+    scene, sensors = world.simulation.plain.scene, world.simulation.plain.groups[0][0].sensors
     origin, distance = data.cam_xpos[sensors.cameras[channel]], float(np.linalg.norm(to_bulb))
     (x, y, z), horizontal = to_bulb, math.hypot(*to_bulb[:2])
     left, up = (

@@ -14,6 +14,7 @@ from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.robots.registry import find_model
 from khep_twin.sensing.calibration import MotorCalibration
 from khep_twin.simulation.faulty_wheels import WHEEL_FIELDS
 from khep_twin.units import TYRE_FRICTION
@@ -69,7 +70,7 @@ def test_a_weak_motor_turns_at_the_speed_where_its_part_of_the_torque_holds_the_
 
 @pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 1.0])
 def test_a_robot_pushes_with_what_is_left_of_its_tyres_friction(part: float) -> None:
-    wall_mm = 1000 - units.BODIES["khepera1"].radius * 1e3
+    wall_mm = 1000 - find_model("khepera1").body.radius * 1e3
     twin = episode(f"slip:left:{part}", f"slip:right:{part}", x_mm=wall_mm - 0.2, seconds=3.0, duty=100)
     pushes, loads = [], []
     for _ in range(40):

@@ -64,7 +64,7 @@ class EpisodeLayout:
             (name, np.dtype(parts, align=True)) if name in STATE_FIELDS else parts[0]
             for name, parts in fields_by_record.items()
         ]
-        surfaces = arguments.robots["sensors"]["proximity"]["surfaces"]
+        surfaces = arguments.groups[0]["sensors"]["proximity"]["surfaces"]
         plane_buffers = np.dtype([(name, plane.robot.dtype[name]) for name in BUFFERS], align=True)
         proximity = np.dtype([("surfaces", surfaces.dtype, surfaces.shape[1:])])
         self._n_fixed, self._n_movable = len(plane.fixed_by_distance), len(plane.bodies)
@@ -142,7 +142,7 @@ class EpisodeLayout:
 
 def episode_constants(arguments: EpisodeArguments) -> dict[str, NDArray[Any]]:
     """Return an episode's constants by the names of `kernel.Constants`, from `tables` on."""
-    controllers, robots, plane = arguments.controllers, arguments.robots, _plane(arguments)
+    controllers, robots, plane = arguments.controllers, arguments.groups[0], _plane(arguments)
     return {
         "tables": arguments.tables,
         "genes": controllers.genes,
@@ -175,7 +175,7 @@ def _shared_properties(arguments: EpisodeArguments) -> tuple[object, ...]:
 def _state_arrays(arguments: EpisodeArguments) -> Iterator[tuple[tuple[str, ...], NDArray[Any]]]:
     """Yield the state's arrays of a fixed size, each after its path in the state's record."""
     planar_robots = _plane(arguments).robot
-    for record_name, records in (("robot", arguments.robots), ("plane", planar_robots)):
+    for record_name, records in (("robot", arguments.groups[0]), ("plane", planar_robots)):
         for name in STATE_FIELDS[record_name]:
             yield (record_name, name), records[name][0]
     for name in ("sums", "events", "host_registers"):

@@ -67,7 +67,7 @@ class Constants(NamedTuple):
         bulbs: Lamps.
         hidden: Directions in which the lamps may be hidden.
         powers: Powers of the lamps.
-        robots: Robots, as records of `step.RobotState`.
+        robots: Robots, as records of `khepera_core.KheperaState`.
         planar_robots: Robots, as records of `PlanarRobot`.
     """
 
@@ -117,7 +117,7 @@ class LocalMemory(NamedTuple):
 
 
 class _Sensors(NamedTuple):
-    """Field of `RobotState` that is an overlay."""
+    """Field of `KheperaState` that is an overlay."""
 
     sensors: Any
 
@@ -197,7 +197,7 @@ def make_run(capacity: int) -> Any:
                     constant_of(constants.bulbs, slot),
                     constant_of(constants.hidden, slot),
                 ),
-                (overlay(overlay(robot, sensors), state.robot),),
+                ((overlay(overlay(robot, sensors), state.robot),),),
                 state.counters,
             )
             inputs = StepInputs(constant_of(constants.powers, slot), constant_of(constants.tables, slot))

@@ -11,16 +11,19 @@ import math
 import operator
 
 from llvmlite import ir
+from numba import literal_unroll
 from numba.cuda import types
 from numba.cuda.cudadecl import registry as declarations
 from numba.cuda.cudaimpl import registry as implementations
 from numba.cuda.extending import core_models, intrinsic, overload, register_jitable, register_model
 from numba.cuda.typing.templates import AttributeTemplate
 
-from khep_twin.compilable import FUNCTIONS
+from khep_twin.compilable import FUNCTIONS, unroll
 from khep_twin.episodes import fitness
 from khep_twin.episodes.cuda import views
 from khep_twin.episodes.planar import casting
+from khep_twin.robot_core import DUTIES
+from khep_twin.robots.khepera.core import CORE
 from khep_twin.sensing import scene as queries
 
 _OVERLOADED = fitness.square_root, fitness.clip
@@ -152,6 +155,8 @@ for _plain in FUNCTIONS:
 register_jitable(views.state_word)
 for _query in casting.QUERIES:
     overload(getattr(queries, _query.__name__), strict=False)(_fixed_chooser(_query))
+for _duty in DUTIES:
+    overload(_duty, strict=False)(_fixed_chooser(getattr(CORE, _duty.__name__)))
 for _query, _function in (
     (views.overlay, lambda record, override: _overlay(record, override)),
     (views.obstacles_at, lambda fixed, state, n_fixed: _obstacles_at(fixed, state, n_fixed)),
@@ -160,6 +165,8 @@ for _query, _function in (
     (views.constant_of, lambda table, slot: table[min(slot, len(table) - 1)]),
     (views.scene_of, lambda plane: plane),
     (queries.decide, _keep_speeds),
+    (unroll, lambda groups: groups),
+    (literal_unroll, lambda groups: groups),  # which replaces `unroll` once code for the processor is compiled
     (fitness.square_root, lambda number: math.sqrt(number)),
     (fitness.clip, lambda number, low, high: min(max(number, low), high)),
 ):

@@ -12,6 +12,8 @@ import numpy as np
 from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.plane import DISTANCE, N_COLUMNS, TANGENT_IMPULSE, Plane
+from khep_twin.robot_core import CORES
+from khep_twin.robots.khepera.core import CORE
 
 N_STATE_COLUMNS = TANGENT_IMPULSE + 1 - DISTANCE
 """Columns of a fixed obstacle that change: its distance, and its impulses on the body."""
@@ -77,6 +79,9 @@ class _Overlay:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._override if hasattr(self._override, name) else self._record, name)
+
+
+CORES[_Overlay] = CORE
 
 
 class _Obstacles:

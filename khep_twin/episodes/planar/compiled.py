@@ -28,7 +28,7 @@ def _run(arguments, end_step, stops, slots):
         light = Light(episode.law[0], episode.bulbs, episode.hidden)
         obstacles, fixed_by_distance, near, bodies, obstacle_contacts, robots = episode.scene
         scene = Plane(obstacles, fixed_by_distance, near, bodies, obstacle_contacts, robots[0])
-        simulated = Simulated(scene, episode.timing[0], light, episode.robots, episode.counters)
+        simulated = Simulated(scene, episode.timing[0], light, episode.groups, episode.counters)
         inputs = StepInputs(episode.powers, episode.tables)
         reason = stepping.run_slot(episode.controllers, simulated, inputs, end_step, stops, slots, i)
     return reason

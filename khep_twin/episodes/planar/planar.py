@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 class PlanarScene:
     """Constants of a plane, from a scene. It is thread-safe.
 
-    `JOINTS` are the indices in `step.RobotState`.
+    `JOINTS` are the indices in `khepera_core.KheperaState`.
 
     Args:
         playpen: Playpen with one robot.

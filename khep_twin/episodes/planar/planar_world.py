@@ -21,6 +21,7 @@ from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Lamp, Lighting
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
+from khep_twin.robots.khepera.core import KheperaState, robot_state
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.buffers import as_records, view
@@ -30,9 +31,9 @@ from khep_twin.sensing.mujoco_scene import bulb_points
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.scene import COARSE, FINE
 from khep_twin.simulation.fitted_robots import CalibratedRobots
-from khep_twin.simulation.mujoco_forms import SceneModel, robot_state
+from khep_twin.simulation.mujoco_forms import SceneModel
 from khep_twin.simulation.simulation import Simulation
-from khep_twin.step import Reason, RobotState
+from khep_twin.step import Reason
 
 N_ROBOT_CONTACTS = 8
 """Largest number of contacts of the robot; fewer obstacles fit around it."""
@@ -146,12 +147,7 @@ class PlanarForms:
         """Number of robots, 1."""
         return 1
 
-    @property
-    def core_robots(self) -> Sequence[int]:
-        """Number of the robot."""
-        return (0,)
-
-    def robot_states(self) -> list[RobotState]:
+    def robot_states(self) -> list[KheperaState]:
         """Return the state of the robot."""
         return [self._robot_state]
 
@@ -284,7 +280,7 @@ class PlanarWorld:
         return self.forms.joints
 
     def _switch_on_board(self) -> None:
-        entry, record = self.playpen.robots[0], self.simulation.records[0]
+        entry, record = self.playpen.robots[0], self.simulation.record_of(0)
         kernel.reset(record["registers"].data)
         mode = ROMS[entry.rom].modes[entry.mode]
         record["processor"][:] = 1, mode.function == DEMO

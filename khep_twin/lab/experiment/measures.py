@@ -131,7 +131,7 @@ class GroundTruthMetrics(Observer):
         proximity, ambient = np.hsplit(np.array(self._counts), 2)
         playpen = self._world.playpen
         robot_entry = playpen.robots[self._robot_index]
-        radius = units.BODIES[robot_entry.model].radius
+        radius = robot_entry.body.radius
         motion = statistics.motion(times_s, pose)
         collisions = statistics.collisions(times_s, pose, playpen, radius)
         return {

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, LogError, PortError
-from khep_twin.host import Khepera, Khepera4
+from khep_twin.host.host_robot import open_robot
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import DecodeError, printable
 from khep_twin.log.recorded import RecordedRun
 from khep_twin.log.transcript import escape
 from khep_twin.playpen import parse
+from khep_twin.robots.registry import DEFAULT, find_model
 
 QUANTITIES = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position", "r": "position"}
 """Quantities of the replies whose values are compared one by one, by letter."""
@@ -152,8 +153,7 @@ def _send(
     """Repeat the host events at their times on a robot of this model; return the replies."""
     received = b""
     # The comparison reports a robot that sends no last reply.
-    robot_class = Khepera4 if model == "khepera4" else Khepera
-    with closing(robot_class(url, timeout=0, baudrate=baud)) as khepera:
+    with closing(open_robot(find_model(model or DEFAULT), url, timeout=0, baudrate=baud)) as khepera:
         port = khepera.port
         # A simulated port loses no bytes, and each read would take simulated time.
         is_simulated = hasattr(port, "time_ns")

@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from khep_twin.playpen import Block, Playpen
 from khep_twin.playpen.footprint import Footprint, Rectangle
 from khep_twin.playpen.polygon import walls_around
-from khep_twin.units import BODIES, Body
+from khep_twin.robots.body import Body
+from khep_twin.robots.registry import default_model
 
 Floats = NDArray[np.float64]
 
-NEAR_COUNTS = BODIES["khepera1"].near_counts
+_BODY = default_model().body
+
+NEAR_COUNTS = _BODY.near_counts
 """Proximity of a Khepera above which an obstacle is near [counts]."""
 
 CONTACT_DISTANCE = 0.001
@@ -155,7 +158,7 @@ def path_length(positions: Floats) -> float:
     return total
 
 
-def odometry(pulses: NDArray[np.int64], start: Floats, body: Body = BODIES["khepera1"]) -> Floats:
+def odometry(pulses: NDArray[np.int64], start: Floats, body: Body = _BODY) -> Floats:
     """Return a robot's pose by odometry: x, y [m] and heading [rad], not wrapped (n, 3).
 
     Inputs are the left and right counters (n, 2) [pulses] and the pose at the first sample (3,).
@@ -169,7 +172,7 @@ def odometry(pulses: NDArray[np.int64], start: Floats, body: Body = BODIES["khep
     return np.column_stack([positions, heading])
 
 
-def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64], body: Body = BODIES["khepera1"]) -> Slip:
+def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64], body: Body = _BODY) -> Slip:
     """Return the difference between odometry and ground truth over at least one sample."""
     estimate = odometry(pulses, pose[0], body)
     heading_errors = estimate[:, 2] - np.unwrap(pose[:, 2])

@@ -15,7 +15,7 @@ from typing import Any
 from khep_twin.errors import PortTimeout, ProtocolError
 from khep_twin.host import Khepera, SensorCounts, Speeds, commands
 from khep_twin.host.commands import HostCommand
-from khep_twin.sensing.bars import BARS
+from khep_twin.robots.registry import default_model
 from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, N_SENSORS, SENSOR_LABELS, speed
 
 FIRST_HOLD = 0.7
@@ -30,6 +30,7 @@ FASTEST = 40
 TIMEOUT = 0.6
 """Time-out of a reply [s]."""
 
+_BARS = default_model().bars
 _CYCLE = 0.05
 """Shortest cycle of the loop [s]."""
 _SUPPLY_INTERVAL = 5.0
@@ -243,7 +244,7 @@ def draw(state: DriveState, name: str, width: int, height: int) -> list[str]:
     lines = [
         f"khep-twin drive  {name}",
         "",
-        f"{'':{_LABEL_WIDTH}}{'proximity':{column_width}}{BARS['light'].legend}",
+        f"{'':{_LABEL_WIDTH}}{'proximity':{column_width}}{_BARS['light'].legend}",
         *(
             f"{sensor:{_LABEL_WIDTH}}"
             f"{_draw_bar('proximity', proximity, bar_width)}{proximity:{_COUNTS_WIDTH}}{'':{_GAP_WIDTH}}"
@@ -263,6 +264,6 @@ def draw(state: DriveState, name: str, width: int, height: int) -> list[str]:
 
 
 def _draw_bar(name: str, value: float, width: int) -> str:
-    """Return a bar of `width` characters, filled in proportion to a reading of a quantity in `BARS`."""
-    n_filled = round(BARS[name].filled_part(value) * width)
+    """Return a bar of `width` characters, filled in proportion to a reading of a quantity in `_BARS`."""
+    n_filled = round(_BARS[name].filled_part(value) * width)
     return "#" * n_filled + "." * (width - n_filled)

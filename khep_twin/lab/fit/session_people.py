@@ -17,7 +17,8 @@ from khep_twin.lab.fit.session_steps import TURNS, Step
 from khep_twin.playpen import Lamp, Lighting
 from khep_twin.ports.twin import Twin
 from khep_twin.randomness import stream
-from khep_twin.units import BODIES, BULB_RADIUS
+from khep_twin.robots.registry import find_model
+from khep_twin.units import BULB_RADIUS
 
 _MARGIN_MM = 150.0
 """Distance of the robot's start from the wall behind it on the straight drive [mm]."""
@@ -118,7 +119,7 @@ class SimulatedPerson:
         if step.kind == "cylinder":
             self._show("A twin's playpen has no cylinder to be moved; skipped.")
             return None
-        radius_mm = BODIES[self._model].radius * 1e3
+        radius_mm = find_model(self._model).body.radius * 1e3
         distance_mm = step.distance_mm + self._ruler.distance_mm * float(self._rng.standard_normal())
         heading_deg = self._ruler.bearing_deg * float(self._rng.standard_normal())
         x_mm, y_mm = _MARGIN_MM, self._height_mm / 2

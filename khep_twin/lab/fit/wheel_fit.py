@@ -24,7 +24,8 @@ from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import CONFIDENCE
 from khep_twin.lab.fit.placement import Ruler
 from khep_twin.log.channels import TextLine
-from khep_twin.log.reader import read_label, read_log, require_kheperas_in
+from khep_twin.log.reader import read_label, read_log, require_feature_in
+from khep_twin.robots.model import Feature
 from khep_twin.sensing.calibration import WheelCalibration
 from khep_twin.units import PULSES_PER_TURN, WHEEL_BASE, WHEEL_RADIUS
 
@@ -145,7 +146,7 @@ def read_transcript(log: Path) -> Sequence[TextLine]:
         LogError: There is no log.
         FitError: The log has several robots, or none.
     """
-    require_kheperas_in(read_label(log), log, "a fit")
+    require_feature_in(read_label(log), log, Feature.FIT)
     robots = read_log(log).robots
     if len(robots) != 1:
         raise FitError(f"{log}: {len(robots)} robots; expected a log of one")

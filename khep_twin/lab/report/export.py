@@ -6,9 +6,9 @@
               transcript and events as cells
 
 A table of several robots has their names in the column `robot`, and a row for each robot and time. A MAT file
-has the robots of the rows of `proximity`, numbered from 1, in proximity_robot. In a table of both models, the
-names of a Khepera IV's channels that differ from a Khepera's start with khepera4_. Cells are empty where a
-channel has no value at a time. The same log gives the same bytes.
+has the robots of the rows of `proximity`, numbered from 1, in proximity_robot. In a table of several
+families of robots, the names of channels that differ from a Khepera's start with the family's name. Cells are
+empty where a channel has no value at a time. The same log gives the same bytes.
 """
 
 # scipy and pyarrow are not typed.
@@ -32,14 +32,14 @@ from khep_twin.files.mat_file import mat_bytes
 from khep_twin.lab.report.table_files import TABLES, Channel, Heading, is_integer, rows_of
 from khep_twin.log.channels import TextLine
 from khep_twin.log.columns import (
-    KHEPERA4_PREFIX,
     Columns,
-    is_khepera4,
     name_columns,
     order_channels,
     to_identifier,
 )
 from khep_twin.log.reader import Recording, TimeSeries, read_batches
+from khep_twin.log.robot_models import models_of
+from khep_twin.robots.registry import default_model
 
 MAT_BYTES = 512 << 20
 """Largest size of numbers and text in a MAT file [bytes]; building it takes several times this memory."""
@@ -92,18 +92,18 @@ def choose_channels(
     Raises:
         LogError: The log has no such channel.
     """
-    is_k4 = {robot: is_khepera4(robot, recording.series) for robot in robots}
-    is_mixed = len({*is_k4.values()}) > 1
+    models = models_of(recording.label.attachments, robots, recording.series)
+    is_mixed = len({model.family for model in models.values()}) > 1
     available: dict[str, tuple[str, Columns]] = {}
     for topic, series in recording.series.items():
         owner, _, kind = topic.removeprefix("/").rpartition("/")
         if owner in robots or (not owner and kind.startswith("lamps")):
-            khepera4 = is_k4.get(owner, False)
-            name, columns = name_columns(kind, series.values.shape[1], khepera4=khepera4, is_mixed=is_mixed)
+            model = models.get(owner, default_model())
+            name, columns = name_columns(kind, series.values.shape[1], model, is_mixed=is_mixed)
             available.setdefault(name, (kind, columns))
     known_names = order_channels({*available})
     if names is None:
-        omitted = {"registers", f"{KHEPERA4_PREFIX}registers"}
+        omitted = {name for name in known_names if available[name][0] == "registers"}
         omitted |= {turret.name for turret in installed_turrets().values() if turret.image}
         names = [name for name in known_names if name not in omitted]
     for name in names:
@@ -117,8 +117,7 @@ def choose_channels(
         topics = tuple(
             shared
             if shared in recording.series
-            else f"/{robot}/{kind}"
-            * (name_columns(kind, 0, khepera4=is_k4[robot], is_mixed=is_mixed)[0] == name)
+            else f"/{robot}/{kind}" * (name_columns(kind, 0, models[robot], is_mixed=is_mixed)[0] == name)
             for robot in robots
         )
         empty = TimeSeries(np.zeros(0, np.int64), np.zeros((0, len(columns)), np.int64))

@@ -14,11 +14,9 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from khep_twin.drawing.symbols import INK, Look
-from khep_twin.khepera4.channels import ULTRASONIC_CODES
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, draw_strip
-from khep_twin.log.columns import KHEPERA4_COLUMNS
 from khep_twin.log.reader import TimeSeries
 from khep_twin.units import COUNTS_LIMIT, SENSOR_LABELS
 
@@ -45,7 +43,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
         ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _max_value(robot.ambient)))),
     )
     titles = [f"{name} [counts]" for name, *_ in sensor_kinds]
-    columns = sensor_panels(figure, corner, sensor_height(robot), titles, -0.11, robot.body.sensors)
+    columns = sensor_panels(figure, corner, sensor_height(robot), titles, -0.11, robot.model.body.sensors)
     for panels, (name, series, colour, limits) in zip(columns, sensor_kinds, strict=True):
         for sensor, axes in enumerate(panels):
             if series is not None:
@@ -58,20 +56,20 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
 
 def sensor_height(robot: RobotReport) -> float:
     """Return the height of the figure of a robot's sensors [inch]."""
-    return _SENSOR_HEIGHT * len(robot.body.sensors)
+    return _SENSOR_HEIGHT * len(robot.model.body.sensors)
 
 
 def draw_extra(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
-    """Draw the further sensors of a Khepera IV; the corner is the lower left [inch]."""
+    """Draw the further sensors of a robot's model; the corner is the lower left [inch]."""
     grid = axes_edges(figure, corner, EXTRA_HEIGHT, left=0.7, right=0.1)
     cells = figure.add_gridspec(len(robot.extra), 1, hspace=0.35, **grid)
     for row, (name, series) in enumerate(robot.extra.items()):
         axes = figure.add_subplot(cells[row, 0])
         style_time_axes(axes)
         times_s, values = series.times_ns / 1e9, series.values.astype(np.float64)
-        if name == "ultrasonic":
-            values[np.isin(values, ULTRASONIC_CODES)] = np.nan
-        columns = KHEPERA4_COLUMNS[name]
+        if name == "ultrasonic" and robot.model.body.sonar is not None:
+            values[np.isin(values, robot.model.body.sonar.codes)] = np.nan
+        columns = robot.model.channels[name]
         for (column, _), curve in zip(columns, values.T, strict=True):
             label = column.removeprefix(f"{name}_").replace("_", " ")
             axes.plot(*thin_curve(times_s, curve), lw=0.8, label=label)
@@ -87,7 +85,7 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float])
     """Draw both wheels' speeds with their setpoints; the corner is the lower left [inch]."""
     grid = axes_edges(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
     cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
-    mm_s_per_speed = 1e5 * robot.body.pulse_length
+    mm_s_per_speed = 1e5 * robot.model.body.pulse_length
     for side, name in enumerate(("left", "right")):
         axes = figure.add_subplot(cells[side, 0])
         if robot.speed is not None:

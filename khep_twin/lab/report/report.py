@@ -23,17 +23,15 @@ from khep_twin.lab.report.rows import (
     wire_rows,
 )
 from khep_twin.log.attached import calibration_of, playpen_of
-from khep_twin.log.columns import KHEPERA4_COLUMNS
 from khep_twin.log.reader import Recording, TimeSeries
+from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
-from khep_twin.units import BODIES, K213_PIXELS, N_SENSORS, Body
+from khep_twin.robots.model import RobotModel
+from khep_twin.units import K213_PIXELS, N_SENSORS
 
 USUAL_DARK_COUNTS = 500
 """Default dark level of a sensor, if the log has no calibration [counts]."""
-
-EXTRA_CHANNELS = ("ultrasonic", "accelerometer", "gyroscope")
-"""Channels of sensors that only a Khepera IV has."""
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 
@@ -46,20 +44,20 @@ class RobotReport:
 
     Attributes:
         name: Name of the robot.
-        body: Body of the robot.
+        model: Model of the robot.
         rows: Statistics of the robot.
         missing: Sentence that lists data missing in the log; empty if there are none.
         proximity: Proximity over time [counts], or None.
         ambient: Ambient light over time [counts], or None.
         speed: Speeds left, right, setpoints left, right over time [pulses/10 ms], or None.
         vision: Line images over time, greys of 0 to 255, or None.
-        extra: Further sensors of a Khepera IV over time, by channel.
+        extra: Further sensors of its model over time, by channel.
         dark: Dark level of ambient light [counts].
         contact: Intervals of contact (n, 2) [s].
     """
 
     name: str
-    body: Body
+    model: RobotModel
     rows: tuple[Row, ...]
     missing: str
     proximity: TimeSeries | None
@@ -135,8 +133,8 @@ def _robot_report(
     recording: Recording, source: str, playpen: Playpen | None, index: int, name: str
 ) -> RobotReport:
     """Return the part of the report on the robot with this index in the playpen and name in the log."""
-    robots = () if playpen is None else playpen.robots
-    body = robots[index].body if index < len(robots) else BODIES["khepera1"]
+    model = models_of(recording.label.attachments, [name], recording.series)[name]
+    body = model.body
     width = len(body.sensors)
     pose, proximity, ambient, speed, registers, position = (
         _find_series(recording, f"/{name}/{channel}", width)
@@ -145,12 +143,11 @@ def _robot_report(
             *(("registers", N_REGISTERS), ("position", 4)),
         )
     )
-    counters, columns = (registers, _ENCODERS) if body.in_core else (position, [0, 1])
+    counters, columns = (registers, _ENCODERS) if position is None else (position, [0, 1])
     extra = {
         channel: series
-        for channel in EXTRA_CHANNELS
-        if (series := _find_series(recording, f"/{name}/{channel}", len(KHEPERA4_COLUMNS[channel])))
-        is not None
+        for channel in model.plots
+        if (series := _find_series(recording, f"/{name}/{channel}", len(model.channels[channel]))) is not None
     }
     vision = _find_series(recording, f"/{name}/vision", K213_PIXELS)
     lines = recording.lines.get(f"/{name}/serial", [])
@@ -186,7 +183,7 @@ def _robot_report(
     if ambient is not None and dark is None:
         missing += f" There is no calibration: the dark level is taken as {USUAL_DARK_COUNTS} counts."
     texts = tuple(rows), missing.strip()
-    return RobotReport(name, body, *texts, proximity, ambient, speed, vision, extra, dark_level, contact)
+    return RobotReport(name, model, *texts, proximity, ambient, speed, vision, extra, dark_level, contact)
 
 
 def _find_series(recording: Recording, topic: str, width: int) -> TimeSeries | None:

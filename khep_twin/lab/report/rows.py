@@ -11,12 +11,19 @@ from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Intervals
 from khep_twin.lab.experiment.wire_statistics import wire
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import TimeSeries
-from khep_twin.units import BODIES, N_SENSORS, Body
+from khep_twin.robots.body import Body
+from khep_twin.robots.registry import default_model, installed_families
+from khep_twin.units import N_SENSORS
 
 Row = tuple[str, str]
 """Name, and value with its unit."""
 
-_KHEPERA4_NEAR_COUNTS = BODIES["khepera4"].near_counts
+_OTHER_MODELS = [model for model in installed_families().values() if model is not default_model()]
+_NEAR_COUNTS = "".join(f", of a {model.title} {model.body.near_counts}" for model in _OTHER_MODELS)
+_WHEELS = "".join(
+    f", of a {model.title} {1000 * model.body.pulse_length:.4f} mm and {1000 * model.body.wheel_base:g} mm"
+    for model in _OTHER_MODELS
+)
 
 DEFINITIONS: tuple[Row, ...] = (
     ("Distance", "path length of the centre, measured in steps of 1 mm; its mean speed includes standing"),
@@ -24,8 +31,7 @@ DEFINITIONS: tuple[Row, ...] = (
     ("Turned", "sum of all turns to either side; net is their difference, positive counter-clockwise"),
     (
         "Near something",
-        f"any of the eight sensors around reads a proximity above {NEAR_COUNTS} counts, "
-        f"of a Khepera IV {_KHEPERA4_NEAR_COUNTS}",
+        f"any of the sensors around reads a proximity above {NEAR_COUNTS} counts{_NEAR_COUNTS}",
     ),
     (
         "Collisions",
@@ -35,9 +41,8 @@ DEFINITIONS: tuple[Row, ...] = (
     ("Light gained", "depth of an ambient light reading below the dark level; lamps lower it"),
     (
         "By counters",
-        "path and heading computed from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels, "
-        "of a Khepera IV 0.0068 mm and 105.4 mm; slip, and wheels of another size, make them differ from the "
-        "truth",
+        "path and heading computed from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels"
+        f"{_WHEELS}; slip, and wheels of another size, make them differ from the truth",
     ),
     ("Reply time", "from the last byte of a command to the last byte of its reply"),
     ("Unanswered", "commands without a reply of their letter, or a refusal, by the end of the log"),

@@ -20,8 +20,9 @@ from rerun.chunk import Chunk
 from khep_twin import playpen as playpens
 from khep_twin.drawing.light_map import illumination
 from khep_twin.errors import LogError
-from khep_twin.log.attached import bodies_of, compile_shapes, playpen_of
+from khep_twin.log.attached import compile_shapes, playpen_of
 from khep_twin.log.reader import Label
+from khep_twin.log.robot_models import models_of
 from khep_twin.log.viewer.collected import Collector, Poses, Samples, time_column
 from khep_twin.units import COUNTS_LIMIT, metres
 
@@ -60,7 +61,7 @@ class Rays:
 
     def __init__(self, label: Label, source: object) -> None:
         self._model = compile_shapes(label.attachments, label.robots, source)
-        self._bodies = bodies_of(label.attachments, label.robots, source)
+        self._models = models_of(label.attachments, label.robots)
         self._data = mujoco.MjData(self._model)
         self._qpos_addresses = {
             self._model.body(self._model.jnt_bodyid[joint]).name: int(self._model.jnt_qposadr[joint])
@@ -76,7 +77,7 @@ class Rays:
         if rows is None or not len(rows):
             return []
         ends, hits = self._cast(robot, poses, rows)
-        n, names = len(rows), self._bodies[robot].cameras
+        n, names = len(rows), self._models[robot].body.cameras
         strips = np.empty((n, len(names), _N_RAYS, 2, 3), np.float32)
         starts = [self._model.camera(f"{robot}/{name}").pos for name in names]
         strips[..., 0, :], strips[..., 1, :] = np.array(starts)[None, :, None], ends
@@ -100,7 +101,7 @@ class Rays:
         model, data = self._model, self._data
         base = model.body(f"{robot}/base").id
         is_robot_body = model.body_rootid == base
-        cameras = [model.camera(f"{robot}/{name}").id for name in self._bodies[robot].cameras]
+        cameras = [model.camera(f"{robot}/{name}").id for name in self._models[robot].body.cameras]
         angles = np.arctan(np.linspace(-1, 1, _N_RAYS))
         # A camera looks along its negative z axis, with x to the right.
         ray_directions = np.column_stack((np.sin(angles), np.zeros(_N_RAYS), -np.cos(angles)))

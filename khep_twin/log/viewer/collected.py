@@ -33,7 +33,7 @@ class Samples:
         proximity: Counts (n, 8).
         ambient: Counts (n, 8).
         speed: Speeds left, right and further values (n, 2 or more) [pulses/10 ms].
-        extra_channels: Channels of a Khepera IV: "ultrasonic" [cm] (n, 5), "leds" [0 to 63] (n, 9); or none.
+        extra_channels: Channels for the arena: "ultrasonic" [cm] and "leds", as far as the robot has them.
     """
 
     times_ns: NDArray[np.int64]
@@ -95,7 +95,7 @@ _ESTIMATE_COLUMN = "geometry_msgs.msg.PoseWithCovarianceStamped:message"
 _PIXEL_COLUMNS = ("Image:buffer", "DepthImage:buffer")
 """Pixels of grey images, which rerun may classify as depth images."""
 EXTRA_CHANNELS = ("ultrasonic", "leds")
-"""Channels of a Khepera IV that are drawn in the arena."""
+"""Further channels that are drawn in the arena."""
 _SAMPLED_SUFFIXES = tuple(f"/{name}" for name in ("proximity", "ambient", "speed", "vision", *EXTRA_CHANNELS))
 _SHADOW_CHANNELS = ("pose", "reckoned", "expected", "measured", "residuals")
 
@@ -130,9 +130,9 @@ class Collector:
         columns = self._join_topics(f"/{robot}/{topic}" for topic in ("proximity", "ambient", "speed"))
         if columns is None:
             return None
-        names = EXTRA_CHANNELS if f"/{robot}/ultrasonic" in self._values else ()
-        joined = [(name, *_concat(rows)) for name in names if (rows := self._values.get(f"/{robot}/{name}"))]
-        extra = {name: values for name, times_ns, values in joined if np.array_equal(times_ns, columns[0])}
+        values = {name: self._values.get(f"/{robot}/{name}") for name in EXTRA_CHANNELS}
+        joined = [(name, *_concat(rows)) for name, rows in values.items() if rows]
+        extra = {name: rows for name, times_ns, rows in joined if np.array_equal(times_ns, columns[0])}
         return Samples(*columns, extra_channels=extra)
 
     def images(self, robot: str) -> tuple[NDArray[np.int64], Floats] | None:

@@ -9,16 +9,17 @@ from dataclasses import dataclass
 import rerun as rr
 import rerun.blueprint as rrb
 
-from khep_twin.log.attached import bodies_of, playpen_of
+from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
+from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import ALARMS, STATE, is_shadow
 from khep_twin.log.viewer.arena import EVENT_PATH, trail_path
 from khep_twin.log.viewer.collected import TIMELINE
+from khep_twin.log.viewer.further_sensors import curves_of
 from khep_twin.log.viewer.ghost import FAULT_PATH, RECKONED, RESIDUALS, TRUTH
-from khep_twin.log.viewer.khepera4 import CURVES
 from khep_twin.log.viewer.robot_panel import PanelGeometry, panel_path, robots_with_images, strip_path
-from khep_twin.sensing.colours import ALL_SENSORS, COLD, SENSORS, WHEELS, Colour
-from khep_twin.units import BODIES, Body
+from khep_twin.robots.model import RobotModel
+from khep_twin.sensing.colours import COLD, SENSORS, WHEELS, Colour, sensor_colour
 
 _SETPOINT: Colour = (235, 235, 235)
 _WHEELS: dict[str, Colour] = {**WHEELS, "setpoint left": _SETPOINT, "setpoint right": _SETPOINT}
@@ -131,13 +132,13 @@ def _panel_views(log: ShownLog) -> Sequence[rrb.View]:
             name=f"{robot} from above",
             visual_bounds=rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1]),
         )
-        for robot, body in _bodies(log).items()
-        for bounds in (PanelGeometry(body).bounds,)
+        for robot, model in _models(log).items()
+        for bounds in (PanelGeometry(model.body).bounds,)
     ]
 
 
-def _bodies(log: ShownLog) -> dict[str, Body]:
-    return bodies_of(log.label.attachments, log.label.robots, "log")
+def _models(log: ShownLog) -> dict[str, RobotModel]:
+    return models_of(log.label.attachments, log.label.robots)
 
 
 def _surroundings(log: ShownLog) -> rrb.Spatial3DView:
@@ -174,8 +175,8 @@ def _curve_views(log: ShownLog) -> list[rrb.Vertical]:
     if is_shadow(log.label):
         return _residual_views(log, log.label.robots[0])
     views: list[rrb.Vertical] = []
-    for robot, body in _bodies(log).items():
-        sensors = {name: ALL_SENSORS[name] for name in body.sensors}
+    for robot, model in _models(log).items():
+        sensors = {name: sensor_colour(name) for name in model.body.sensors}
         base = rrb.Vertical(
             _plot(log, robot, "proximity", "proximity [counts]", sensors),
             _plot(log, robot, "ambient", "ambient light [counts, low is bright]", sensors),
@@ -187,8 +188,11 @@ def _curve_views(log: ShownLog) -> list[rrb.Vertical]:
             row_shares=[3, 3, 2, 2],
         )
         views.append(base)
-        if body is BODIES["khepera4"]:
-            plots = (_plot(log, robot, topic, *curves) for topic, curves in CURVES.items())
+        if model.plots:
+            plots = (
+                _plot(log, robot, channel, title, curves_of(model, channel))
+                for channel, title in model.plots.items()
+            )
             views.append(rrb.Vertical(*plots, name=f"{robot}: further sensors"))
     return views
 

@@ -23,14 +23,15 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, part_file, resolve
 from khep_twin.files.text import escape_surrogates
-from khep_twin.log.attached import bodies_of, compile_shapes, playpen_of
+from khep_twin.log.attached import compile_shapes, playpen_of
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.reader import Label, read_end_ns, read_message_batches
+from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import TRAIL_COLOUR, FloorLight, Rays, event_chunks, trail_chunks, trail_path
 from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
+from khep_twin.log.viewer.further_sensors import arena_chunks
 from khep_twin.log.viewer.ghost import Ghost
-from khep_twin.log.viewer.khepera4 import arena_chunks
 from khep_twin.log.viewer.layout import ShownLog, layout
 from khep_twin.log.viewer.process import Web, open_viewer, write_still
 from khep_twin.log.viewer.robot_panel import (
@@ -104,8 +105,8 @@ def view_still(
 def static_chunks(label: Label) -> list[Chunk]:
     """Return the static chunks to add to those of a log: the outlines of its robots' panels."""
     panels = "playpen.toml" in label.attachments and not is_shadow(label)
-    bodies = bodies_of(label.attachments, label.robots, "log") if panels else {}
-    return [chunk for robot, body in bodies.items() for chunk in outline_chunks(robot, body)]
+    models = models_of(label.attachments, label.robots) if panels else {}
+    return [chunk for robot, model in models.items() for chunk in outline_chunks(robot, model)]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
@@ -221,7 +222,7 @@ class Additions:
     def __init__(self, label: Label, source: Path, interval_ns: int = ROW_INTERVAL_NS) -> None:
         self._label = label
         self._source = source
-        self._bodies = bodies_of(label.attachments, label.robots, source)
+        self._models = models_of(label.attachments, label.robots)
         self._rays: Rays | None = None
         self._light: FloorLight | None = None
         self._strips = Strips(interval_ns)
@@ -240,11 +241,11 @@ class Additions:
                 yield from self._strips.chunks(robot, *images)
             if (samples := collector.samples(robot)) is not None:
                 shown_samples = thin(samples)
-                yield from panel_chunks(robot, shown_samples, self._bodies[robot])
+                yield from panel_chunks(robot, shown_samples, self._models[robot])
                 if poses is not None and self._rays is not None:
                     yield from self._rays.chunks(robot, shown_samples, poses)
-                    if shown_samples.extra_channels:
-                        yield from arena_chunks(robot, shown_samples, self._rays.led_positions(robot))
+                    positions = self._rays.led_positions(robot)
+                    yield from arena_chunks(robot, self._models[robot], shown_samples, positions)
             if poses is not None and (base_poses := poses.bodies.get(f"{robot}/base")) is not None:
                 previous = self._last_poses.get(robot)
                 points = base_poses[:, :3]

@@ -2,7 +2,7 @@
 
 khepbase shows the robot from above. Each sensor has a pair of bars, proximity (0 to 1023) and ambient light
 (0 to 500 counts: long in the dark); each wheel has a bar of its speed (0 to 20 pulses/10 ms, downwards for
-backwards), by `khep_twin.sensing.bars`. Line images form a strip over time, the newest row at the bottom.
+backwards), by `khep_twin.robots.bars`. Line images form a strip over time, the newest row at the bottom.
 """
 
 # rerun's types are partly unknown.
@@ -20,8 +20,9 @@ from khep_twin.board.turrets import installed_turrets
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.viewer.collected import Floats, Samples, time_column
-from khep_twin.sensing.bars import Bar, bars_of
-from khep_twin.units import BODY_RADIUS, Body
+from khep_twin.robots.body import Body
+from khep_twin.robots.model import Bar, RobotModel
+from khep_twin.units import BODY_RADIUS
 
 SAMPLES_PER_PICTURE = 5
 """Samples of the log, 20 ms apart, per picture: ten pictures per second look continuous."""
@@ -82,9 +83,9 @@ def panel_path(robot: str) -> str:
     return f"/{robot}/khepbase"
 
 
-def panel_chunks(robot: str, samples: Samples, body: Body) -> list[Chunk]:
+def panel_chunks(robot: str, samples: Samples, model: RobotModel) -> list[Chunk]:
     """Return the bars of one robot's panel."""
-    path, geometry, bars = panel_path(robot), PanelGeometry(body), bars_of(body)
+    path, geometry, bars = panel_path(robot), PanelGeometry(model.body), model.bars
     times = time_column(samples.times_ns)
     return [
         Chunk.from_columns(
@@ -98,9 +99,9 @@ def panel_chunks(robot: str, samples: Samples, body: Body) -> list[Chunk]:
     ]
 
 
-def outline_chunks(robot: str, body: Body) -> list[Chunk]:
+def outline_chunks(robot: str, model: RobotModel) -> list[Chunk]:
     """Return the static parts of one robot's panel."""
-    geometry = PanelGeometry(body)
+    body, geometry = model.body, PanelGeometry(model.body)
     scale, half_width, length = geometry.scale, geometry.scale * _HALF_WIDTH, geometry.scale * _BAR_LENGTH
     wheels = [
         _box(side * body.wheel_base / 2, 0.0, body.wheel_width / 2, body.wheel_radius) for side in (-1, 1)
@@ -114,7 +115,7 @@ def outline_chunks(robot: str, body: Body) -> list[Chunk]:
     frames += [_box(x, y, half_width, length) for x, y in geometry.wheels]  # both ways
     radii = [_FRAME_RADIUS * scale] * len(frames)
     full = rr.LineStrips2D.columns(strips=frames, colors=[_FRAME] * len(frames), radii=radii)
-    entries, bars = {"proximity": _PROXIMITY, "light": _LIGHT, "speed": _SPEED}, bars_of(body)
+    entries, bars = {"proximity": _PROXIMITY, "light": _LIGHT, "speed": _SPEED}, model.bars
     legend = rr.Points2D.columns(
         positions=[(0.0, (_LEGEND + 0.0095 * index) * scale) for index in range(len(entries))],
         colors=list(entries.values()),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from checks.fuzz.board import KHEPERA4, check, seeds
 from checks.fuzz.libfuzzer import run_libfuzzer
 from khep_twin.firmware import Firmware
-from khep_twin.khepera4.server import Kh4Server
+from khep_twin.robots.khepera4.server import Kh4Server
 
 SHARE = 2_000
 

@@ -10,8 +10,9 @@ from khep_twin import playpen
 from khep_twin.board.kernel import PROXIMITY
 from khep_twin.lab.fit.infrared import Optics
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
+from khep_twin.robots.registry import find_model
 from khep_twin.sensing import calibration
-from khep_twin.units import BODIES, BODY_RADIUS, SENSOR_HEADINGS
+from khep_twin.units import BODY_RADIUS, SENSOR_HEADINGS
 from khep_twin.world import World
 from studies.fidelity_manual import figure_11, figure_12, figure_13
 from studies.infrared_fits import (
@@ -163,7 +164,7 @@ KHEPERA2 = {"model": "khepera2", "calibration": "khepera2-manual"}
 def test_a_khepera_2_reads_paper_and_another_robot_as_in_the_report(
     reference: Path, is_robot: bool, is_aside: bool
 ) -> None:
-    body = BODIES["khepera2"]
+    body = find_model("khepera2").body
     face = -body.sensor_positions[5][1] if is_aside else body.sensor_positions[2][0]
     robots = robot(1000, 1000, 90 if is_aside else 0, **KHEPERA2)
     robots += robot(1300, 1000, **KHEPERA2) if is_robot else ""

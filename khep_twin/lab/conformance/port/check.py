@@ -62,6 +62,19 @@ class Check:
     at_rest: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """Checks of a family of robots.
+
+    Attributes:
+        checks: Checks in the order in which they run.
+        counters: Command that reads the positions of the wheels.
+    """
+
+    checks: tuple[Check, ...]
+    counters: str
+
+
 def check(
     name: str, section: str, moves: str = "", turret: int | None = None, *, at_rest: bool = False
 ) -> Callable[[Callable[["CheckedPort"], None]], Check]:

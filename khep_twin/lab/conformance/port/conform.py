@@ -1,8 +1,7 @@
 """Conformance of a robot or twin at a port to the serial protocol of its model.
 
-Twins and robots have the same checks. Each names the section of the manual that it tests (Khepera User
-Manual 5.02, Khepera IV User Manual 3.0), or "server" for the program that K-Team has published for the
-Khepera IV. Checks that move the robot are optional.
+Twins and robots have the same checks. Each names the section of the manual that it tests, or another source
+that its family of robots has. Checks that move the robot are optional.
 """
 
 import json
@@ -12,11 +11,16 @@ from dataclasses import asdict, dataclass
 from functools import partial
 
 from khep_twin.errors import PORT_FAILURES, PortError
-from khep_twin.host import Khepera, Khepera4
-from khep_twin.lab.conformance.khepera4 import catalogue as khepera4
-from khep_twin.lab.conformance.model import RobotModel
-from khep_twin.lab.conformance.port import catalogue as khepera
-from khep_twin.lab.conformance.port.check import Check, CheckedPort, Deviation, NotPossibleError, is_driving
+from khep_twin.host.host_robot import open_robot
+from khep_twin.lab.conformance.port.check import (
+    Catalogue,
+    Check,
+    CheckedPort,
+    Deviation,
+    NotPossibleError,
+    is_driving,
+)
+from khep_twin.robots.registry import DEFAULT, find_family
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,31 +86,27 @@ class ConformanceReport:
         return json.dumps({"passed": self.passed, **asdict(self)}, indent=2)
 
 
-_CHECKS = {RobotModel.KHEPERA: khepera.CHECKS, RobotModel.KHEPERA4: khepera4.CHECKS}
-_HOSTS = {RobotModel.KHEPERA: (Khepera, 9600), RobotModel.KHEPERA4: (Khepera4, 115_200)}
-_COUNTERS = {RobotModel.KHEPERA: "H", RobotModel.KHEPERA4: "R"}
-
-
 def conform(
-    url: str, *, move: bool = False, baudrate: int | None = None, model: RobotModel = RobotModel.KHEPERA
+    url: str, *, move: bool = False, baudrate: int | None = None, model: str = DEFAULT
 ) -> ConformanceReport:
     """Check the robot or twin at a port.
 
     Args:
         url: URL of the port.
         move: Also run the checks that move the robot.
-        baudrate: Baud rate; by default 9600, and 115200 for a Khepera IV.
-        model: Model of the robot.
+        baudrate: Baud rate; by default the usual one of its model.
+        model: Name of the robot's model, or of its family.
 
     Raises:
         PortError: The port cannot be opened, its robot is of another model, or time passes there at a speed
-        other than 1.
+            other than 1.
+        RobotModelError: The model is unknown, or has no checks.
     """
     if baudrate is not None and baudrate < 1:
         raise PortError(key="baudrate", value=baudrate, expected="the speed of the line, such as 9600")
-    open_port, default_baud = _HOSTS[model]
+    robot_model = find_family(model)
     # A broken robot may not even acknowledge the last stop, which must not prevent the report.
-    with closing(open_port(url, baudrate=baudrate or default_baud)) as robot:
+    with closing(open_robot(robot_model, url, baudrate=baudrate or robot_model.dialect.baud)) as robot:
         robot.check_clock("checks")
         if robot.clock_speed != 1:
             raise PortError(
@@ -116,11 +116,9 @@ def conform(
         return examine(CheckedPort(robot.port), url, move=move, model=model)
 
 
-def examine(
-    line: CheckedPort, name: str, *, move: bool = False, model: RobotModel = RobotModel.KHEPERA
-) -> ConformanceReport:
+def examine(line: CheckedPort, name: str, *, move: bool = False, model: str = DEFAULT) -> ConformanceReport:
     """Run the checks on an open line."""
-    body = partial(_expect_waiting, counters=_COUNTERS[model])
+    body = partial(_expect_waiting, counters=_catalogue_of(model).counters)
     reason = run_check(Check("the robot waits for commands", "", "", body), line).impossible
     results = tuple(
         Result(check.name, check.section, "", impossible=reason)
@@ -132,9 +130,14 @@ def examine(
     return ConformanceReport(name, results, skipped)
 
 
-def checks(move: bool, model: RobotModel = RobotModel.KHEPERA) -> Iterator[Check]:
+def checks(move: bool, model: str = DEFAULT) -> Iterator[Check]:
     """Return the checks, with or without those that move the robot."""
-    return (check for check in _CHECKS[model] if move or not check.moves)
+    return (check for check in _catalogue_of(model).checks if move or not check.moves)
+
+
+def _catalogue_of(model: str) -> Catalogue:
+    """Return the checks of a model or family."""
+    return find_family(model).load("conformance", Catalogue)
 
 
 def run_check(check: Check, line: CheckedPort) -> Result:

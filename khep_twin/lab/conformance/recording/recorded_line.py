@@ -30,8 +30,9 @@ from khep_twin.log.decoding import DecodeError, decode_messages, read_line
 from khep_twin.log.entries import Label
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.log.host_events import read_events
-from khep_twin.log.reader import read_raw, require_kheperas_in
+from khep_twin.log.reader import read_raw, require_feature_in
 from khep_twin.log.transcript import unescape
+from khep_twin.robots.model import Feature
 from khep_twin.units import BITS_PER_BYTE
 
 _SET_SPEED = re.compile(r"the line is at ([1-9][0-9]{2,6}) baud")
@@ -78,7 +79,7 @@ def recorded_lines(path: Path) -> list[RecordedLine]:
     """
     channels = ("/host_events", "/serial", "/events")
     label, messages, _ = read_raw(path, lambda topic: topic.endswith(channels))
-    require_kheperas_in(label, path, "the checks of a recording")
+    require_feature_in(label, path, Feature.RECORDING_CHECKS)
     robots = _known_robots(label, path)
     events: dict[str, list[HostEvent]] = {}
     for name in label.robots:

@@ -1,0 +1,79 @@
+"""Body of a model of robot: its size, mass, wheels, and the positions of its sensors."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Sonar:
+    """Ultrasonic sensors on a circle around the robot's centre, which look outwards.
+
+    Attributes:
+        names: Names of the sensors, in the order of the channel "ultrasonic".
+        headings_deg: Heading of each sensor.
+        radius: Distance of the sensors from the centre [m].
+        height: Height of the sensors above the ground [m].
+        codes: Readings without a distance.
+    """
+
+    names: tuple[str, ...]
+    headings_deg: tuple[float, ...]
+    radius: float
+    height: float
+    codes: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Body of a model of robot.
+
+    Attributes:
+        radius: Radius [m].
+        mass: Mass of the whole robot [kg].
+        support_position: Distance of the sliding supports before and behind the centre [m].
+        sensor_positions: Positions of the infrared sensors around the robot, x forward and y left of the
+            centre (n, 2) [m].
+        sensor_height: Height of these sensors above the ground [m].
+        idle_current: Current with the motors at rest [A].
+        height: Height [m].
+        scene: MJCF file of the robot.
+        sensors: Names of the infrared sensors, those that look at the floor last.
+        wheel_radius: Radius of the wheels [m].
+        wheel_width: Width of the wheels [m].
+        wheel_base: Distance of the wheels [m].
+        pulses_per_turn: Pulses of an encoder in a turn of its wheel.
+        near_counts: Proximity above which something is near [counts].
+        support_solref: Contact of the supports with the floor, as MuJoCo's `solref`; None for stiff ones.
+        fits_scene: True if the file has another size of the robot, and this body replaces it.
+        ground_positions: Positions of the sensors that look at the floor, as `sensor_positions`.
+        sonar: Ultrasonic sensors; None without.
+    """
+
+    radius: float
+    mass: float
+    support_position: float
+    sensor_positions: tuple[tuple[float, float], ...]
+    sensor_height: float
+    idle_current: float
+    height: float
+    scene: str
+    sensors: tuple[str, ...]
+    wheel_radius: float
+    wheel_width: float
+    wheel_base: float
+    pulses_per_turn: int
+    near_counts: int
+    support_solref: tuple[float, float] | None = None
+    fits_scene: bool = False
+    ground_positions: tuple[tuple[float, float], ...] = ()
+    sonar: Sonar | None = None
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of its infrared sensors in its scene."""
+        return tuple(name.replace(" ", "_") for name in self.sensors)
+
+    @property
+    def pulse_length(self) -> float:
+        """Travel of a wheel per pulse [m]."""
+        return self.wheel_radius * 2 * math.pi / self.pulses_per_turn

@@ -1,0 +1,1 @@
+"""The Khepera and the Khepera II."""

@@ -1,0 +1,254 @@
+"""Core of the Khepera and the Khepera II: sensors, control tick and supply of a robot.
+
+A step converts the next sensor, a control tick runs from encoders to motor voltages. The functions are
+`compilable`, see `robot_core`.
+"""
+
+from typing import Any, NamedTuple, cast
+
+import mujoco
+import numpy as np
+
+from khep_twin import units
+from khep_twin.board import battery, kernel
+from khep_twin.compilable import compilable
+from khep_twin.playpen import RobotEntry
+from khep_twin.robot_core import Core, register
+from khep_twin.sensing.ambient import ambient_optics
+from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.noise import draws
+from khep_twin.sensing.optics import convert
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.robot_sensors import RobotSensors
+from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
+from khep_twin.sensors import proximity_optics
+from khep_twin.step import N_CONVERSIONS, STEPS, Simulated, StepInputs, powers_row
+
+SOUND, STUCK, DEAD = 0, 1, 2
+"""States of a sensor; a stuck one repeats its last reading, the receiver of a dead one passes no current."""
+
+Joints = tuple[int, int, int, int, int, int, int]
+"""Indices of both wheels' positions and speeds, of both motors, and of the pose."""
+
+_PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
+_LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
+_LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
+
+
+class KheperaState(NamedTuple):
+    """State of one robot.
+
+    Attributes:
+        left_angle: Index of the left wheel's position.
+        right_angle: Index of the right wheel's position.
+        left_speed: Index of the left wheel's speed.
+        right_speed: Index of the right wheel's speed.
+        left_motor: Index of the left motor.
+        right_motor: Index of the right motor.
+        pose: Index of the robot's pose.
+        radius: Radius of the robot [m].
+        motor_constant: Torque per current [N m/A].
+        idle_current: Supply current with the motors at rest [A].
+        used_min: Use of the cells before the run [min]; or `battery.CHARGER`.
+        sensors: Sensors of the robot.
+        registers: State of the board (N_REGISTERS,).
+        processor: State of the processor (N_PROCESSOR,).
+        sensor_states: State of each sensor, SOUND, STUCK or DEAD (8,).
+        strengths: Fractions of their torque that the left and right motor produce (2,).
+        voltage: Last measured supply voltage (1,) [V].
+        noise: Key of the robot's random draws, as two words (2,).
+    """
+
+    left_angle: int
+    right_angle: int
+    left_speed: int
+    right_speed: int
+    left_motor: int
+    right_motor: int
+    pose: int
+    radius: float
+    motor_constant: float
+    idle_current: float
+    used_min: float
+    sensors: RobotSensors
+    registers: kernel.Registers
+    processor: Vector[int]
+    sensor_states: Vector[int]
+    strengths: Vector[float]
+    voltage: Vector[float]
+    noise: Vector[int]
+
+
+def robot_state(
+    model: mujoco.MjModel, indices: RobotIndices, joints: Joints, measured: Calibration, entry: RobotEntry
+) -> KheperaState:
+    """Return the state of a robot before its start, by its calibration and its entry of the playpen."""
+    return KheperaState(
+        *joints,
+        radius=entry.body.radius,
+        motor_constant=measured.motors.constant,
+        idle_current=entry.body.idle_current,
+        used_min=battery.CHARGER if entry.battery_used_min is None else entry.battery_used_min,
+        sensors=RobotSensors(
+            indices.base,
+            list(indices.cameras),
+            proximity_optics(model, indices, measured),
+            ambient_optics(measured.ambient),
+        ),
+        registers=cast(Any, np.zeros(kernel.N_REGISTERS, np.int64)),
+        processor=np.zeros(kernel.N_PROCESSOR, np.int64),
+        sensor_states=np.zeros(units.N_SENSORS, np.int64),
+        strengths=np.ones(2),
+        voltage=np.zeros(1),
+        noise=np.zeros(2, np.int64),
+    )
+
+
+def _make_state(
+    model: mujoco.MjModel, indices: RobotIndices, measured: Calibration, entry: RobotEntry, first_moment: int
+) -> KheperaState:
+    joints = *indices.wheel_qpos, *indices.wheel_dofs, *indices.motors, indices.pose
+    return robot_state(model, indices, joints, measured, entry)
+
+
+@compilable
+def _sense(robot: KheperaState, simulated: Simulated, inputs: StepInputs, start: int) -> None:
+    """Convert the sensors of a step."""
+    row, number = powers_row(simulated, inputs), simulated.counters[N_CONVERSIONS]
+    for offset in range(simulated.timing.conversions):
+        time_ns, channel = (start + offset) * units.STEP_NS, (start + offset) % units.N_SENSORS
+        convert_sensor(robot, simulated, inputs, row, time_ns, channel, number + offset)
+
+
+@compilable
+def convert_sensor(
+    robot: KheperaState,
+    simulated: Simulated,
+    inputs: StepInputs,
+    row: int,
+    time_ns: int,
+    channel: int,
+    number: int,
+) -> None:
+    """Convert one sensor of a robot.
+
+    Args:
+        robot: State of the robot.
+        simulated: Scene, robots and lamps.
+        inputs: Lamps and random draws.
+        row: Row of the lamps' powers.
+        time_ns: Time of the conversion [ns].
+        channel: Number of the sensor.
+        number: Number of the conversion, which indexes its random draws.
+    """
+    registers, sensor_state = robot.registers, robot.sensor_states[channel]
+    noise = draws(inputs.tables, robot.noise, number)
+    proximity, ambient = convert(
+        simulated.scene, robot.sensors, simulated.light, inputs.powers[row], time_ns, channel, noise
+    )
+    if sensor_state == STUCK:
+        proximity, ambient = registers[_PROXIMITY + channel], registers[_AMBIENT + channel]
+    elif sensor_state == DEAD:
+        proximity, ambient = 0, robot.sensors.ambient.ceiling
+    kernel.convert(registers, proximity, ambient)
+
+
+def _scan(robot: KheperaState, simulated: Simulated, inputs: StepInputs) -> None:
+    """Convert all sensors now, starting with that of the next step."""
+    steps, number = simulated.counters[STEPS], simulated.counters[N_CONVERSIONS]
+    for offset in range(units.N_SENSORS):
+        channel = (steps + offset) % units.N_SENSORS
+        time_ns = steps * simulated.timing.step_ns
+        convert_sensor(robot, simulated, inputs, 0, time_ns, channel, number + offset)
+
+
+@compilable
+def _start(robot: KheperaState, simulated: Simulated, inputs: StepInputs) -> bool:
+    """Set the encoders to the wheels' present angles, and measure the supply."""
+    scene = simulated.scene
+    robot.registers[_LEFT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.left_angle))
+    robot.registers[_RIGHT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.right_angle))
+    return _measure_supply(robot, simulated, 0)
+
+
+@compilable
+def _measure_supply(robot: KheperaState, simulated: Simulated, time_ns: int) -> bool:
+    """Measure the supply; return True if its voltage is too low, which resets and stops the processor."""
+    registers, scene = robot.registers, simulated.scene
+    left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
+    robot.voltage[0] = voltage = battery.voltage(robot.used_min, time_ns)
+    current = robot.idle_current
+    current += units.supply_current(left, motor_torque(scene, robot.left_motor) / robot.motor_constant)
+    current += units.supply_current(right, motor_torque(scene, robot.right_motor) / robot.motor_constant)
+    kernel.measure(registers, units.supply_counts(voltage), round(current * 1000))
+    if voltage >= units.PROCESSOR_VOLTAGE or not robot.processor[kernel.POWERED]:
+        return False
+    kernel.reset(registers)
+    # The motors keep their duty.
+    registers[_LEFT_DUTY], registers[_RIGHT_DUTY] = left, right
+    robot.processor[kernel.POWERED] = 0
+    return True
+
+
+@compilable
+def weak_voltage(strength: float, voltage: float, constant: float, speed: float) -> float:
+    """Return the voltage [V] at which a motor produces a fraction of its torque.
+
+    A motor without current has only its back-EMF (the voltage that it generates), and no torque.
+
+    Args:
+        strength: Fraction of the torque.
+        voltage: Voltage of its duty [V].
+        constant: Torque per current [N m/A], or voltage per speed.
+        speed: Speed of the wheel [rad/s].
+    """
+    return strength * voltage + (1 - strength) * (constant * speed)
+
+
+@compilable
+def _tick(robot: KheperaState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
+    """Run the board's control loops once, from encoders to motor voltages."""
+    _control(simulated.scene, robot)
+    return False
+
+
+@compilable
+def _control(scene: Scene, robot: KheperaState) -> None:
+    registers = robot.registers
+    left = units.wheel_pulses(joint_position(scene, robot.left_angle))
+    right = units.wheel_pulses(joint_position(scene, robot.right_angle))
+    kernel.run(registers, robot.processor, left, right)
+    left_voltage = units.duty_voltage(registers[_LEFT_DUTY], robot.voltage[0])
+    right_voltage = units.duty_voltage(registers[_RIGHT_DUTY], robot.voltage[0])
+    if robot.strengths[0] != 1:
+        speed = joint_speed(scene, robot.left_speed)
+        left_voltage = weak_voltage(robot.strengths[0], left_voltage, robot.motor_constant, speed)
+    if robot.strengths[1] != 1:
+        speed = joint_speed(scene, robot.right_speed)
+        right_voltage = weak_voltage(robot.strengths[1], right_voltage, robot.motor_constant, speed)
+    set_motor(scene, robot.left_motor, left_voltage)
+    set_motor(scene, robot.right_motor, right_voltage)
+
+
+@compilable
+def _evaluate(robot: KheperaState, simulated: Simulated, inputs: StepInputs, part: int) -> None:
+    """Do nothing: no measurement is recorded."""
+
+
+CORE = register(
+    Core(
+        name="khepera",
+        state=KheperaState,
+        make_state=_make_state,
+        changing=("registers", "processor", "sensor_states", "strengths", "voltage"),
+        n_moments=0,
+        modules=("khep_twin.board.battery", "khep_twin.board.kernel", "khep_twin.robots.khepera.core"),
+        sense=_sense,
+        tick=_tick,
+        measure_supply=_measure_supply,
+        start=_start,
+        evaluate=_evaluate,
+        scan=_scan,
+    )
+)

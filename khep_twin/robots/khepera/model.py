@@ -1,0 +1,135 @@
+"""The models Khepera and Khepera II; sources as in `khep_twin.units`."""
+
+import re
+from dataclasses import replace
+
+from khep_twin.board.kernel import Board, Wheel
+from khep_twin.board.protocol import MOTION_COMMANDS
+from khep_twin.board.rom import ROMS
+from khep_twin.robots.body import Body
+from khep_twin.robots.model import Bar, Columns, Dialect, Feature, RobotModel
+from khep_twin.units import (
+    BODY_HEIGHT,
+    BODY_RADIUS,
+    COUNTS_LIMIT,
+    IDLE_CURRENT,
+    K213_PIXELS,
+    MASS,
+    PULSES_PER_TURN,
+    SENSOR_HEIGHT,
+    SENSOR_LABELS,
+    SENSOR_POSITIONS,
+    SUPPORT_POSITION,
+    WHEEL_BASE,
+    WHEEL_RADIUS,
+    WHEEL_WIDTH,
+)
+
+_SIDES = ("left", "right")
+_SENSORS = tuple(name.replace(" ", "_") for name in SENSOR_LABELS)
+_SENSOR_COLUMNS = {
+    kind: tuple((f"{kind}_{name}", "counts") for name in _SENSORS) for kind in ("proximity", "ambient")
+}
+_TRAILING_REGISTERS = (Board.PROXIMITY, Board.AMBIENT, Board.SUPPLY, Board.CURRENT)
+_REGISTERS = (
+    *(f"{side}_{register.name.lower()}" for side in _SIDES for register in Wheel),
+    *(register.name.lower() for register in Board if register not in _TRAILING_REGISTERS),
+    *(f"{kind}_{name}" for kind in ("proximity", "ambient") for name in _SENSORS),
+    *("supply", "current"),
+)
+_CHANNELS: dict[str, Columns] = {
+    "pose": (("x_m", "m"), ("y_m", "m"), ("heading_rad", "rad")),
+    **_SENSOR_COLUMNS,
+    "speed": tuple(
+        (f"{quantity}_{side}", "pulses/10 ms") for quantity in ("speed", "speed_setpoint") for side in _SIDES
+    ),
+    "position": tuple((f"position_{side}", "pulses") for side in _SIDES),
+    "duty": tuple((f"duty_{side}", "1/255") for side in _SIDES),
+    "leds": (("led_lateral", "1 when lit"), ("led_frontal", "1 when lit")),
+    "vision": tuple((f"vision_{pixel}", "grey") for pixel in range(K213_PIXELS)),
+    "registers": tuple((f"register_{name}", "") for name in _REGISTERS),
+}
+
+_BARS = {
+    "proximity": Bar(COUNTS_LIMIT, f"proximity, 0 to {COUNTS_LIMIT}"),
+    # The count of ambient light decreases with the light.
+    "light": Bar(500, "light, 500 dark to 0 bright"),
+    "speed": Bar(20, "speed, -20 to 20", lowest=-1.0),
+}
+"""Bars of `khepbase` of the Khepera Toolbox for Matlab, with its limits."""
+
+_DIALECT = Dialect(
+    robot_name="a Khepera",
+    host_class="khep_twin.host.Khepera",
+    versions_reply=re.compile(r"b,\d.*"),
+    probe_letters="BHEK",
+    stop_requests=("D,0,0",),
+    moving=(*MOTION_COMMANDS, "run", "restart"),
+    baud=9600,
+)
+
+_PARTS = {
+    "core": "khep_twin.robots.khepera.core:CORE",
+    "robot": "khep_twin.robots.khepera.robot:KheperaRobot",
+    "host": "khep_twin.host.khepera:Khepera",
+    "conformance": "khep_twin.lab.conformance.port.catalogue:KHEPERA_CHECKS",
+}
+
+KHEPERA_1 = RobotModel(
+    name="khepera1",
+    family="khepera",
+    title="Khepera",
+    body=Body(
+        radius=BODY_RADIUS,
+        mass=MASS,
+        support_position=SUPPORT_POSITION,
+        sensor_positions=SENSOR_POSITIONS,
+        sensor_height=SENSOR_HEIGHT,
+        idle_current=IDLE_CURRENT,
+        height=BODY_HEIGHT,
+        scene="khepera.xml",
+        sensors=SENSOR_LABELS,
+        wheel_radius=WHEEL_RADIUS,
+        wheel_width=WHEEL_WIDTH,
+        wheel_base=WHEEL_BASE,
+        pulses_per_turn=PULSES_PER_TURN,
+        near_counts=100,
+    ),
+    calibration="khepera1",
+    roms={name: ROMS[name] for name in ("5.02", "4.06", "khepera2")},
+    channels=_CHANNELS,
+    bars=_BARS,
+    dialect=_DIALECT,
+    parts=_PARTS,
+    features=frozenset(Feature),
+)
+
+KHEPERA_2 = replace(
+    KHEPERA_1,
+    name="khepera2",
+    title="Khepera II",
+    body=replace(
+        KHEPERA_1.body,
+        radius=0.035,
+        mass=0.080,
+        support_position=0.0295,
+        sensor_positions=(
+            (0.0133, 0.0266),
+            (0.0227, 0.0227),
+            (0.0300, 0.0078),
+            (0.0300, -0.0078),
+            (0.0227, -0.0227),
+            (0.0133, -0.0266),
+            (-0.0289, -0.0111),
+            (-0.0289, 0.0111),
+        ),
+        sensor_height=0.017,
+        idle_current=0.2464,
+        fits_scene=True,
+    ),
+    calibration="khepera2",
+    roms={name: ROMS[name] for name in ("khepera2", "5.02", "4.06")},
+)
+"""70 mm and 80 g (simulators, host libraries); sensors as in its manual's figure 7, scaled to that diameter,
+their height after Webots; 250 mAh that last 60 minutes (manual II), less the motors' share; supports and
+height like the Khepera's (assumed)."""

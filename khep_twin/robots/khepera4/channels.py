@@ -1,0 +1,37 @@
+"""Channels of a Khepera IV in a log: names of their numbers, and their unit in brackets.
+
+The gauge counts voltage in 9.76 mV, current in 0.0781 mA, charge in 1.6 mAh, temperature in 1/256 degree C.
+"""
+
+AROUND = ("back left", "left", "front left", "front", "front right", "right", "back right", "back")
+GROUND = ("ground left", "ground front left", "ground front right", "ground right")
+"""Names of the infrared sensors around the robot and of those that look at the floor."""
+
+ULTRASONIC = ("left", "front left", "front", "front right", "right")
+"""Names of the ultrasonic sensors, in the order of the registers."""
+
+ULTRASONIC_CODES = (0, 1000, 2000)
+"""Ultrasonic readings without a distance: too near, no echo, disabled (library)."""
+
+LEDS = ("left", "right", "back")
+"""Names of the LEDs of three colours, in the order of the registers."""
+
+_WHEEL_LABELS = "left, right, setpoint left, setpoint right"
+_AXES = "x, y, z"
+_INFRARED = ", ".join((*AROUND, *GROUND))
+
+CHANNELS = {
+    "proximity": f"{_INFRARED} [counts]",
+    "ambient": f"{_INFRARED} [counts]",
+    "ultrasonic": f"{', '.join(ULTRASONIC)} [cm]",
+    "speed": f"{_WHEEL_LABELS} [pulses/10 ms]",
+    "position": f"{_WHEEL_LABELS} [pulses]",
+    "duty": "left, right [-2940 to 2940]",
+    "leds": ", ".join(f"{led} {colour}" for led in LEDS for colour in ("red", "green", "blue"))
+    + " [0 to 63]",
+    "accelerometer": f"{_AXES} [1/16384 g]",
+    "gyroscope": f"{_AXES} [0.066 deg/s]",
+    "battery": "voltage, current, charge, temperature [gauge]",
+    "control": "type, on target, ultrasonic enabled, status LED [register]",
+}
+"""Label of each channel, in the order of the log's registers."""

@@ -1,0 +1,169 @@
+"""`khep-twin exec`: programs compiled for a Khepera IV, run on its twins."""
+
+import shlex
+from contextlib import ExitStack
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli.completion import playpens
+from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, expand_groups
+from khep_twin.cli.options import Switch, Viewer, check_new, notify, print_files, print_kept_log, usage
+from khep_twin.clock import to_ns
+from khep_twin.errors import PlaypenError
+
+if TYPE_CHECKING:
+    from khep_twin.ports.twin import Twin
+    from khep_twin.robots.khepera4.programs import RobotProgram
+
+
+_SWITCH_STEP = 8_000
+"""Step after which compiled code saves a Khepera IV more time than its loading takes."""
+
+
+class ProgramClock(StrEnum):
+    """Clock of the programs."""
+
+    SIMULATED = "simulated"
+    REAL = "real"
+
+
+def _show_cflags(value: bool) -> None:
+    if value:
+        from khep_twin.robots.khepera4.preload import compiler_flags
+
+        typer.echo(" ".join(compiler_flags()))
+        raise typer.Exit
+
+
+@expand_groups
+def execute(
+    program: Annotated[
+        list[str], typer.Argument(metavar="-- PROGRAM [ARGUMENT]", help="Program and its arguments.")
+    ],
+    *,
+    playpen: Annotated[
+        str,
+        typer.Option(help="Playpen with a Khepera IV: a shipped name, or a path.", autocompletion=playpens),
+    ] = "arena4",
+    robot: Annotated[int, typer.Option(help="Number of the program's robot, counted from 0.")] = 0,
+    other_programs: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--also",
+            metavar="PROGRAM",
+            help="Run this program, in quotes with its arguments, on the next Khepera IV; repeatable.",
+        ),
+    ] = None,
+    clock: Annotated[
+        ProgramClock,
+        typer.Option(help="simulated: time passes while the programs wait; real: the wall clock."),
+    ] = ProgramClock.SIMULATED,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.01, help="End after this time [s]: SIGTERM, and 2 s later SIGKILL.")
+    ] = None,
+    extra_s: Annotated[
+        float, typer.Option("--after", min=0, help="Continue for this time after the programs' end [s].")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of every random stream of the run.")] = 0,
+    noise: Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")] = Switch.ON,
+    vary: Annotated[
+        Switch, typer.Option(help="Draw another robot of the same model, by the seed.")
+    ] = Switch.OFF,
+    logging: LogOptions,
+    live_view: LiveViewOptions,
+    viewer: Viewer = False,
+    cflags: Annotated[
+        bool,
+        typer.Option(
+            "--cflags",
+            help="Print the options of cc for K-Team's library and programs, and exit.",
+            callback=_show_cflags,
+            is_eager=True,
+        ),
+    ] = False,
+) -> None:
+    """Run a program of the Khepera IV on a twin of it.
+
+    Linux only. The program is a native build of the unchanged source. A preload library, compiled once by
+    your C compiler, emulates its device nodes and, with the simulated clock, its time and wait functions.
+    Input, output, signals and exit code are the program's; with several programs, the exit code is the first
+    that is not 0.
+    """
+    from khep_twin.log.recorded import PROGRAM
+    from khep_twin.ports.twin import TwinOptions, open_twin
+    from khep_twin.robots.khepera4.programs import run_programs
+
+    check_new(logging.force, logging.log)
+    commands = [program, *_split_commands(other_programs or [])]
+    options = TwinOptions(seed, None, noise is Switch.ON, vary is Switch.ON)
+    with open_twin(playpen, options) as twin, ExitStack() as stack:
+        robot_programs = _assign_robots(twin, robot, commands)
+        if logging.log is not None:
+            command_lines = "; ".join(shlex.join([Path(name).name, *rest]) for name, *rest in commands)
+            twin.record(logging.log, facts={PROGRAM: command_lines}, on_failure=logging.on_failure)
+        print_kept_log(twin.recorder)
+        if clock is ProgramClock.SIMULATED and twin.world.code.switch_step is not None:
+            twin.world.code.switch_step = _SWITCH_STEP
+        watch = live_view.open_viewers(stack, playpen, viewer=viewer, real_time=clock is ProgramClock.REAL)
+        watch(twin)
+        end_ns = None if seconds is None else to_ns(seconds)
+        codes = run_programs(
+            robot_programs,
+            simulated=clock is ProgramClock.SIMULATED,
+            until_ns=end_ns,
+            on_wall_clock=lambda: notify(
+                "all threads wait for another program or a key; meanwhile the wall clock counts"
+            ),
+        )
+        if extra_s:
+            twin.world.advance(extra_s)
+        is_cut_off = end_ns is not None and twin.world.time_ns >= end_ns
+    if logging.log is not None:
+        logging.check(twin.recorder)
+        print_files("log", [logging.log], err=True)
+    code = next((code for code in codes if code and not (is_cut_off and code in (-15, -9))), 0)
+    if code < 0:
+        notify(f"the program was ended by signal {-code}")
+    raise typer.Exit(code if code >= 0 else 128 - code)
+
+
+def _split_commands(command_lines: list[str]) -> list[list[str]]:
+    """Return command lines as lists of arguments."""
+    commands: list[list[str]] = []
+    for command_line in command_lines:
+        try:
+            words = shlex.split(command_line)
+        except ValueError as error:
+            raise usage(f"--also {command_line}: {error}; expected a program and its arguments") from None
+        if not words:
+            raise usage(f"--also {command_line!r}: no program; expected one and its arguments")
+        commands.append(words)
+    return commands
+
+
+def _assign_robots(twin: "Twin", first_robot: int, commands: list[list[str]]) -> list["RobotProgram"]:
+    """Assign programs to the Khepera IVs of a twin, starting with robot `first_robot`."""
+    from khep_twin.robots.khepera4.machine import Machine
+    from khep_twin.robots.khepera4.programs import RobotProgram
+    from khep_twin.robots.khepera4.robot import Khepera4Robot
+
+    name, robots = twin.world.playpen.name, twin.world.robots
+    candidates = [robot for robot in robots if isinstance(robot, Khepera4Robot)]
+    indices = [robot.index for robot in candidates]
+    if not candidates:
+        raise PlaypenError(f'{name}: no Khepera IV; expected a robot with model = "khepera4", as in arena4')
+    if first_robot not in indices:
+        raise usage(f"--robot {first_robot}: not a Khepera IV of {name}; expected one of {indices}")
+    targets = candidates[indices.index(first_robot) :]
+    if len(commands) > len(targets):
+        raise usage(
+            f"{len(commands)} programs; expected up to {len(targets)}, the Khepera IVs of {name} "
+            f"from robot {first_robot} on"
+        )
+    return [
+        RobotProgram(command, Machine(robot.dspic, twin.world), robot.index + 1)
+        for command, robot in zip(commands, targets, strict=False)
+    ]

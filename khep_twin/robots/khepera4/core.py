@@ -1,0 +1,333 @@
+"""Core of the Khepera IV: microcontroller, sensors, motors and battery of a robot.
+
+At the end of a control period of 10 ms it updates
+
+    1. pulses of the encoders, the dsPIC's control, voltage of the motors
+    2. the accelerometer, and the gyroscope if a value is due
+    3. the battery's charge; an empty one stops the robot
+
+Infrared sensors record a moment every 5 ms, an enabled ultrasonic one every 20 ms. A moment is evaluated when
+its readings are read. The functions are `compilable`, see `robot_core`.
+"""
+
+import math
+from typing import NamedTuple, cast
+
+import mujoco
+import numpy as np
+
+from khep_twin.compilable import compilable
+from khep_twin.playpen import RobotEntry
+from khep_twin.robot_core import Core, register
+from khep_twin.robots.khepera4 import dspic, gauge, inertial, infrared, ultrasonic
+from khep_twin.robots.khepera4.dspic import N_ULTRASONIC, DspicState
+from khep_twin.robots.khepera4.inertial import InertialState
+from khep_twin.robots.khepera4.infrared import Ground
+from khep_twin.robots.khepera4.model import BODY
+from khep_twin.robots.khepera4.motor_control import N_MOTOR, PWM_LIMIT, Motor
+from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.server import N_VEHICLE, WANDERING
+from khep_twin.robots.khepera4.ultrasonic import Sonar
+from khep_twin.sensing.ambient import ambient_optics
+from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.robot_sensors import RobotSensors
+from khep_twin.sensing.scene import (
+    BeamScene,
+    Scene,
+    copy_moment,
+    joint_position,
+    joint_speed,
+    motor_torque,
+    save_moment,
+    set_motor,
+)
+from khep_twin.sensors import proximity_optics
+from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
+
+PULSES_PER_TURN = BODY.pulses_per_turn
+"""Pulses of an encoder in a turn of its wheel (manual)."""
+
+INFRARED, BURST, ECHO = 0, 1, 2
+"""Moments of a robot: of its infrared sensors, of the last burst, and of the last complete burst of each
+ultrasonic sensor, from ECHO on."""
+N_MOMENTS = ECHO + N_ULTRASONIC
+
+NONE = -1
+"""No time of a moment; no ultrasonic sensor."""
+
+_ENABLED = int(DspicRegister.ULTRASONIC_ENABLED)
+_LEFT_PWM, _RIGHT_PWM = int(Motor.PWM), N_MOTOR + int(Motor.PWM)
+
+
+class Khepera4State(NamedTuple):
+    """State of one robot.
+
+    Attributes:
+        left_angle: Index of the left wheel's position.
+        right_angle: Index of the right wheel's position.
+        left_motor: Index of the left motor.
+        right_motor: Index of the right motor.
+        pose: Index of the robot's pose.
+        velocity: Index of the robot's velocity.
+        radius: Radius of the robot [m].
+        motor_constant: Torque per current [N m/A].
+        idle_current: Current with the motors at rest [A].
+        is_discharged: 1 if the battery is discharged during the run.
+        first_moment: Number of its first moment.
+        sensors: Infrared sensors.
+        ground: Those that look at the floor.
+        sonar: Rays of the ultrasonic sensors.
+        dspic: State of the microcontroller.
+        inertial: State of accelerometer and gyroscope.
+        gauge: State of the battery and its gauge (N_GAUGE,).
+        zeros: Pulses of the wheels at which the encoders count zero (2,).
+        burst: Sensor of the last burst, or NONE (1,).
+        distances: Last reading of each ultrasonic sensor (N_ULTRASONIC,) [cm].
+        times: Time of each moment, NONE if there is nothing to evaluate (N_MOMENTS,) [ns].
+        vehicle: State of the server's Braitenberg vehicle (N_VEHICLE,).
+        noise: Key of the robot's random draws, as two words (2,).
+    """
+
+    left_angle: int
+    right_angle: int
+    left_motor: int
+    right_motor: int
+    pose: int
+    velocity: int
+    radius: float
+    motor_constant: float
+    idle_current: float
+    is_discharged: int
+    first_moment: int
+    sensors: RobotSensors
+    ground: Ground
+    sonar: Sonar
+    dspic: DspicState
+    inertial: InertialState
+    gauge: Vector[float]
+    zeros: Vector[int]
+    burst: Vector[int]
+    distances: Vector[int]
+    times: Vector[int]
+    vehicle: Vector[int]
+    noise: Vector[int]
+
+
+def _make_state(
+    model: mujoco.MjModel, indices: RobotIndices, measured: Calibration, entry: RobotEntry, first_moment: int
+) -> Khepera4State:
+    ground = measured.ground
+    assert ground is not None  # checked with the playpen
+    battery = np.zeros(gauge.N_GAUGE)
+    battery[gauge.USED] = gauge.used_charge(entry.battery_used_min)
+    return Khepera4State(
+        *indices.wheel_qpos,
+        *indices.motors,
+        indices.pose,
+        indices.velocity,
+        radius=entry.body.radius,
+        motor_constant=measured.motors.constant,
+        idle_current=entry.body.idle_current,
+        is_discharged=int(entry.battery_used_min is not None),
+        first_moment=first_moment,
+        sensors=RobotSensors(
+            indices.base,
+            list(indices.cameras),
+            proximity_optics(model, indices, measured),
+            ambient_optics(measured.ambient),
+        ),
+        ground=Ground(
+            list(map(float, ground.white_counts)),
+            float(ground.nothing_counts),
+            float(ground.noise_counts),
+            ground.spot_mm * 1e-3,
+            int(measured.ambient.rises_with_light),
+        ),
+        sonar=ultrasonic.make_sonar(),
+        dspic=dspic.power_up(),
+        inertial=inertial.at_rest(),
+        gauge=cast(Vector[float], battery),
+        zeros=np.zeros(2, np.int64),
+        burst=np.full(1, NONE),
+        distances=np.full(N_ULTRASONIC, ultrasonic.NO_ECHO),
+        times=np.full(N_MOMENTS, NONE),
+        vehicle=np.zeros(N_VEHICLE, np.int64),
+        noise=np.zeros(2, np.int64),
+    )
+
+
+@compilable
+def _sense(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, start: int) -> None:
+    """Record the moments of a step, if any are due."""
+    time_ns = simulated.counters[STEPS] * simulated.timing.step_ns
+    if start >= 0 and time_ns % infrared.PERIOD_NS == 0:
+        _record(robot, simulated, inputs, time_ns)
+
+
+@compilable
+def _record(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
+    """Record the moments that are due at a time [ns]."""
+    scene, times, first = simulated.scene, robot.times, robot.first_moment
+    powers = inputs.powers[powers_row(simulated, inputs)]
+    save_moment(scene, first + INFRARED, powers)
+    times[INFRARED] = time_ns
+    if time_ns % ultrasonic.PERIOD_NS:
+        return
+    last = robot.burst[0]
+    if last != NONE:
+        copy_moment(scene, first + BURST, first + ECHO + last)
+        times[ECHO + last] = times[BURST]
+    robot.burst[0] = _next_sensor(last, robot.dspic.memory[_ENABLED])
+    if robot.burst[0] != NONE:
+        save_moment(scene, first + BURST, powers)
+        times[BURST] = time_ns
+
+
+@compilable
+def _next_sensor(last: int, enabled_mask: int) -> int:
+    """Return the enabled ultrasonic sensor after the last one, or NONE."""
+    for offset in range(1, N_ULTRASONIC + 1):
+        sensor = (last + offset) % N_ULTRASONIC
+        if enabled_mask >> sensor & 1:
+            return sensor
+    return NONE
+
+
+def _scan(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> None:
+    """Measure with all infrared sensors now."""
+    save_moment(simulated.scene, robot.first_moment + INFRARED, inputs.powers[0])
+    robot.times[INFRARED] = simulated.counters[STEPS] * simulated.timing.step_ns
+
+
+@compilable
+def _start(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> bool:
+    """Count from the wheels' present angles, and measure at time 0."""
+    robot.zeros[0] = wheel_pulses(joint_position(simulated.scene, robot.left_angle))
+    robot.zeros[1] = wheel_pulses(joint_position(simulated.scene, robot.right_angle))
+    gauge.write_block(robot.dspic.memory, robot.gauge)
+    _record(robot, simulated, inputs, 0)
+    return False
+
+
+@compilable
+def _tick(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
+    """Run a control period; return True if it has stopped the robot, or the server's vehicle drives."""
+    if not robot.dspic.powered[0]:
+        return False
+    scene, motors = simulated.scene, robot.dspic.motors
+    left = wheel_pulses(joint_position(scene, robot.left_angle)) - robot.zeros[0]
+    right = wheel_pulses(joint_position(scene, robot.right_angle)) - robot.zeros[1]
+    dspic.tick(robot.dspic, left, right)
+    voltage, current = gauge.battery_voltage(robot.gauge), robot.idle_current
+    current += _drive(scene, robot.left_motor, motors[_LEFT_PWM], voltage, robot.motor_constant)
+    current += _drive(scene, robot.right_motor, motors[_RIGHT_PWM], voltage, robot.motor_constant)
+    _measure_motion(scene, robot, inputs, time_ns)
+    if gauge.draw_current(robot.gauge, robot.is_discharged, current):
+        gauge.write_block(robot.dspic.memory, robot.gauge)
+    if voltage <= gauge.CUT_OFF:
+        _cut_off(scene, robot)
+        return True
+    return robot.vehicle[WANDERING] != 0
+
+
+@compilable
+def wheel_pulses(angle: float) -> int:
+    """Return the pulses of an encoder at a wheel's angle [rad]."""
+    return math.floor(angle * (PULSES_PER_TURN / math.tau) + 0.5)
+
+
+@compilable
+def _drive(scene: Scene, motor: int, pwm: int, voltage: float, constant: float) -> float:
+    """Drive a motor with a PWM; return the current that it takes from the battery [A]."""
+    set_motor(scene, motor, pwm / PWM_LIMIT * voltage)
+    return max(pwm / PWM_LIMIT * motor_torque(scene, motor) / constant, 0.0)
+
+
+@compilable
+def _measure_motion(scene: Scene, robot: Khepera4State, inputs: StepInputs, time_ns: int) -> None:
+    """Measure with accelerometer and gyroscope."""
+    start, first = robot.velocity, robot.pose + 3
+    velocity = joint_speed(scene, start), joint_speed(scene, start + 1), joint_speed(scene, start + 2)
+    rate = joint_speed(scene, start + 3), joint_speed(scene, start + 4), joint_speed(scene, start + 5)
+    w, x = joint_position(scene, first), joint_position(scene, first + 1)
+    y, z = joint_position(scene, first + 2), joint_position(scene, first + 3)
+    memory, rotation = robot.dspic.memory, rotation_of(w, x, y, z)
+    inertial.measure(robot.inertial, memory, inputs.tables, robot.noise, time_ns, rotation, velocity, rate)
+
+
+@compilable
+def rotation_of(
+    w: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Return the matrix of a rotation, row by row, as MuJoCo computes it from its quaternion."""
+    ww, xx, yy, zz = w * w, x * x, y * y, z * z
+    return (
+        ww + xx - yy - zz,
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        ww - xx + yy - zz,
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        ww - xx - yy + zz,
+    )
+
+
+@compilable
+def _cut_off(scene: Scene, robot: Khepera4State) -> None:
+    """Stop the robot for lack of voltage."""
+    dspic.reset(robot.dspic)
+    robot.dspic.powered[0] = 0
+    gauge.write_block(robot.dspic.memory, robot.gauge)
+    set_motor(scene, robot.left_motor, 0.0)
+    set_motor(scene, robot.right_motor, 0.0)
+
+
+@compilable
+def _measure_supply(robot: Khepera4State, simulated: Simulated, time_ns: int) -> bool:
+    """Do nothing: the control period measures the supply."""
+    return False
+
+
+@compilable
+def _evaluate(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, part: int) -> None:
+    """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
+    scene, tables, noise, powers = simulated.scene, inputs.tables, robot.noise, inputs.powers[0]
+    if part == INFRARED:
+        light, memory, time_ns = simulated.light, robot.dspic.memory, robot.times[INFRARED]
+        infrared.measure(scene, robot.sensors, robot.ground, light, powers, tables, noise, time_ns, memory)
+    else:
+        sensor, time_ns = part - ECHO, robot.times[part]
+        robot.distances[sensor] = ultrasonic.measure(
+            scene, robot.sensors, _centre(scene, robot.pose), robot.sonar, tables, noise, time_ns, sensor
+        )
+    robot.times[part] = NONE
+
+
+@compilable
+def _centre(scene: BeamScene, pose: int) -> tuple[float, float, float]:
+    """Return the position of a robot."""
+    return joint_position(scene, pose), joint_position(scene, pose + 1), joint_position(scene, pose + 2)
+
+
+_PARTS = "motor_control", "dspic", "inertial", "gauge", "infrared", "ultrasonic", "core"
+
+CORE = register(
+    Core(
+        name="khepera4",
+        state=Khepera4State,
+        make_state=_make_state,
+        changing=(*("dspic", "inertial", "gauge", "zeros", "burst", "distances", "times", "vehicle"),),
+        n_moments=N_MOMENTS,
+        modules=("khep_twin.board.kernel", *(f"khep_twin.robots.khepera4.{part}" for part in _PARTS)),
+        sense=_sense,
+        tick=_tick,
+        measure_supply=_measure_supply,
+        start=_start,
+        evaluate=_evaluate,
+        scan=_scan,
+    )
+)

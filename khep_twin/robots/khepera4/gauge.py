@@ -1,0 +1,88 @@
+"""Battery of the Khepera IV, two lithium polymer cells of 3400 mAh, and its gauge.
+
+The voltage is piecewise linear in the charge (assumed: typical of these cells) and independent of the load;
+the robot stops at 6.0 V (manual). The charge of a battery without a time of use stays constant.
+"""
+
+from khep_twin.compilable import compilable
+from khep_twin.robots.khepera4.dspic import write_number
+from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.sensing.buffers import Vector
+from khep_twin.units import TICK_NS
+
+CAPACITY = 3.4 * 3600
+"""Charge of a full battery [C] (manual)."""
+
+VOLTAGES = ((0.0, 6.0), (0.05, 6.9), (0.2, 7.3), (0.6, 7.6), (1.0, 8.2))
+"""Remaining part of the charge, and voltage [V]."""
+
+CUT_OFF = 6.0
+"""Voltage at which the robot stops [V] (manual)."""
+
+CURRENT_TICKS, AVERAGE_TICKS = 350, 2800
+"""Control periods over which the gauge takes its current, 3.5 s, and its average, 28 s (manual)."""
+
+_CURRENT_UNIT, _CHARGE_UNIT, _VOLTAGE_UNIT, _DEGREE_UNIT = 78.125e-6, 1.6e-3 * 3600, 9.76e-3, 0.003906
+"""Units of the registers [A, C, V, degree Celsius] (manual). The gauge has its voltage in the upper 11 bits;
+the dsPIC returns a plain number, as all public programs expect."""
+
+_TEMPERATURE = 25.0
+"""Temperature (assumed)."""
+
+
+USED, SUM, TICKS, CURRENT, AVERAGE = range(5)
+"""Indices in the state of a gauge: used charge [C], sum of currents [A] and number of control periods since
+the last measured current, that current, and its average [A]."""
+N_GAUGE = 5
+
+_BATTERY = int(DspicRegister.BATTERY)
+
+
+def used_charge(used_min: float | None) -> float:
+    """Return the charge used before the run [C], by minutes of use with the motors on, 300 for all of it."""
+    return CAPACITY * min((used_min or 0.0) / 300, 1)
+
+
+@compilable
+def battery_voltage(gauge: Vector[float]) -> float:
+    """Return the present voltage [V]."""
+    level = charge_level(gauge)
+    for index in range(1, len(VOLTAGES)):
+        (low_level, low), (high_level, high) = VOLTAGES[index - 1], VOLTAGES[index]
+        if level <= high_level:
+            return low + (high - low) * (level - low_level) / (high_level - low_level)
+    return VOLTAGES[-1][1]
+
+
+@compilable
+def charge_level(gauge: Vector[float]) -> float:
+    """Return the remaining part of the charge, 0 to 1."""
+    return 1 - gauge[USED] / CAPACITY
+
+
+@compilable
+def draw_current(gauge: Vector[float], is_discharged: int, current: float) -> bool:
+    """Draw a current [A] for a control period; return whether the gauge has a new value."""
+    if is_discharged:
+        gauge[USED] = min(gauge[USED] + current * TICK_NS * 1e-9, CAPACITY)
+    gauge[SUM] += current
+    gauge[TICKS] += 1
+    if gauge[TICKS] < CURRENT_TICKS:
+        return False
+    gauge[CURRENT] = gauge[SUM] / gauge[TICKS]
+    gauge[AVERAGE] += (gauge[CURRENT] - gauge[AVERAGE]) * CURRENT_TICKS / AVERAGE_TICKS
+    gauge[SUM] = gauge[TICKS] = 0.0
+    return True
+
+
+@compilable
+def write_block(memory: Vector[int], gauge: Vector[float]) -> None:
+    """Set the registers of the gauge in a dsPIC's memory (12 bytes): its status, and its values."""
+    level = charge_level(gauge)
+    memory[_BATTERY] = 0
+    write_number(memory, _BATTERY + 1, 2, round(level * CAPACITY / _CHARGE_UNIT))
+    write_number(memory, _BATTERY + 3, 1, round(100 * level))
+    write_number(memory, _BATTERY + 4, 2, round(-gauge[CURRENT] / _CURRENT_UNIT))
+    write_number(memory, _BATTERY + 6, 2, round(-gauge[AVERAGE] / _CURRENT_UNIT))
+    write_number(memory, _BATTERY + 8, 2, round(_TEMPERATURE / _DEGREE_UNIT) & ~0x1F)
+    write_number(memory, _BATTERY + 10, 2, round(battery_voltage(gauge) / _VOLTAGE_UNIT))

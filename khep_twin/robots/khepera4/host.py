@@ -1,0 +1,288 @@
+"""`Khepera4`: a Khepera IV on which kh4server runs, at the other end of a serial port, real or simulated.
+
+The port is a URL of pyserial, as for a `Khepera`: `/dev/rfcomm0` is a robot over Bluetooth, the link of
+`khep-twin serve arena4` a twin in real time, `khep://arena4` a twin in this process, in lock-step.
+
+    from khep_twin.host import Khepera4
+
+    with Khepera4("khep://arena4") as robot:
+        robot.set_speed(0.1, 0.1)
+        robot.sleep(1)
+        print(robot.ultrasonic().front, robot.proximity().front)
+
+Each command waits for its reply, as the server discards all input that arrives before it.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
+import serial
+
+from khep_twin.errors import MoveError
+from khep_twin.files.paths import StrPath
+from khep_twin.host.host_command import HostCommand, order, query, split_reply
+from khep_twin.host.host_robot import HostRobot
+from khep_twin.host.moves import check_finite
+from khep_twin.robots.khepera4.host_results import Battery, Distances, InfraredCounts, Vector3, Wheels
+from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
+from khep_twin.units import GRAVITY
+
+R = TypeVar("R")
+
+PULSE_LENGTH = BODY.pulse_length
+"""Travel of a wheel per encoder pulse [m]."""
+
+SPEED_UNIT = PULSE_LENGTH / 0.01
+"""Unit of speeds [m/s]: one pulse in 10 ms (manual)."""
+
+WHEEL_BASE = BODY.wheel_base
+"""Distance of the wheels [m]."""
+
+N_SAMPLES = 10
+"""Values of an accelerometer or a gyroscope in a reply."""
+
+_ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / 16_384, math.radians(0.066)
+"""Units of the accelerometer [m/s^2] and of the gyroscope [rad/s] (library)."""
+
+_POLL_INTERVAL_S, _ARRIVAL_PULSES = 0.05, 200
+"""Time between two reads of the wheels in a move [s]; distance from the target at which stopped wheels count
+as arrived: ten times the server's margin, as they roll past it (1.4 mm)."""
+
+Colour = tuple[int, int, int]
+"""Red, green and blue, 0 to 63."""
+
+
+class Khepera4(HostRobot):
+    """A Khepera IV behind a serial port. Leaving it as a context stops the motors.
+
+    Errors are those of `Khepera`: reads are repeated, commands that move the robot never.
+
+    Args:
+        url: URL of the port, or an open port of pyserial, which keeps its timeout.
+        timeout: Longest wait for a silent robot [s], in the port's time, as for a `Khepera`.
+        baudrate: Baud rate.
+        retries: Number of repetitions of a read.
+        wheel_base: Distance of the wheels [m], for `turn`.
+
+    Raises:
+        PortError: The port cannot be opened, or its twin is no Khepera IV.
+        ValueError: A duration, distance or number is out of range.
+    """
+
+    def __init__(
+        self,
+        url: StrPath | serial.SerialBase,
+        timeout: float | None = None,
+        baudrate: int = 115_200,
+        *,
+        retries: int = 1,
+        wheel_base: float = WHEEL_BASE,
+    ) -> None:
+        if not 0 < wheel_base < math.inf:
+            raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
+        super().__init__(url, timeout, baudrate, retries, KHEPERA_4.dialect)
+        self._wheel_base = wheel_base
+        self._target = (0, 0)
+
+    # Motors --------------------------------------------------------------------------------------------
+
+    def set_speed(self, left: float, right: float) -> None:
+        """Drive the wheels at these speeds [m/s], about 0.8 at most, steady above 0.003 (command D)."""
+        pulses = _to_pulses("speed", SPEED_UNIT, (left, right))
+        self._run(order("D", *pulses, repeatable=not any(pulses)))
+
+    def stop(self) -> None:
+        """Stop the wheels, and the vehicle of `wander`."""
+        self.stop_wandering()
+        self.set_speed(0, 0)
+
+    def set_target(self, left: float, right: float) -> None:
+        """Move the wheels to these positions [m] along the profile; return immediately (command F)."""
+        self._send_target(*_to_pulses("position", PULSE_LENGTH, (left, right)))
+
+    def set_duty(self, left: int, right: int) -> None:
+        """Drive the motors with a fixed duty, -2940 to 2940, uncontrolled (command L)."""
+        self._run(order("L", left, right))
+
+    def reset_position(self) -> None:
+        """Set the positions of the wheels to 0 (command I)."""
+        self._run(order("I"))
+
+    def speed(self) -> Wheels:
+        """Return the measured speeds of the wheels [m/s] (command E)."""
+        return self._run(query("E", 2, lambda pulses: Wheels._make(n * SPEED_UNIT for n in pulses)))
+
+    def position(self) -> Wheels:
+        """Return the positions of the wheels [m] (command R)."""
+        return self._run(query("R", 2, lambda pulses: Wheels._make(n * PULSE_LENGTH for n in pulses)))
+
+    def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
+        """Set the gains of the speed controller, 0 to 255; 10, 5, 1 at the server's start (command H)."""
+        self._run(order("H", kp, ki, kd, repeatable=True))
+
+    def configure_profile(
+        self,
+        step_pulses: int = 3,
+        divider: int = 0,
+        least_accelerating_pulses: int = 20,
+        least_decelerating_pulses: int = 1,
+        speed_pulses: int = 400,
+    ) -> None:
+        """Set the profile of `set_target` and of the vehicle (command J); the defaults are the server's.
+
+        Args:
+            step_pulses: One change of the speed [pulses/10 ms].
+            divider: Control periods of 10 ms from one change to the next, minus one.
+            least_accelerating_pulses: Speed at which a ramp up starts [pulses/10 ms].
+            least_decelerating_pulses: Speed at which a ramp down ends [pulses/10 ms].
+            speed_pulses: Speed between the ramps [pulses/10 ms].
+        """
+        profile = step_pulses, divider, least_accelerating_pulses, least_decelerating_pulses, speed_pulses
+        self._run(order("J", *profile, repeatable=True))
+
+    def set_margin(self, margin: float) -> None:
+        """Set the distance at which a target counts as reached [m]; 20 pulses at the start (command P)."""
+        self._run(order("P", *_to_pulses("margin", PULSE_LENGTH, [margin]), repeatable=True))
+
+    def reset_motors(self) -> None:
+        """Set gains, profile and margin as at the server's start, and leave the motors idle (command M)."""
+        self._run(order("M", repeatable=True))
+
+    # Blocking moves ------------------------------------------------------------------------------------
+
+    def move(self, distance: float, timeout: float = 30.0) -> Wheels:
+        """Drive straight by a distance [m], backwards if it is below 0; return on arrival.
+
+        Raises:
+            MoveError: Not on target after `timeout` [s]; the motors are stopped.
+        """
+        return self._drive_by(distance, distance, timeout)
+
+    def turn(self, angle: float, timeout: float = 30.0) -> Wheels:
+        """Turn in place by an angle [rad], left if it is above 0; return on arrival.
+
+        Raises:
+            MoveError: Not on target after `timeout` [s]; the motors are stopped.
+        """
+        distance = angle * self._wheel_base / 2
+        return self._drive_by(-distance, distance, timeout)
+
+    def wait_for_target(self, timeout: float = 30.0) -> None:
+        """Wait until both wheels stand at the target of `set_target`.
+
+        Raises:
+            MoveError: Not on target after `timeout` [s].
+        """
+        end, last_positions = self.time + timeout, ()
+        while True:
+            positions = self._run(query("R", 2, tuple))
+            errors = [abs(target - now) for target, now in zip(self._target, positions, strict=True)]
+            if positions == last_positions and max(errors) <= _ARRIVAL_PULSES:
+                return
+            if not self.time <= end:
+                raise MoveError(f"{self.name}: not on target after {timeout:g} s")
+            last_positions = positions
+            self.sleep(_POLL_INTERVAL_S)
+
+    def wander(self) -> None:
+        """Let the server's vehicle drive and avoid obstacles, until `stop_wandering` (command A)."""
+        self._run(order("A", 0))
+
+    def stop_wandering(self) -> None:
+        """Stop the server's vehicle, if it drives (command A)."""
+        self._run(HostCommand("A,2", lambda reply: split_reply("a", 0, reply), repeatable=True))
+
+    # Sensors, LEDs and other commands ------------------------------------------------------------------
+
+    def proximity(self) -> InfraredCounts:
+        """Return twelve proximity counts, 0 to 1023 (command N)."""
+        return self._run(query("N", 12, InfraredCounts._make))
+
+    def ambient(self) -> InfraredCounts:
+        """Return twelve ambient counts, about 980 in the dark and 0 in bright light (command O)."""
+        return self._run(query("O", 12, InfraredCounts._make))
+
+    def ultrasonic(self) -> Distances:
+        """Return five distances [m]: 0 below 0.25, inf without an echo, None if disabled (command G)."""
+        return self._run(query("G", 5, lambda values: Distances.from_cm(tuple(values))))
+
+    def enable_ultrasonic(self, sensors: Iterable[int] = range(5)) -> None:
+        """Enable these ultrasonic sensors, 0 left to 4 right, and disable the others (command U).
+
+        They measure in turn, 20 ms each, so fewer sensors measure more often.
+        """
+        enabled = {*sensors}
+        if not enabled <= {*range(5)}:
+            raise ValueError(f"sensors = {sorted(enabled)}; expected some of 0 to 4")
+        self._run(order("U", sum(1 << sensor for sensor in enabled), repeatable=True))
+
+    def accelerations(self) -> tuple[Vector3, ...]:
+        """Return the last ten values of the accelerometer, 10 ms apart, newest first [m/s^2] (command T).
+
+        At rest x and y are 0 and z is -9.81.
+        """
+        return self._run(query("T", 3 * N_SAMPLES, lambda values: _vectors(values, _ACCELERATION_UNIT)))
+
+    def turn_rates(self) -> tuple[Vector3, ...]:
+        """Return the last ten values of the gyroscope, newest first [rad/s]; z to the left (command S)."""
+        return self._run(query("S", 3 * N_SAMPLES, lambda values: _vectors(values, _TURN_RATE_UNIT)))
+
+    def read_panel(self) -> dict[str, list[int]]:
+        """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [pulses/10 ms]."""
+        speed = [round(value / SPEED_UNIT) for value in self.speed()]
+        return {"proximity": [*self.proximity()], "ambient": [*self.ambient()], "speed": speed}
+
+    def battery(self) -> Battery:
+        """Return the state of the battery (command V, once for each value)."""
+        values = [self._run(_battery_value(kind)) for kind in range(7)]
+        voltage, current, average_current, charge_mah, temperature, percent, charger = values
+        amperes = current / 1000, average_current / 1000
+        return Battery(voltage / 1000, *amperes, charge_mah, temperature, percent / 100, bool(charger))
+
+    def set_leds(self, left: Colour, right: Colour, back: Colour) -> None:
+        """Set the colours of the LEDs front left, front right and back, 0 to 63 a colour (command K)."""
+        values = [*left, *right, *back]
+        if len(values) != 9 or not all(0 <= value < 64 for value in values):
+            raise ValueError(f"colours {left}, {right}, {back}; expected three numbers from 0 to 63 each")
+        self._run(order("K", *values, repeatable=True))
+
+    def revision(self) -> str:
+        """Return the revision of the microcontroller's firmware, for example "B0" (command B)."""
+        return self._run(HostCommand("B", lambda reply: "".join(split_reply("b", 2, reply)), repeatable=True))
+
+    def reset(self) -> None:
+        """Reset the microcontroller: motors, LEDs and positions (command Z)."""
+        self._run(order("Z"))
+
+    def _send_target(self, left_pulses: int, right_pulses: int) -> None:
+        self._target = left_pulses, right_pulses
+        self._run(order("F", left_pulses, right_pulses))
+
+    def _drive_by(self, left: float, right: float, timeout: float) -> Wheels:
+        """Move the wheels by distances [m]; return their positions on arrival [m]."""
+        distances = _to_pulses("distance", PULSE_LENGTH, (left, right))
+        positions = self._run(query("R", 2, tuple))
+        self._send_target(positions[0] + distances[0], positions[1] + distances[1])
+        try:
+            self.wait_for_target(timeout)
+        except MoveError as error:
+            self.set_speed(0, 0)
+            raise MoveError(f"{error}; stopped at {tuple(self.position())} m") from None
+        return self.position()
+
+
+def _to_pulses(name: str, unit: float, values: Sequence[float]) -> list[int]:
+    """Divide values by a unit and round them; raise ValueError with the name unless they are finite."""
+    return [round(check_finite(name, value) / unit) for value in values]
+
+
+def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:
+    """Return the vectors of a reply, which lists all x, then all y, then all z."""
+    axes = [values[start : start + N_SAMPLES] for start in range(0, 3 * N_SAMPLES, N_SAMPLES)]
+    return tuple(Vector3(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
+
+
+def _battery_value(kind: int) -> HostCommand[float]:
+    """Return command V for a kind of value, by its place in the reply of `battery`."""
+    return HostCommand(f"V,{kind}", lambda reply: float(split_reply("v", 1, reply)[0]), repeatable=True)

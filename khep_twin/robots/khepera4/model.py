@@ -1,0 +1,92 @@
+"""The model Khepera IV; sources as in `khep_twin.robots.khepera4`."""
+
+import math
+import re
+from pathlib import Path
+
+from khep_twin.board.rom import Rom, RunningMode
+from khep_twin.robots.body import Body, Sonar
+from khep_twin.robots.khepera.model import KHEPERA_1
+from khep_twin.robots.khepera4.channels import (
+    AROUND,
+    CHANNELS,
+    GROUND,
+    LEDS,
+    ULTRASONIC,
+    ULTRASONIC_CODES,
+)
+from khep_twin.robots.model import Bar, Columns, Dialect, RobotModel, parse_columns
+
+_CHANNELS: dict[str, Columns] = {name: parse_columns(name, label) for name, label in CHANNELS.items()}
+_REGISTERS = tuple((f"register_{name}", "") for columns in _CHANNELS.values() for name, _ in columns)
+
+SONAR = Sonar(ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES)
+"""Headings: manual; distance from the centre: assumed; height: drawing."""
+
+BODY = Body(
+    radius=0.0704,
+    mass=0.540,
+    support_position=0.050,
+    sensor_positions=tuple(
+        (0.068 * math.cos(heading), 0.068 * math.sin(heading))
+        for heading in map(math.radians, (135, 90, 45, 0, -45, -90, -135, 180))
+    ),
+    sensor_height=0.01435,
+    idle_current=0.4857,
+    height=0.0577,
+    scene=str(Path(__file__).parent / "assets" / "khepera4.xml"),
+    sensors=(*AROUND, *GROUND),
+    wheel_radius=0.021,
+    wheel_width=0.0065,
+    wheel_base=0.1054,
+    pulses_per_turn=19_456,
+    near_counts=150,
+    support_solref=(-600.0, -50.0),
+    ground_positions=((0.020, 0.059), (0.0613, 0.010), (0.0613, -0.010), (0.020, -0.059)),
+    sonar=SONAR,
+)
+"""Its manual, see `assets/khepera4.xml`; 3400 mAh that last 7 hours without motors; casters on
+springs of some 100 N/m, without which wheels would leave the floor at the foot of any ramp (assumed)."""
+
+KHEPERA_4 = RobotModel(
+    name="khepera4",
+    family="khepera4",
+    title="Khepera IV",
+    body=BODY,
+    calibration="khepera4",
+    # The server has no banner and one baud rate (manual, chapter 6).
+    roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(115_200)})},
+    channels={**_CHANNELS, "registers": _REGISTERS},
+    bars={
+        "proximity": KHEPERA_1.bars["proximity"],
+        "light": Bar(980, "light, 980 dark to 0 bright"),
+        "speed": Bar(500, "speed, -500 to 500", lowest=-1.0),
+    },
+    # D does not stop the server's vehicle, and H and K are not reads.
+    dialect=Dialect(
+        robot_name="a Khepera IV",
+        host_class="khep_twin.host.Khepera4",
+        versions_reply=re.compile(r"b,[A-P],\d+"),
+        probe_letters="BERG",
+        stop_requests=("A,2", "D,0,0"),
+        moving=("A", "D", "F", "L"),
+        baud=115_200,
+    ),
+    parts={
+        "core": "khep_twin.robots.khepera4.core:CORE",
+        "robot": "khep_twin.robots.khepera4.robot:Khepera4Robot",
+        "host": "khep_twin.robots.khepera4.host:Khepera4",
+        "conformance": "khep_twin.robots.khepera4.conformance.catalogue:KHEPERA_4_CHECKS",
+    },
+    plots={
+        "ultrasonic": "ultrasonic [cm]",
+        "accelerometer": "accelerometer [1/16384 g]",
+        "gyroscope": "gyroscope [0.066 deg/s]",
+    },
+    rgb_leds=LEDS,
+    commands={"exec": "khep_twin.robots.khepera4.command:execute"},
+    environments=dict.fromkeys(
+        ("KheperaIVObstacleAvoidance", "KheperaIVLineFollowing"),
+        "khep_twin.robots.khepera4.environments:KheperaIVEnvironment",
+    ),
+)

@@ -1,0 +1,238 @@
+"""Programs that were compiled for a Khepera IV, run on this machine against a twin of it.
+
+    world = World("arena4")
+    program = RobotProgram(["./program", "argument"], Machine(world.robots[0].dspic, world))
+    (code,) = run_programs([program])
+
+The program is a native build of the unmodified source. A preload library (`assets/shim*.c`),
+compiled once by the user's C compiler and loaded before the C library, answers the robot's device nodes and,
+with a simulated clock, the functions that return the time or wait.
+"""
+
+import contextlib
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import NamedTuple
+
+from khep_twin.errors import KhepTwinError
+from khep_twin.robots.khepera4.device_server import DeviceServer
+from khep_twin.robots.khepera4.executable import Executable, StartedPrograms, check_executable, check_preload
+from khep_twin.robots.khepera4.machine import Machine
+from khep_twin.robots.khepera4.preload import find_temporary_folder, preload_library
+from khep_twin.robots.khepera4.scheduler import NEVER_NS
+
+CONFIGURATION = "section Khepera4\ndevice dsPic i2c 0x30\n"
+"""The robot's `/etc/libkhepera/khepera4.knc`, by which K-Team's library finds the dsPIC."""
+
+TERMINATE_S = 2.0
+"""Time from SIGTERM to SIGKILL for programs, simulated or of the wall clock [s]."""
+
+ORPHANS_S = 0.3
+"""Time of the wall clock until children without a twin are killed [s]; most end on their own."""
+
+
+class RobotProgram(NamedTuple):
+    """A program on a robot.
+
+    Attributes:
+        arguments: The program and its arguments.
+        machine: Machine that answers its device nodes.
+        robot_id: Number of the robot, in `/etc/khepera/robotid`.
+    """
+
+    arguments: Sequence[str]
+    machine: Machine
+    robot_id: int = 1
+
+
+def run_programs(
+    programs: Sequence[RobotProgram],
+    *,
+    simulated: bool = True,
+    until_ns: int | None = None,
+    on_wall_clock: Callable[[], None] = lambda: None,
+) -> list[int]:
+    """Run programs, each on its machine; return their exit codes.
+
+    The code of a program that was killed by a signal is minus the signal's number. SIGINT is ignored here, as
+    a terminal also sends it to the programs; SIGTERM is forwarded. A program that ends leaves the others
+    running.
+
+    Args:
+        programs: Programs, on machines that share one time.
+        simulated: Whether their time is simulated; otherwise it is the time of this computer.
+        until_ns: Time at which running programs get SIGTERM, and SIGKILL `TERMINATE_S` later [ns].
+        on_wall_clock: Function that is called when simulated time first passes with the wall clock, as all
+            threads wait for another program or a key.
+
+    Raises:
+        KhepTwinError: A program cannot be started, or there is no C compiler.
+    """
+    executables = [check_executable(program.arguments[0]) for program in programs]
+    libraries = [
+        _find_preload_library(program.arguments[0], executable)
+        for program, executable in zip(programs, executables, strict=True)
+    ]
+    with (
+        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=find_temporary_folder()) as folder,
+        contextlib.ExitStack() as stack,
+    ):
+        paths = [Path(folder, f"devices{index}") for index in range(len(programs))]
+        machines = [program.machine for program in programs]
+        offset_ns = machines[0].time_ns - time.monotonic_ns()
+        clock = None if simulated else lambda: time.monotonic_ns() + offset_ns
+        started_programs: list[StartedPrograms] = []
+
+        def check_started(robot: int, process: int, path: str) -> None:
+            started_programs[robot].check(process, path)
+
+        server = DeviceServer(machines, paths, clock, on_wall_clock, check_started)
+        stack.enter_context(contextlib.closing(server))
+        if simulated:
+            stack.enter_context(_pin_to_one_processor())
+        processes: list[subprocess.Popen[bytes]] = []
+        stack.callback(_kill, processes)
+        for program, executable, library, path in zip(programs, executables, libraries, paths, strict=True):
+            link = path.with_suffix(".so")
+            link.symlink_to(library)
+            environment = os.environ | {
+                # Behind the user's libraries: a sanitizer's must come first.
+                "LD_PRELOAD": ":".join(filter(None, (os.environ.get("LD_PRELOAD"), str(link)))),
+                "KHEP_TWIN_SOCKET": str(path),
+                "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
+                "KHEP_TWIN_ETC": str(_write_configuration(path.with_suffix(".etc"), program.robot_id)),
+            }
+            if executable is not None:
+                check_preload(program.arguments[0], executable.loader, link, environment)
+            started_programs.append(StartedPrograms(executable, link, environment))
+            try:
+                processes.append(subprocess.Popen([*program.arguments], env=environment))
+            except OSError as error:
+                raise _start_error(program.arguments[0], error) from error
+        stack.enter_context(_forward_signals(processes))
+        process_ids = [process.pid for process in processes]
+        end_ns = NEVER_NS if until_ns is None else until_ns
+        live_ids = server.serve(process_ids, lambda: _have_ended(processes), end_ns)
+        if any(process.poll() is None for process in processes):
+            _terminate(processes)
+            deadline = time.monotonic() + TERMINATE_S
+            end_ns = machines[0].time_ns + round(TERMINATE_S * 1e9)
+            live_ids |= server.serve(
+                process_ids, lambda: _have_ended(processes) or time.monotonic() > deadline, end_ns
+            )
+        _kill(processes)
+        server.close()
+        _kill_orphans(live_ids - {*process_ids})
+        for program, process in zip(programs, processes, strict=True):
+            if process.returncode >= 0 and process.pid not in server.clients:
+                raise KhepTwinError(
+                    f"{program.arguments[0]}: ended with code {process.returncode} and never loaded the "
+                    "preload library; expected a program that loads it"
+                )
+    return [process.returncode for process in processes]
+
+
+def _find_preload_library(program: str, executable: Executable | None) -> Path:
+    """Return the preload library for a program's word size."""
+    if executable is None or executable.bits == 64:
+        return preload_library()
+    try:
+        return preload_library(32)
+    except KhepTwinError as error:
+        raise KhepTwinError(f"{program}: a program of 32 bits, and {error}") from error
+
+
+def _start_error(program: str, error: OSError) -> KhepTwinError:
+    """Return the error of a program that cannot be started."""
+    path = Path(program)
+    expected = ""
+    if path.is_dir():
+        expected = "; expected a program, not a folder"
+    elif path.is_file() and path.name == program and not shutil.which(program):
+        expected = f"; expected ./{program}"
+    elif isinstance(error, PermissionError) and path.is_file():
+        expected = f"; expected a program that may be executed: compile it, or chmod +x {program}"
+    elif error.errno == errno.ENOEXEC:
+        expected = "; expected a compiled program, or a script that begins with #! and its interpreter"
+    return KhepTwinError(f"{program}: cannot be started: {error.strerror}{expected}")
+
+
+def _have_ended(processes: Sequence["subprocess.Popen[bytes]"]) -> bool:
+    """Return whether all programs have ended."""
+    return all([process.poll() is not None for process in processes])
+
+
+def _terminate(processes: Sequence["subprocess.Popen[bytes]"]) -> None:
+    for process in processes:
+        process.terminate()  # without effect after its end
+
+
+def _kill(processes: Sequence["subprocess.Popen[bytes]"]) -> None:
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+def _kill_orphans(process_ids: set[int]) -> None:
+    """Kill processes that programs have left behind, unless they end within `ORPHANS_S`."""
+    assert sys.platform == "linux"
+    deadline = time.monotonic() + ORPHANS_S
+    while process_ids and time.monotonic() < deadline:
+        time.sleep(0.01)
+        process_ids = {process_id for process_id in process_ids if Path(f"/proc/{process_id}").exists()}
+    for orphan in process_ids:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.kill(orphan, signal.SIGKILL)
+
+
+@contextlib.contextmanager
+def _pin_to_one_processor() -> Generator[None, None, None]:
+    """Keep this thread and its programs on one processor: they run in turn, and migration is slow."""
+    assert sys.platform == "linux"
+    affinity = os.sched_getaffinity(0)
+    with contextlib.suppress(OSError):  # not allowed everywhere, and only faster
+        processor = Path("/proc/thread-self/stat").read_text().rpartition(")")[2].split()[36]
+        os.sched_setaffinity(0, {int(processor)})
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, affinity)
+
+
+def _write_configuration(folder: Path, robot_id: int) -> Path:
+    """Write the files of the robot's /etc that programs read; return the folder."""
+    for name in ("khepera", "libkhepera"):
+        (folder / name).mkdir(parents=True)
+    (folder / "khepera" / "robotid").write_text(f"{robot_id}\n")
+    (folder / "libkhepera" / "khepera4.knc").write_text(CONFIGURATION)
+    return folder
+
+
+@contextlib.contextmanager
+def _forward_signals(processes: Sequence["subprocess.Popen[bytes]"]) -> Generator[None, None, None]:
+    """Ignore SIGINT and forward SIGTERM to the programs."""
+
+    def forward(number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGTERM:
+            _terminate(processes)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = [(number, signal.signal(number, forward)) for number in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        yield
+    finally:
+        for number, handler in handlers:
+            signal.signal(number, handler)

@@ -1,0 +1,260 @@
+"""A Khepera IV of a world: readings of its sensors, and the server on its serial line.
+
+The stepping core runs it (`khepera4.core`). Its measurements are evaluated when a program, the server or a
+log reads them.
+"""
+
+from collections.abc import Callable
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import step
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL
+from khep_twin.errors import FaultError
+from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
+from khep_twin.robots.khepera4 import gauge, ultrasonic
+from khep_twin.robots.khepera4.channels import CHANNELS, ULTRASONIC_CODES
+from khep_twin.robots.khepera4.core import (
+    BURST,
+    ECHO,
+    INFRARED,
+    NONE,
+    PULSES_PER_TURN,
+    Khepera4State,
+    wheel_pulses,
+)
+from khep_twin.robots.khepera4.dspic import N_INFRARED, N_MEMORY, N_ULTRASONIC, Dspic
+from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS, PACKET_SIZE
+from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
+from khep_twin.robots.khepera4.registers import BATTERY_BYTES, DspicRegister
+from khep_twin.robots.khepera4.server import Kh4Server
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.number_reader import LARGEST
+from khep_twin.simulation.robot_arrays import Layout, Part, read
+from khep_twin.simulation.world_state import BoardState, RobotSnapshot
+from khep_twin.units import TICK_NS
+
+__all__ = ["PULSES_PER_TURN", "SAMPLED", "Khepera4Robot"]
+
+_CHANNEL_ENDS = [0, *accumulate(label.count(",") + 1 for label in CHANNELS.values())]
+
+SAMPLED = tuple(
+    SampledRegisters(name, label, range(start, end))
+    for (name, label), start, end in zip(CHANNELS.items(), _CHANNEL_ENDS, _CHANNEL_ENDS[1:], strict=False)
+)
+"""Channels of a log, consecutive in the robot's registers."""
+
+_MOTOR = (
+    Part("motor's position", 1, -(2**31), 2**31 - 1),
+    Part("motor's speed", 1),
+    Part("motor's pwm", 1, -PWM_LIMIT, PWM_LIMIT),
+    Part("motor's flag of a target", 1, 0, 1),
+    Part("motor's ramp", 1, -(2**15), 2**15),
+    Part("motor's wait", 1, 0, 255),
+    Part("motor's error", 1),
+    Part("motor's sum of errors", 1, -PWM_LIMIT * GAIN_SCALE, PWM_LIMIT * GAIN_SCALE),
+)
+
+LAYOUT = Layout(
+    "khepera4",
+    1,
+    {
+        "dspic.memory": [Part("byte of the registers", N_MEMORY, 0, 255)],
+        "dspic.motors": [*_MOTOR, *_MOTOR],
+        "dspic.counts": [Part("pulses of an encoder", 2)],
+        "dspic.powered": [Part("flag of the supply", 1, 0, 1)],
+        "inertial.values": [Part("inertial value", 6 * PACKET_SIZE, -COUNTS_LIMIT, COUNTS_LIMIT - 1)],
+        "inertial.lengths": [Part("length of an incomplete packet", 2, 0, PACKET_SIZE - 1)],
+        "inertial.n_rates": [Part("samples of the gyroscope", 1, 0, LARGEST // GYROSCOPE_NS)],
+        "inertial.velocity": [Part("velocity", 3)],
+        "gauge": [
+            Part("used charge", 1, 0, gauge.CAPACITY),
+            Part("sum of currents", 1),
+            Part("control periods of the sum", 1, 0, gauge.CURRENT_TICKS - 1),
+            Part("measured current", 2),
+        ],
+        "zeros": [Part("zero of an encoder", 2)],
+        "burst": [Part("last ultrasonic sensor", 1, NONE, N_ULTRASONIC - 1)],
+        "distances": [Part("distance", N_ULTRASONIC, 0, max(ULTRASONIC_CODES))],
+        "vehicle": [
+            Part("flag of the vehicle", 2, 0, 1),
+            Part("periods without motion", 1, 0),
+            Part("vehicle's position", 2, -(2**31), 2**31 - 1),
+        ],
+    },
+)
+"""State of the robot in snapshots, besides `_POSITIONS`."""
+
+_POSITIONS = "positions"
+"""Array of a snapshot with the positions of all joints at the last burst; empty without one."""
+
+_BATTERY_EMPTY = "the battery is empty: the robot stands still"
+
+
+class Khepera4Robot(Robot):
+    """A Khepera IV of a world.
+
+    Args:
+        context, index, indices, make_rng, settings: See `Robot`.
+
+    Attributes:
+        dspic: Its microcontroller.
+        registers: Values of `SAMPLED` at the last `refresh`.
+
+    Raises:
+        FaultError: A fault is not one of the line.
+    """
+
+    firmware: Kh4Server
+    sampled = SAMPLED
+
+    def __init__(
+        self,
+        context: WorldContext,
+        index: int,
+        indices: RobotIndices,
+        make_rng: Callable[..., np.random.Generator],
+        settings: RobotSettings,
+    ) -> None:
+        for fault in settings.faults:
+            if fault.device in (SENSOR, MOTOR, WHEEL):
+                raise FaultError(
+                    f"fault {fault.text!r}: robot {index} is a Khepera IV; expected a fault of its line"
+                )
+        self._state: Khepera4State = context.simulation.state_of(index)
+        self.dspic = Dspic(self._state.dspic)
+        firmware = Kh4Server(self.dspic, self._state.vehicle)
+        super().__init__(context, index, indices, firmware, make_rng, settings)
+        self.dspic.before_read = self._evaluate_pending
+        self.registers = np.zeros(_CHANNEL_ENDS[-1], np.int64)
+        self._record = context.simulation.record_of(index)
+        self._has_stopped = False
+
+    def act_after(self, reason: int) -> None:
+        """Update faults before a control period, and act after it if the stepping core has asked for it."""
+        time_ns = self._context.time_ns
+        if reason == step.Reason.STEPPED and time_ns % TICK_NS == 0:
+            changed_faults = self.faults.update(("",), time_ns)
+            if any(fault.kind == "brown-out" for fault in changed_faults):
+                self.reset_processor()
+        elif reason == step.Reason.TICKED and self.dspic.is_powered:
+            self.firmware.tick()
+        elif reason == step.Reason.TICKED and not self._has_stopped:
+            self._has_stopped = True
+            self.stop_processor()
+            self._context.on_event(self.index, _BATTERY_EMPTY)
+
+    def refresh(self) -> None:
+        """Update `registers` to the present."""
+        self.finish_measurements()
+        dspic, values = self.dspic, self.registers
+        motor_values = [number for numbers in dspic.motor_numbers for number in numbers]
+        battery = dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)  # voltage, current, charge, temperature
+        gauge_values = [
+            int.from_bytes(battery[i : i + 2], "little", signed=i in (4, 8)) for i in (10, 4, 1, 8)
+        ]
+        control = dspic.read(DspicRegister.CONTROL, 1)[0], dspic.read(DspicRegister.ON_TARGET, 1)[0]
+        values[:] = [
+            *dspic.words(DspicRegister.PROXIMITY, N_INFRARED),
+            *dspic.words(DspicRegister.AMBIENT, N_INFRARED),
+            *dspic.words(DspicRegister.ULTRASONIC, N_ULTRASONIC),
+            *motor_values,
+            *dspic.leds,
+            *dspic.newest_inertial,
+            *gauge_values,
+            *control,
+            dspic.ultrasonic_enabled,
+            dspic.read(DspicRegister.STATUS_LED, 1)[0],
+        ]
+
+    def state(self, since_ns: int = -1) -> RobotSnapshot:
+        """Return the state, with the replies that reach the host after a time [ns]."""
+        self.finish_measurements()
+        arrays, positions = LAYOUT.pack(self._record), b""
+        if self._state.burst[0] != NONE:
+            positions = self._burst_positions.tobytes()
+        return self._snapshot(
+            since_ns, LAYOUT, {**arrays, _POSITIONS: positions}, is_stopped=self._has_stopped
+        )
+
+    def set_state(self, state: RobotSnapshot) -> None:
+        """Restore a state."""
+        arrays, time_ns = dict(state.arrays), self._context.time_ns
+        positions = arrays.pop(_POSITIONS, b"")
+        LAYOUT.unpack(self._record, state.model, state.version, arrays)
+        if (count := self._state.inertial.n_rates[0]) > (expected := time_ns // GYROSCOPE_NS):
+            raise ValueError(f"inertial.n_rates = {count}; expected at most {expected}")
+        if (powered := int(self.dspic.is_powered)) == state.is_stopped:
+            raise ValueError(f"dspic.powered = {powered}; expected {1 - powered}")
+        self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
+        for moment in range(len(self._state.times)):
+            self._state.times[moment] = NONE
+        has_burst = self._state.burst[0] != NONE
+        part = Part("joint's position", len(self._context.data.qpos) if has_burst else 0)
+        numbers = read(_POSITIONS, positions, [part], is_float=True)
+        if has_burst:
+            self._burst_positions[:] = numbers
+            self._state.times[BURST] = time_ns // ultrasonic.PERIOD_NS * ultrasonic.PERIOD_NS
+        self._has_stopped = state.is_stopped
+        self._set_led_lights(state.leds)
+
+    def move_measurements(self, state: RobotSnapshot, qpos: NDArray[np.float64]) -> RobotSnapshot:
+        """Return a state whose last burst has the positions `qpos` of another scene."""
+        if not state.arrays[_POSITIONS]:
+            return state
+        return state._replace(arrays={**state.arrays, _POSITIONS: qpos.tobytes()})
+
+    def finish_measurements(self) -> None:
+        """Evaluate recorded measurements."""
+        self._evaluate_pending(0, DspicRegister.BATTERY)
+
+    def apply_faults(self) -> None:
+        """Do nothing: only the line has faults."""
+
+    @property
+    def lit_leds(self) -> list[int]:
+        """State of each LED in the registers, 0 for off."""
+        leds = self.dspic.leds
+        return [int(any(leds[start : start + 3])) for start in range(0, 9, 3)]
+
+    def reset_motion(self) -> None:
+        """Reset the dsPIC, and cut the motors' voltage."""
+        self.dspic.reset()
+        self.zero_encoders()
+        self._record["inertial"]["velocity"] = 0
+        self._context.data.ctrl[list(self.indices.motors)] = 0.0
+
+    def zero_encoders(self) -> None:
+        """Set the encoders to the wheels' current angles."""
+        self._record["zeros"] = [wheel_pulses(self._context.data.qpos[i]) for i in self.indices.wheel_qpos]
+        self._record["dspic"]["counts"] = 0
+
+    @property
+    def _burst_positions(self) -> NDArray[np.float64]:
+        """Positions of all joints at the last burst."""
+        row = self._context.moments.rows[self._state.first_moment + BURST]
+        return row[: len(self._context.data.qpos)]
+
+    def _evaluate_pending(self, first: int, end: int) -> None:
+        """Evaluate pending measurements of the registers from `first` to before `end`."""
+        times = self._state.times
+        if times[INFRARED] != NONE and end > DspicRegister.AMBIENT and first < DspicRegister.ULTRASONIC:
+            self._evaluate(INFRARED)
+        if end > DspicRegister.ULTRASONIC and first < DspicRegister.ULTRASONIC_ENABLED:
+            for moment in range(ECHO, ECHO + N_ULTRASONIC):
+                if times[moment] != NONE:
+                    self._evaluate(moment)
+            enabled_mask = self.dspic.ultrasonic_enabled
+            distances = self._state.distances
+            readings = [
+                distances[channel] if enabled_mask >> channel & 1 else ultrasonic.DISABLED
+                for channel in range(N_ULTRASONIC)
+            ]
+            self.dspic.set_words(DspicRegister.ULTRASONIC, readings)
+
+    def _evaluate(self, moment: int) -> None:
+        """Evaluate a moment of the robot."""
+        context, number = self._context, self._state.first_moment + moment
+        context.simulation.evaluate(self.index, moment, number, context.moments)

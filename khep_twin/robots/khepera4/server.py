@@ -1,0 +1,342 @@
+"""kh4server, the program on the Khepera IV that answers ASCII commands on a serial line (manual, chapter 6).
+
+    server = Kh4Server(Dspic())
+    reply = server.receive(b"D,100,100" + END)
+
+A command is a capital letter and numbers, separated by commas; the reply is the small letter and values. The
+published program is reproduced to the byte (library): a reply discards all input after its command; an A
+without argument 0, 1 or 2 stops the Braitenberg vehicle and is answered with an error; X sends 128 bytes, the
+readings from their second byte on. Uninitialized memory of the program is 0 here: missing numbers, the last
+byte of X's readings, and all bytes of X after the first 67. docs/khepera4.md lists the differences.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+
+from khep_twin.board.kernel import divide
+from khep_twin.board.protocol import LINE_END
+from khep_twin.board.turrets import Turret, TurretKind
+from khep_twin.firmware import FirmwareState
+from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
+from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
+from khep_twin.sensing.buffers import Vector
+
+BAUD = 115_200
+"""Speed of the serial line [baud] (manual, chapter 6)."""
+
+ANSWER_NS = 2_000_000
+"""Time from a command to its reply [ns]: that of some 60 bytes on the bus (assumed)."""
+
+END = b"\r\n"
+ERROR = b"$" + END
+"""Reply to an unknown command, or to a wrong number of values."""
+
+DEFAULT_PROFILE = (3, 0, 20, 1, 400)
+WANDERING_PROFILE = (10, 0, 20, 1, 400)
+"""Profiles of J: the default, and that of the Braitenberg vehicle."""
+
+MARGIN = 20
+"""Default position margin [pulses]."""
+
+LONGEST_LINE = 82
+"""Bytes of a command that are read; the rest of its line is discarded."""
+
+BINARY_BYTES = 128
+"""Length of X's reply, of which the first 67 bytes are meaningful."""
+
+LEFT_WEIGHTS, RIGHT_WEIGHTS = (2, 3, 4, -7, -4, -3, -2, 1), (-2, -3, -4, -9, 4, 3, 2, 1)
+FORWARD_SPEED, MIN_SPEED, TURN_SPEED = 200, 10, 120
+SATURATION, THRESHOLD, GAIN_DIVISOR = 500, 80, 3
+BLOCKED, N_STUCK, MOVED_PULSES = 250, 5, 4424
+"""Parameters of the vehicle: weights of the eight sensors; speed without obstacles, minimum speed, and speed
+of a turn in place [pulses/10 ms]; counts at which readings saturate, and below which they have no effect; the
+front reading above which it turns in place, after so many periods in which it moved less than 30 mm
+[pulses]."""
+
+WANDERING, _TURNING, _N_STILL, _LAST_LEFT, _LAST_RIGHT = range(5)
+"""Indices in the state of the vehicle: whether it drives, whether it turns in place, control periods without
+motion, and position at the last motion [pulses]."""
+N_VEHICLE = 5
+
+_FRONT = 3
+_PROGRAM = "kh4server"
+_INTEGER = re.compile(rb"\s*[+-]?\d+")
+
+
+class Kh4Server:
+    """The program on its serial line; it starts with the first bytes received.
+
+    Args:
+        dspic: Microcontroller that it controls.
+        vehicle: State of the vehicle (N_VEHICLE,).
+
+    Attributes:
+        baud: Speed of the line [baud].
+        reply_baud: Same as `baud`.
+        turrets: Always empty.
+        answer_ns: Time from a command to its reply [ns].
+    """
+
+    answer_ns = ANSWER_NS
+
+    def __init__(self, dspic: Dspic, vehicle: Vector[int] | None = None) -> None:
+        self._dspic = dspic
+        self._vehicle = [0] * N_VEHICLE if vehicle is None else vehicle
+        self.baud = self.reply_baud = BAUD
+        self.turrets: Mapping[TurretKind, Turret] = {}
+        self.forget()
+
+    def forget(self) -> None:
+        """End the program; it restarts with the next bytes."""
+        self._line = b""
+        self._is_running = False
+        for index in range(N_VEHICLE):
+            self._vehicle[index] = 0
+
+    def forget_line(self) -> None:
+        """Discard the incomplete line."""
+        self._line = b""
+
+    def reset(self) -> bytes:
+        """Reset robot and program; return its banner, which is empty."""
+        self._dspic.reset()
+        self.forget()
+        return b""
+
+    def baud_rate_hint(self, baud: int) -> str:
+        """Return a hint on how to match the baud rates of robot and host."""
+        return f"expected {BAUD} baud at the host, not {baud}"
+
+    @property
+    def powered(self) -> bool:
+        """True while the robot has power."""
+        return self._dspic.is_powered
+
+    def state(self) -> FirmwareState:
+        """Return the state without that of the vehicle."""
+        program = _PROGRAM if self._is_running else ""
+        return FirmwareState(self.baud, self.reply_baud, program, self._line, {})
+
+    def set_state(self, state: FirmwareState) -> None:
+        """Restore a state without that of the vehicle.
+
+        Raises:
+            ValueError: It is of another robot.
+        """
+        program = _PROGRAM if state.running else ""
+        if state._replace(partial_line=b"") != FirmwareState(BAUD, BAUD, program, b"", {}):
+            raise ValueError(
+                f"baud = {state.baud}, {state.reply_baud}, program {state.running!r}, turrets "
+                f"{sorted(state.turrets)}; expected {BAUD} baud, {_PROGRAM!r} or '', without turrets"
+            )
+        self._is_running = bool(state.running)
+        self._line = state.partial_line
+
+    def receive(self, data: bytes) -> bytes:
+        """Receive bytes; return the reply to the command that they complete, if any."""
+        if not self.powered:
+            return b""
+        if not self._is_running:
+            self._is_running = True
+            self._set_defaults()
+        self._line += data
+        while end := LINE_END.search(self._line):
+            line, self._line = self._line[: end.start()], self._line[end.end() :]
+            if line:
+                self._line = b""
+                return self._execute(line[:LONGEST_LINE])
+        self._line = self._line[:LONGEST_LINE]
+        return b""
+
+    def tick(self) -> None:
+        """Run the vehicle of A for a control period (assumed; the program loops as fast as it can)."""
+        vehicle = self._vehicle
+        if not vehicle[WANDERING]:
+            return
+        proximity, position = self._read_words(DspicRegister.PROXIMITY, 8), self._read_positions()
+        last_position = vehicle[_LAST_LEFT], vehicle[_LAST_RIGHT]
+        is_still = all(
+            abs(new - old) < MOVED_PULSES for new, old in zip(position, last_position, strict=True)
+        )
+        n_still = vehicle[_N_STILL] = vehicle[_N_STILL] + 1 if is_still else 0
+        is_stuck = n_still > N_STUCK
+        vehicle[_TURNING] = proximity[_FRONT] > BLOCKED and (vehicle[_TURNING] or is_stuck)
+        if vehicle[_TURNING]:
+            self._order_speeds((TURN_SPEED, -TURN_SPEED))
+            return
+        if is_stuck or not is_still:
+            vehicle[_N_STILL] = 0
+            vehicle[_LAST_LEFT], vehicle[_LAST_RIGHT] = position
+        sensor_inputs = [
+            0 if count < THRESHOLD else (min(count, SATURATION) - THRESHOLD) // 2 for count in proximity
+        ]
+        orders = [
+            divide(sum(map(int.__mul__, weights, sensor_inputs)), GAIN_DIVISOR) + FORWARD_SPEED
+            for weights in (LEFT_WEIGHTS, RIGHT_WEIGHTS)
+        ]
+        orders = [max(speed, MIN_SPEED) if speed >= 0 else min(speed, -MIN_SPEED) for speed in orders]
+        self._order_speeds(orders)
+
+    def _execute(self, line: bytes) -> bytes:
+        """Execute a command by its method, `_on_a` for A; return its reply, ERROR if that returns None."""
+        fields = [field for field in line[2:].split(b",") if field]
+        values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
+        letter = line[:1].decode("latin-1")
+        handler = getattr(self, f"_on_{letter.lower()}", None) if "A" <= letter <= "Z" else None
+        reply = None if handler is None else handler(values)
+        if reply is None:
+            return ERROR
+        if isinstance(reply, bytes):
+            return reply
+        return ",".join([letter.lower(), *map(str, reply)]).encode() + END
+
+    def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
+        if values not in ([0], [1]):
+            if self._vehicle[WANDERING]:
+                self._order_speeds((0, 0))
+                self._set_control(Control.IDLE)
+                self._set_profile(DEFAULT_PROFILE)
+            self._vehicle[WANDERING] = 0
+            return () if values == [2] else None
+        self._set_profile(WANDERING_PROFILE)
+        self._set_control(Control.SPEED_PROFILE)
+        for index, value in enumerate((1, 0, 0, *self._read_positions())):
+            self._vehicle[index] = value
+        return ()
+
+    def _on_b(self, values: Sequence[int]) -> Sequence[object]:
+        revision = self._dspic.read(DspicRegister.REVISION, 1)[0]
+        return chr((revision >> 4) + ord("A")), revision & 0x0F
+
+    def _on_d(self, values: Sequence[int]) -> Sequence[int]:
+        self._set_control(Control.SPEED)
+        return self._write(DspicRegister.SPEED_ORDER_LEFT, _pad_values(values, 2))
+
+    def _on_e(self, values: Sequence[int]) -> Sequence[int]:
+        return self._read_words(DspicRegister.SPEED_LEFT, 2, signed=True)
+
+    def _on_f(self, values: Sequence[int]) -> Sequence[int]:
+        self._set_control(Control.POSITION)
+        return self._write(DspicRegister.POSITION_ORDER_LEFT, _pad_values(values, 2), size=4)
+
+    def _on_g(self, values: Sequence[int]) -> Sequence[int]:
+        return self._read_words(DspicRegister.ULTRASONIC, N_ULTRASONIC)
+
+    def _on_h(self, values: Sequence[int]) -> Sequence[int]:
+        return self._write(DspicRegister.KP, _pad_values(values, 3), size=1)
+
+    def _on_i(self, values: Sequence[int]) -> Sequence[int]:
+        return self._write(DspicRegister.RESET_ENCODERS, [0], size=1)
+
+    def _on_j(self, values: Sequence[int]) -> Sequence[int]:
+        return self._set_profile(_pad_values(values, 5))
+
+    def _on_k(self, values: Sequence[int]) -> Sequence[int] | None:
+        if len(values) != 9:
+            return None
+        return self._write(DspicRegister.LEDS, [value & 0x3F for value in values], size=1)
+
+    def _on_l(self, values: Sequence[int]) -> Sequence[int]:
+        self._set_control(Control.OPEN_LOOP)
+        return self._write(DspicRegister.PWM_ORDER_LEFT, _pad_values(values, 2))
+
+    def _on_m(self, values: Sequence[int]) -> Sequence[int]:
+        self._set_defaults()
+        return ()
+
+    def _on_n(self, values: Sequence[int]) -> Sequence[int]:
+        return self._read_words(DspicRegister.PROXIMITY, N_INFRARED)
+
+    def _on_o(self, values: Sequence[int]) -> Sequence[int]:
+        return self._read_words(DspicRegister.AMBIENT, N_INFRARED)
+
+    def _on_p(self, values: Sequence[int]) -> Sequence[int]:
+        return self._write(DspicRegister.POSITION_MARGIN, _pad_values(values, 1))
+
+    def _on_r(self, values: Sequence[int]) -> Sequence[int]:
+        return self._read_positions()
+
+    def _on_s(self, values: Sequence[int]) -> Sequence[int]:
+        return self._read_words(DspicRegister.GYROSCOPE, 30, signed=True)
+
+    def _on_t(self, values: Sequence[int]) -> Sequence[int]:
+        return self._read_words(DspicRegister.ACCELEROMETER, 30, signed=True)
+
+    def _on_u(self, values: Sequence[int]) -> Sequence[int]:
+        return self._write(DspicRegister.ULTRASONIC_ENABLED, _pad_values(values, 1), size=1)
+
+    def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
+        """Return one value of the battery, by its kind: 0 voltage [mV] to 7 status of the gauge."""
+        if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
+            return None
+        block = self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)
+        current, average, temperature = (_decode_signed(block[offset : offset + 2]) for offset in (4, 6, 8))
+        voltage = int.from_bytes(block[10:12], "little")
+        values_by_kind: Sequence[object] = (
+            f"{voltage * 9.76:.0f}",
+            f"{current * 0.07813:.0f}",
+            f"{average * 0.07813:.0f}",
+            f"{int.from_bytes(block[1:3], 'little') * 1.6:.0f}",
+            f"{temperature * 0.003906:.1f}",
+            block[3],
+            0,  # the charger is never plugged in
+            block[0],
+        )
+        return [values_by_kind[kind]]
+
+    def _on_x(self, values: Sequence[int]) -> bytes:
+        readings = [
+            self._dspic.read(register, 2 * N_INFRARED)[1:] + b"\0"
+            for register in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
+        ]
+        motors = (*self._read_words(DspicRegister.SPEED_LEFT, 2, signed=True), *self._read_positions())
+        reply = b"".join([b"x", *readings, *(value.to_bytes(4, "little", signed=True) for value in motors)])
+        return (reply + b"\n\r").ljust(BINARY_BYTES, b"\0")
+
+    def _on_z(self, values: Sequence[int]) -> Sequence[int]:
+        self._dspic.reset()
+        return ()
+
+    def _set_defaults(self) -> None:
+        """Set the default settings of the motors."""
+        self._write(DspicRegister.POSITION_MARGIN, [MARGIN])
+        self._write(DspicRegister.KP, (10, 5, 1), size=1)
+        self._set_profile(DEFAULT_PROFILE)
+        self._set_control(Control.IDLE)
+
+    def _set_profile(self, profile: Sequence[int]) -> Sequence[int]:
+        self._write(DspicRegister.ACCELERATION, profile[:4], size=1)
+        return self._write(DspicRegister.POSITION_SPEED, profile[4:])
+
+    def _order_speeds(self, orders: Sequence[int]) -> None:
+        """Order speeds; in open-loop control the library uses them as PWM."""
+        is_open = self._dspic.read(DspicRegister.CONTROL, 1)[0] == Control.OPEN_LOOP
+        self._write(DspicRegister.PWM_ORDER_LEFT if is_open else DspicRegister.SPEED_ORDER_LEFT, orders)
+
+    def _set_control(self, control: Control) -> None:
+        self._write(DspicRegister.CONTROL, [control], size=1)
+
+    def _write(self, register: DspicRegister, values: Sequence[int], size: int = 2) -> Sequence[int]:
+        """Write numbers of `size` bytes, truncated as in C; return the values of an empty reply."""
+        mask = (1 << 8 * size) - 1
+        self._dspic.write(bytes([register]) + b"".join((v & mask).to_bytes(size, "little") for v in values))
+        return ()
+
+    def _read_words(self, register: DspicRegister, count: int, *, signed: bool = False) -> tuple[int, ...]:
+        """Return numbers of two bytes."""
+        content = self._dspic.read(register, 2 * count)
+        pairs = (content[offset : offset + 2] for offset in range(0, 2 * count, 2))
+        return tuple(int.from_bytes(pair, "little", signed=signed) for pair in pairs)
+
+    def _read_positions(self) -> tuple[int, int]:
+        content = self._dspic.read(DspicRegister.POSITION_LEFT, 8)
+        return _decode_signed(content[:4]), _decode_signed(content[4:])
+
+
+def _pad_values(values: Sequence[int], count: int) -> list[int]:
+    """Return the first `count` values, 0 for missing ones."""
+    return [*values, *[0] * count][:count]
+
+
+def _decode_signed(content: bytes) -> int:
+    return int.from_bytes(content, "little", signed=True)

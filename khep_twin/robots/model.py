@@ -1,0 +1,180 @@
+"""Contract of a model of robot: the data that other packages ask for, and references to its code.
+
+This module knows no model. A package registers its models under the entry point "khep_twin.robots":
+
+    [project.entry-points."khep_twin.robots"]
+    toy = "toy_robot.model:TOY"
+
+`parts` names the code that acts, as "module:attribute", which is imported on its first use:
+
+    core            `khep_twin.robot_core.Core`: what the stepping core runs
+    robot           subclass of `khep_twin.robot.Robot`: the robot of a world
+    host            subclass of `khep_twin.host.HostRobot`: the robot at the other end of a line
+    conformance     `khep_twin.lab.conformance.port.conform.Checks`: checks at a port
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from importlib.metadata import EntryPoint
+from typing import NamedTuple, TypeVar, cast
+
+from khep_twin.board.rom import Rom
+from khep_twin.errors import RobotModelError
+from khep_twin.robots.body import Body
+
+GROUP = "khep_twin.robots"
+"""Entry point under which packages register their models."""
+
+Columns = tuple[tuple[str, str], ...]
+"""Name and unit of each column of a channel."""
+
+Base = TypeVar("Base")
+
+
+class Feature(StrEnum):
+    """Use of a robot that not every model has; the value is its purpose in messages."""
+
+    TURRETS = "turrets"
+    EPISODES = "an episode"
+    FIT = "a fit"
+    PROGRAMS = "programs of the page"
+    SHADOW = "the shadow"
+    RECORDING_CHECKS = "the checks of a recording"
+
+
+class Dialect(NamedTuple):
+    """Protocol of a family of robots, as the line needs it.
+
+    Attributes:
+        robot_name: Family of robots, for messages.
+        host_class: Name of the host class for it.
+        versions_reply: Pattern of the reply to B.
+        probe_letters: Reads that resynchronize the line.
+        stop_requests: Requests that stop the motors, one after the other.
+        moving: Prefixes of requests that move the robot.
+        baud: Usual baud rate.
+    """
+
+    robot_name: str
+    host_class: str
+    versions_reply: re.Pattern[str]
+    probe_letters: str
+    stop_requests: tuple[str, ...]
+    moving: tuple[str, ...]
+    baud: int
+
+    def may_move(self, request: str) -> bool:
+        """Return whether a request may move the robot."""
+        return request not in self.stop_requests and request.lstrip().startswith(self.moving)
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """Kind of bar of a panel.
+
+    Attributes:
+        full: Value that fills the bar.
+        legend: Entry in the legend.
+        lowest: Smallest part; below 0 if negative values fill the bar downwards.
+    """
+
+    full: int
+    legend: str
+    lowest: float = 0.0
+
+    def filled_part(self, value: float) -> float:
+        """Return the part of the bar that a value fills, at most 1."""
+        return min(max(value / self.full, self.lowest), 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotModel:
+    """A model of robot.
+
+    Attributes:
+        name: Name in playpen files.
+        family: Name of the models with the same protocol, sensors and channels.
+        title: Name for readers, e.g. "Khepera IV".
+        body: Body.
+        calibration: Usual calibration: a shipped name, or the path of a file.
+        roms: Versions of its firmware by name, the default first.
+        channels: Columns of its channels in a log, by the name of the channel, in the order of a table.
+        bars: Bars of its panel: proximity [counts], light [counts] and speed [register].
+        dialect: Protocol on its line.
+        parts: References to its code, see the module.
+        features: Uses that it supports.
+        plots: Titles of further plots, by channel.
+        rgb_leds: Names of LEDs whose red, green and blue are in the channel "leds", 0 to 63.
+        environments: Gymnasium's tasks, and the environment of each as "module:class".
+        commands: Further commands of `khep-twin`, functions for Typer as "module:function".
+    """
+
+    name: str
+    family: str
+    title: str
+    body: Body
+    calibration: str
+    roms: Mapping[str, Rom]
+    channels: Mapping[str, Columns]
+    bars: Mapping[str, Bar]
+    dialect: Dialect
+    parts: Mapping[str, str]
+    features: frozenset[Feature] = frozenset()
+    plots: Mapping[str, str] = field(default_factory=dict[str, str])
+    rgb_leds: tuple[str, ...] = ()
+    environments: Mapping[str, str] = field(default_factory=dict[str, str])
+    commands: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def load(self, part: str, kind: type[Base]) -> Base:
+        """Return a part that is an instance of `kind`.
+
+        Raises:
+            RobotModelError: The model has no such part, or another object.
+        """
+        if not isinstance(value := self._load_part(part), kind):
+            raise self._part_error(part, value, f"a {kind.__name__}")
+        return value
+
+    def load_class(self, part: str, base: type[Base]) -> type[Base]:
+        """Return a part that is a subclass of `base`.
+
+        Raises:
+            RobotModelError: The model has no such part, or another object.
+        """
+        value = self._load_part(part)
+        if isinstance(value, type) and issubclass(cast(type[object], value), base):
+            return value
+        raise self._part_error(part, cast(object, value), f"a subclass of {base.__name__}")
+
+    def load_command(self, name: str) -> Callable[..., None]:
+        """Return the function of a command.
+
+        Raises:
+            RobotModelError: It cannot be loaded.
+        """
+        return cast(Callable[..., None], self._load(self.commands[name]))
+
+    def _load_part(self, part: str) -> object:
+        """Import a part."""
+        if part not in self.parts:
+            raise RobotModelError(f"model {self.name}: no part {part!r}; expected it among its parts")
+        return self._load(self.parts[part])
+
+    def _load(self, reference: str) -> object:
+        """Import an object by its reference."""
+        try:
+            value: object = EntryPoint(self.name, reference, GROUP).load()
+        except (ImportError, AttributeError) as error:
+            raise RobotModelError(f"model {self.name}: {reference} cannot be loaded: {error}") from error
+        return value
+
+    def _part_error(self, part: str, value: object, expected: str) -> RobotModelError:
+        return RobotModelError(f"model {self.name}: part {part} is {value!r}; expected {expected}")
+
+
+def parse_columns(channel: str, label: str) -> Columns:
+    """Return the columns of a channel from the label of its numbers: "left, right [unit]"."""
+    names, _, unit = label.removesuffix("]").partition(" [")
+    return tuple((f"{channel}_{name.replace(' ', '_')}".lower(), unit) for name in names.split(", "))
