@@ -1,22 +1,26 @@
 """A robot of a world, of any model: its board on a serial line, and its body in the physics."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import accumulate, pairwise
 from typing import NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.fault_injection import Fault, Injector
+from khep_twin import step
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
 from khep_twin.board.turrets import TurretBody
+from khep_twin.errors import FaultError
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.robot_arrays import Layout
 from khep_twin.simulation.turret_place import TurretWorld
 from khep_twin.simulation.wired_board import BoardFirmware, LineWorld, WiredBoard
-from khep_twin.simulation.world_state import RobotSnapshot
+from khep_twin.simulation.world_state import BoardState, RobotSnapshot
+from khep_twin.units import TICK_NS
 
 
 class WorldContext(TurretWorld, LineWorld, Protocol):
@@ -59,6 +63,13 @@ class SampledRegisters(NamedTuple):
     registers: Sequence[int]
 
 
+def consecutive_registers(labels: Mapping[str, str]) -> tuple[SampledRegisters, ...]:
+    """Return the channels of consecutive registers from the labels of the channels."""
+    ends = accumulate((label.count(",") + 1 for label in labels.values()), initial=0)
+    parts = zip(labels.items(), pairwise(ends), strict=True)
+    return tuple(SampledRegisters(name, label, range(*part)) for (name, label), part in parts)
+
+
 class Robot(WiredBoard, ABC):
     """A robot of a world: its board, its line and its body in the physics.
 
@@ -84,6 +95,10 @@ class Robot(WiredBoard, ABC):
 
     registers: NDArray[np.int64]
     sampled: Sequence[SampledRegisters] = ()
+    layout: Layout
+    """Layout of its state in snapshots."""
+    fault_devices: tuple[str, ...] = ()
+    """Devices that may have faults, besides the line and the processor."""
 
     def __init__(
         self,
@@ -94,6 +109,12 @@ class Robot(WiredBoard, ABC):
         make_rng: Callable[..., np.random.Generator],
         settings: RobotSettings,
     ) -> None:
+        title = context.playpen.robots[index].robot_model.title
+        for fault in settings.faults:
+            if fault.device in (SENSOR, MOTOR, WHEEL) and fault.device not in self.fault_devices:
+                raise FaultError(
+                    f"fault {fault.text!r}: robot {index} is a {title}; expected a fault of its line"
+                )
         super().__init__(
             context,
             index,
@@ -105,6 +126,8 @@ class Robot(WiredBoard, ABC):
         self.name = f"khepera{index}"
         self.indices = indices
         self._context = context
+        self._record = context.simulation.record_of(index)
+        self._has_stopped = False
         self.turret_bodies: dict[str, TurretBody] = {}
         model: mujoco.MjModel = context.model
         positions = [model.body_pos[light] for light in indices.led_lights]
@@ -154,40 +177,43 @@ class Robot(WiredBoard, ABC):
         """Replace the random streams."""
         self.reseed_line(make_rng)
 
-    @abstractmethod
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""
-
-    def _snapshot(
-        self, since_ns: int, layout: Layout, arrays: dict[str, bytes], *, is_stopped: bool
-    ) -> RobotSnapshot:
-        """Return the state with the arrays of a layout."""
         return RobotSnapshot(
             **self.board_state(since_ns)._asdict(),
-            model=layout.model,
-            version=layout.version,
-            arrays=arrays,
-            is_stopped=is_stopped,
+            model=self.layout.model,
+            version=self.layout.version,
+            arrays=self.layout.pack(self._record),
+            is_stopped=self._has_stopped,
             leds=tuple(self._shown_leds),
         )
 
-    @abstractmethod
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state.
 
         Raises:
             ValueError: The state is of another robot model or another line.
         """
+        self.layout.unpack(self._record, state.model, state.version, state.arrays)
+        self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
+        self._has_stopped = state.is_stopped
+        self._set_led_lights(state.leds)
 
     def move_measurements(self, state: RobotSnapshot, qpos: NDArray[np.float64]) -> RobotSnapshot:
         """Return a state whose measurements in progress have the positions `qpos` of another scene."""
         return state
 
-    @abstractmethod
     def act_after(self, reason: int) -> None:
-        """React to the reason for which the stepping core has returned, a `step.Reason`."""
+        """React to the reason for which the stepping core has returned, a `step.Reason`.
 
-    @abstractmethod
+        By default, update the faults of the line before a control period.
+        """
+        time_ns = self._context.time_ns
+        if reason == step.Reason.STEPPED and time_ns % TICK_NS == 0:
+            changed_faults = self.faults.update(("",), time_ns)
+            if any(fault.kind == "brown-out" for fault in changed_faults):
+                self.reset_processor()
+
     def apply_faults(self) -> None:
         """Apply the active faults to the robot; without faults, restore it."""
 
@@ -200,9 +226,9 @@ class Robot(WiredBoard, ABC):
         """Set the encoders to the wheels' current angles."""
 
     @property
-    @abstractmethod
     def lit_leds(self) -> list[int]:
         """State of each LED in the registers, 0 for off."""
+        return []
 
     @property
     def leds_differ(self) -> bool:

@@ -8,13 +8,31 @@ choose them by the class of the robot's state: in plain code by a table, in comp
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from khep_twin.compilable import compilable
 from khep_twin.robots.model import RobotModel
+
+
+@compilable
+def _start_at_once(robot: Any, simulated: Any, inputs: Any) -> bool:
+    """Do nothing, as the state before the start is that of a run."""
+    return False
+
+
+@compilable
+def _measure_no_supply(robot: Any, simulated: Any, time_ns: int) -> bool:
+    """Do nothing, as the supply is constant."""
+    return False
+
+
+@compilable
+def _evaluate_nothing(robot: Any, simulated: Any, inputs: Any, part: int) -> None:
+    """Do nothing, as no measurement is recorded."""
 
 
 class Core(NamedTuple):
     """Core of a model.
 
-    The functions from `sense` to `evaluate` are `compilable`; their arguments are those of the function of
+    All functions but `make_state` and `scan` are `compilable`; their arguments are those of the function of
     the same name in this module.
 
     Attributes:
@@ -24,28 +42,28 @@ class Core(NamedTuple):
         make_state: Function that returns the state before a start, for a model, indices of the robot, its
             calibration, its entry of the playpen, and the number of its first moment.
         changing: Fields of the state that change during a run.
-        n_moments: Number of moments that the robot records for later measurements, see `scene.save_moment`.
         modules: Names of the modules that are compiled for it.
         sense: Runs the sensors in a step.
         tick: Runs the control period of 10 ms.
-        measure_supply: Measures the supply.
-        start: Starts the run, after the scan before time 0.
-        evaluate: Evaluates a recorded measurement.
         scan: Measures with all sensors now; always plain.
+        start: Starts the run, after the scan before time 0; by default it does nothing.
+        measure_supply: Measures the supply; by default it is constant.
+        evaluate: Evaluates a recorded measurement.
+        n_moments: Number of moments that the robot records for later measurements, see `scene.save_moment`.
     """
 
     name: str
     state: type[Any]
     make_state: Callable[..., Any]
     changing: tuple[str, ...]
-    n_moments: int
     modules: tuple[str, ...]
     sense: Callable[..., None]
     tick: Callable[..., bool]
-    measure_supply: Callable[..., bool]
-    start: Callable[..., bool]
-    evaluate: Callable[..., None]
     scan: Callable[..., None]
+    start: Callable[..., bool] = _start_at_once
+    measure_supply: Callable[..., bool] = _measure_no_supply
+    evaluate: Callable[..., None] = _evaluate_nothing
+    n_moments: int = 0
 
 
 CORES: dict[type[Any], Core] = {}

@@ -17,7 +17,6 @@ import mujoco
 
 from khep_twin import units
 from khep_twin.board.turrets import find_turrets, mount_heights
-from khep_twin.errors import CalibrationError
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.body import Body
 from khep_twin.sensing import calibration
@@ -54,11 +53,7 @@ def add_robot(
     """
     child = mujoco.MjSpec.from_file(str(ASSETS / robot.body.scene))
     controls = _remove_keyframes(child)
-    measured = calibration.read(robot.calibration)[0]
-    if (measured.ground is not None) != bool(robot.body.ground_positions):
-        message = f'{robot.calibration}: of another robot than model = "{robot.model}"'
-        expectation = "with" if measured.ground is None else "without"
-        raise CalibrationError(f"{message}; expected a calibration {expectation} sensors of the ground")
+    measured = calibration.read_for(robot.calibration, robot.robot_model)
     _fit_body(child, robot.body)
     _fit_wheels(child, measured.wheels)
     _fit_motors(child, measured.motors)
@@ -130,8 +125,8 @@ def _fit_body(robot: mujoco.MjSpec, body: Body) -> None:
     for name, side in (("front_support", 1), ("back_support", -1)):
         support = robot.geom(name)
         support.pos = [side * body.support_position, 0, support.pos[2]]
-    for sensor, (x, y) in zip(units.Sensor, body.sensor_positions, strict=True):
-        robot.camera(sensor.key).pos = [x, y, body.sensor_height]
+    for camera, (x, y) in zip(body.cameras, body.sensor_positions, strict=False):
+        robot.camera(camera).pos = [x, y, body.sensor_height]
     base, mass = robot.body("base"), body.mass - 2 * units.WHEEL_MASS
     base.mass = mass
     across = mass * (3 * body.radius**2 + units.BODY_HEIGHT**2) / 12

@@ -21,15 +21,22 @@ import math
 import mujoco
 
 from khep_twin.sensing import lobes
+from khep_twin.sensing.ambient import ambient_optics
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.mujoco_scene import visible_geoms
 from khep_twin.sensing.optics import NEGLIGIBLE
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.robot_sensors import Proximity
+from khep_twin.sensing.robot_sensors import Proximity, RobotSensors
 from khep_twin.sensing.seen_surfaces import N_COLUMNS, N_SURFACES
 
 _RANGE = 1.5
 """Range of a sensor, in distances at which an endless wall gives as much light as the threshold."""
+
+
+def robot_sensors(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> RobotSensors:
+    """Return the infrared sensors of a robot in a scene."""
+    optics = proximity_optics(model, robot, calibration), ambient_optics(calibration.ambient)
+    return RobotSensors(robot.base, list(robot.cameras), *optics)
 
 
 def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> Proximity:

@@ -24,6 +24,7 @@ FOLLOWED = {
     "tutorial.md": "test_tutorial.py",
     "challenges.md": "test_lessons.py",
     "turrets.md": "test_turrets_page.py",
+    "robots.md": "robots/test_robots_page.py",
 }
 """Pages that another test follows whole."""
 

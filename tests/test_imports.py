@@ -22,6 +22,7 @@ ORDER = [
     ["playpen"],
     ["sensing"],
     ["firmware", "sensors", "robot_to_mjcf"],
+    ["robots.line_server"],
     ["playpen_to_mjcf", "robot_core"],
     ["step"],
     ["robots.khepera.core"],

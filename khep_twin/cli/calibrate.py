@@ -71,9 +71,10 @@ def calibrate(
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.lab.fit.session import CalibrationSession
     from khep_twin.lab.fit.session_steps import WALLS_MM, steps
+    from khep_twin.robots.registry import default_model
     from khep_twin.sensing import calibration
 
-    ruler, initial = Ruler(ruler_mm, bearing_deg), calibration.read(start)[0]
+    ruler, initial = Ruler(ruler_mm, bearing_deg), calibration.read_for(start, default_model())
     check_outputs([], start, output, picture, force)
     plan = steps(WALLS_MM if walls is None else _parse_distances(walls), cylinder, lamp, lamp_height)
     session = CalibrationSession(folder or output.with_name(f"{output.stem}-session"))

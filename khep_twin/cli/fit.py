@@ -75,6 +75,7 @@ def fit(
     """
     from khep_twin.lab.fit.fit_inputs import fit_inputs
     from khep_twin.lab.fit.placement import Ruler
+    from khep_twin.robots.registry import default_model
     from khep_twin.sensing import calibration
 
     if shadow_log is not None:
@@ -90,7 +91,8 @@ def fit(
     if picture is not None and not (data.objects or data.lamps or data.motors):
         expected = "expected also a sensor test or steps of duty"
         raise FitError(f"{picture}: measured drives give no picture; {expected}")
-    fit_and_write(data, check_data, calibration.read(start)[0], ruler, output, picture, len(tests), force)
+    initial = calibration.read_for(start, default_model())
+    fit_and_write(data, check_data, initial, ruler, output, picture, len(tests), force)
 
 
 def _fit_from_shadow(path: Path, playpen: str | None, output: Path | None, force: bool) -> None:

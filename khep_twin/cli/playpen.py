@@ -50,7 +50,7 @@ def check(playpen: PlaypenName) -> None:
     loaded_playpen = Playpen.load(playpen)
     for index, robot in enumerate(loaded_playpen.robots, 1):
         try:
-            calibration.read(robot.calibration)
+            calibration.read_for(robot.calibration, robot.robot_model)
         except CalibrationError as error:
             raise CalibrationError(f"{playpen}: robot {index}: calibration = {error}") from None
     plurals = {kind: f"{kind}s" for kind in loaded_playpen.tables} | {"patch": "patches"}

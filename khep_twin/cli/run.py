@@ -173,7 +173,7 @@ def run(
                 watch(twin)
 
             robot_source, settings = _open_twins(
-                stack, playpen, options, series.start or [], plan.runs, on_start
+                stack, program, playpen, options, series.start or [], plan.runs, on_start
             )
         settings |= {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
@@ -255,6 +255,7 @@ def _run_series(
 
 def _open_twins(
     stack: ExitStack,
+    program: "AnyController",
     playpen: "Playpen",
     options: "TwinOptions",
     start_specs: Sequence[str],
@@ -262,23 +263,29 @@ def _open_twins(
     on_start: "Callable[[Twin, int | None], None]",
 ) -> "tuple[RobotSource, dict[str, Any]]":
     """Return twins in this process and their settings: one for all runs, or one per run with starts."""
-    from khep_twin.host import Khepera
+    from khep_twin.host.host_robot import open_robot
+    from khep_twin.lab.experiment.periodic_controllers import needs_khepera
     from khep_twin.lab.experiment.series import FreshTwins, OneRobot
     from khep_twin.lab.experiment.start_poses import starts
     from khep_twin.log.run_description import versions
     from khep_twin.playpen import dump
+    from khep_twin.playpen.checks import require_feature
     from khep_twin.ports.protocol_khep import Serial
     from khep_twin.ports.twin import equip_playpen, open_twin
+    from khep_twin.robots.model import Feature
 
     playpen, robot_indices = equip_playpen(playpen, options)
+    if needs_khepera(program):
+        require_feature(playpen, Feature.CONTROLLERS, robot_indices)
     note_firmware_only(options.rom, (playpen.robots[index] for index in robot_indices))
     values = {key: value for key, value in asdict(options).items() if key != "log"}
     settings: dict[str, Any] = {**values, "playpen": dump(playpen), "starts": start_specs, **versions()}
     if start_specs:
         start_poses = starts(start_specs, playpen, options.robot or 0, runs, options.seed)
         return FreshTwins(playpen, options, start_poses, on_start), settings
-    khepera = Khepera(Serial.of(open_twin(playpen, options), timeout=1.0))
-    return OneRobot(stack.enter_context(khepera), lambda twin: on_start(twin, None)), settings
+    model = playpen.robots[robot_indices[0]].robot_model
+    robot = open_robot(model, Serial.of(open_twin(playpen, options), timeout=1.0))
+    return OneRobot(stack.enter_context(robot), lambda twin: on_start(twin, None)), settings
 
 
 def _confirm(number: int, stop: Callable[[], bool]) -> None:

@@ -16,7 +16,7 @@ from khep_twin.robots.model import Dialect, RobotModel
 Value = TypeVar("Value")
 
 
-def open_robot(model: RobotModel, url: StrPath, **options: Any) -> "HostRobot":
+def open_robot(model: RobotModel, url: StrPath | serial.SerialBase, **options: Any) -> "HostRobot":
     """Open the robot of a model at a port; options are those of the model's host class."""
     host_class: Callable[..., HostRobot] = model.load_class("host", HostRobot)
     return host_class(url, **options)

@@ -13,6 +13,7 @@ import serial
 from khep_twin.errors import PORT_FAILURES, PortError, PortInUse, PortTimeout
 from khep_twin.invocation import command
 from khep_twin.ports.service_registry import served_ports
+from khep_twin.robots.registry import installed_families
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
 """Baud rates of the robots' running modes, in the order of the search (appendix E; manual II)."""
@@ -25,9 +26,6 @@ VARIABLE = "KHEP_PORT_"
 
 _REPLY_TIMEOUT_S = 0.3
 """Wait for a reply at each baud rate [s]; the reply to B takes 0.03 s at 9600 baud."""
-
-_VERSIONS = re.compile(rb"b,([0-9][0-9.]*,[0-9][0-9.]*|[A-P],[0-9]+)\r?\n$")
-"""Replies to B of a Khepera, and of a Khepera IV."""
 
 
 def resolve_port(port: str) -> str:
@@ -118,6 +116,7 @@ def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -
 
 def _has_valid_reply(port: serial.Serial, clock: Callable[[], float]) -> bool:
     # A twin in this process warns of a wrong baud rate, but replies.
+    patterns = [model.dialect.versions_reply for model in installed_families().values()]
     with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always")
         port.reset_input_buffer()
@@ -126,7 +125,8 @@ def _has_valid_reply(port: serial.Serial, clock: Callable[[], float]) -> bool:
         end = clock() + _REPLY_TIMEOUT_S
         is_answered = False
         while not is_answered and clock() <= end and (line := port.read_until(b"\n", None)):
-            is_answered = _VERSIONS.search(line) is not None
+            reply = line[max(line.find(b"b,"), 0) :].decode("latin-1").rstrip("\r\n")
+            is_answered = line.endswith(b"\n") and any(pattern.fullmatch(reply) for pattern in patterns)
     return is_answered and not caught_warnings
 
 

@@ -39,8 +39,8 @@ def name_columns(name: str, count: int, model: RobotModel, *, is_mixed: bool) ->
 
 def order_channels(names: set[str]) -> list[str]:
     """Return the names of channels in the order of a table."""
-    known = dict.fromkeys(name for model in installed_families().values() for name in model.channels)
-    known_names = [name for name in known if name not in _LAST_CHANNELS]
+    channel_names = dict.fromkeys(name for model in installed_families().values() for name in model.channels)
+    known_names = [name for name in channel_names if name not in _LAST_CHANNELS]
     order = [*known_names, *sorted(names - {*known_names, *_LAST_CHANNELS}), *_LAST_CHANNELS]
     return [name for name in order if name in names]
 

@@ -1,6 +1,6 @@
 """Checks across a playpen's parts: surfaces exist, robots are consistent, and no parts collide."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import cast
 
@@ -62,10 +62,10 @@ def playpen_problems(
     )
 
 
-def require_feature(playpen: PlaypenTables, feature: Feature) -> None:
-    """Raise a `PlaypenError` where the model of a robot does not support a use."""
+def require_feature(playpen: PlaypenTables, feature: Feature, indices: Container[int] | None = None) -> None:
+    """Raise a `PlaypenError` where the model of a robot, or of one of these, does not support a use."""
     for number, robot in enumerate(playpen.robots, 1):
-        if feature not in robot.robot_model.features:
+        if (indices is None or number - 1 in indices) and feature not in robot.robot_model.features:
             robot_text = f"{playpen.name}: robot {number}: model = {robot.model!r}"
             raise PlaypenError(f"{robot_text}; expected {titles_with(feature)} for {feature.value}")
 

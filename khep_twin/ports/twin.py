@@ -20,6 +20,7 @@ from khep_twin.playpen.checks import find_unfit_keys, playpen_problems
 from khep_twin.playpen.parts import model_defaults
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.robot import Robot
+from khep_twin.robots.model import RobotModel
 from khep_twin.robots.registry import installed_models, installed_roms
 from khep_twin.world import World
 
@@ -110,6 +111,11 @@ class Twin:
         self.options = options
         self.recorder: Recorder | None = None
         self.views: list[WorldRecorder] = []
+
+    @property
+    def robot_model(self) -> RobotModel:
+        """Model of the first robot on the line."""
+        return self.world.playpen.robots[self.robot.index].robot_model
 
     def __enter__(self) -> Self:
         return self

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Sonar:
+class SonarRing:
     """Ultrasonic sensors on a circle around the robot's centre, which look outwards.
 
     Attributes:
@@ -66,7 +66,7 @@ class Body:
     support_solref: tuple[float, float] | None = None
     fits_scene: bool = False
     ground_positions: tuple[tuple[float, float], ...] = ()
-    sonar: Sonar | None = None
+    sonar: SonarRing | None = None
 
     @property
     def cameras(self) -> tuple[str, ...]:

@@ -38,6 +38,7 @@ class Feature(StrEnum):
 
     TURRETS = "turrets"
     EPISODES = "an episode"
+    CONTROLLERS = "a network, a built-in controller or one in the toolbox's form"
     FIT = "a fit"
     PROGRAMS = "programs of the page"
     SHADOW = "the shadow"

@@ -4,21 +4,23 @@ Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and 
 assets/calibration are used by bare name, others by path. `khep_twin.sensors` explains the parameters.
 """
 
-from typing import Annotated, Self
+from collections.abc import Iterable, Mapping, Sequence
+from statistics import mode
+from typing import Annotated, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from khep_twin.errors import CalibrationError, Problem
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable
+from khep_twin.robots.model import RobotModel
 from khep_twin.units import (
     COUNTS_LIMIT,
     MOTOR_FRICTION_TORQUE,
     MOTOR_NO_LOAD_SPEED,
     MOTOR_STALL_TORQUE,
-    N_SENSORS,
     SUPPLY_VOLTAGE,
     TYRE_FRICTION,
     WHEEL_BASE,
@@ -33,26 +35,12 @@ _Exponent = Annotated[float, Field(ge=0, le=20)]
 _Offset = Annotated[float, Field(ge=0.01, le=50)]
 _LampOffset = Annotated[float, Field(ge=-100, le=50)]
 _Heading = Annotated[float, Field(ge=-360, le=360)]
-_Eight = Field(
-    min_length=N_SENSORS, max_length=N_SENSORS, description="a list of eight numbers, one per sensor"
-)
-
-_EightOrOne = Field(
-    min_length=N_SENSORS,
-    max_length=N_SENSORS,
-    description=f"a number from 0 to {COUNTS_LIMIT}, or a list of eight, one per sensor",
-)
+_PerSensor = Field(min_length=1, max_length=64, description="a list of numbers, one per sensor")
 
 
 GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
 """Relative standard deviations of gain and threshold over the eight sensors of the sampled robot, and of
 their gain for lamps (4 to 7 % measured); that of the threshold where a calibration gives no other."""
-
-
-def _one_per_sensor(value: object) -> object:
-    """Return a number of counts as eight equal ones, one per sensor; other values unchanged."""
-    is_count = isinstance(value, int | float) and 0 <= value <= COUNTS_LIMIT
-    return (value,) * N_SENSORS if is_count else value
 
 
 class ProximityCalibration(TomlTable):
@@ -71,16 +59,32 @@ class ProximityCalibration(TomlTable):
         idle_counts: Mean of the noise with nothing in range.
     """
 
-    gain_counts_mm2: Annotated[tuple[_Gain, ...], _Eight]
-    threshold_counts: Annotated[tuple[_Threshold, ...], _Eight]
+    gain_counts_mm2: Annotated[tuple[_Gain, ...], _PerSensor]
+    threshold_counts: Annotated[tuple[_Threshold, ...], _PerSensor]
     threshold_spread: Annotated[float, Field(ge=0, le=1)] = THRESHOLD_SPREAD
-    offset_mm: Annotated[tuple[_Offset, ...], _Eight]
-    lobe_exponent: Annotated[tuple[_Exponent, ...], _Eight]
+    offset_mm: Annotated[tuple[_Offset, ...], _PerSensor]
+    lobe_exponent: Annotated[tuple[_Exponent, ...], _PerSensor]
     limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
     floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1
-    noise_counts: Annotated[tuple[_Counts, ...], _EightOrOne, BeforeValidator(_one_per_sensor)]
+    noise_counts: Annotated[
+        tuple[_Counts, ...],
+        Field(description=f"a number from 0 to {COUNTS_LIMIT}, or a list of numbers, one per sensor"),
+    ]
     idle_counts: _Counts
+
+    @model_validator(mode="before")
+    @classmethod
+    def _repeat_noise(cls, table: object) -> object:
+        """Repeat one number of the noise for each sensor."""
+        if not isinstance(table, Mapping):
+            return table
+        values = cast(Mapping[str, object], table)
+        noise, gains = values.get("noise_counts"), values.get("gain_counts_mm2")
+        if not isinstance(noise, int | float) or not 0 <= noise <= COUNTS_LIMIT:
+            return values
+        n_sensors = len(cast(Sequence[object], gains)) if isinstance(gains, list | tuple) else 1
+        return {**values, "noise_counts": (noise,) * n_sensors}
 
 
 class AmbientCalibration(TomlTable):
@@ -99,9 +103,9 @@ class AmbientCalibration(TomlTable):
         rises_with_light: Whether readings are subtracted from the converter's largest count.
     """
 
-    heading_deg: Annotated[tuple[_Heading, ...], _Eight]
-    gain_counts_mm2_per_w: Annotated[tuple[_Gain, ...], _Eight]
-    lobe_exponent: Annotated[tuple[_Exponent, ...], _Eight]
+    heading_deg: Annotated[tuple[_Heading, ...], _PerSensor]
+    gain_counts_mm2_per_w: Annotated[tuple[_Gain, ...], _PerSensor]
+    lobe_exponent: Annotated[tuple[_Exponent, ...], _PerSensor]
     diffuse: Annotated[float, Field(ge=0, le=1)] = 0.0
     offset_mm: _LampOffset = 0.0
     dark_counts: _Counts
@@ -123,7 +127,7 @@ class GroundCalibration(TomlTable):
 
     white_counts: Annotated[
         tuple[_Counts, ...],
-        Field(min_length=4, max_length=4, description="a list of four numbers, one per sensor"),
+        _PerSensor,
     ]
     nothing_counts: _Counts
     spot_mm: Annotated[float, Field(ge=0.1, le=50)]
@@ -185,7 +189,7 @@ class Calibration(TomlTable):
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
     source: str
-    heading_deg: Annotated[tuple[_Heading, ...], _Eight]
+    heading_deg: Annotated[tuple[_Heading, ...], _PerSensor]
     proximity: ProximityCalibration
     ambient: AmbientCalibration
     wheels: WheelCalibration = WheelCalibration()
@@ -207,6 +211,19 @@ class Calibration(TomlTable):
             Problem.of((table, key), f"{table}: {key} = {value:g}", f"below {limit_key} = {limit:g}", value)
             for table, key, value, limit_key, limit in levels
             if value > limit - (key == "floor_counts")
+        ]
+        lists = {
+            (table, key): cast(tuple[float, ...], value)
+            for table, values in (("", self), ("proximity", proximity), ("ambient", ambient))
+            for key, value in cast(Iterable[tuple[str, object]], values)
+            if isinstance(value, tuple)
+        }
+        n_sensors = mode(map(len, lists.values()))
+        text = f"a list of {n_sensors} numbers, one per sensor"
+        problems += [
+            Problem.of((table, key) if table else (key,), f"{table}: {key}" if table else key, text, value)
+            for (table, key), value in lists.items()
+            if len(value) != n_sensors
         ]
         if problems:
             raise Problems(problems)
@@ -239,10 +256,11 @@ _MAX_DEVIATIONS = 4.0
 
 def vary(calibration: Calibration, rng: np.random.Generator) -> Calibration:
     """Return a robot of the same model: sensors, wheels and motors drawn around a calibration."""
+    n_sensors = len(calibration.heading_deg)
     spreads = np.array([[GAIN_SPREAD], [calibration.proximity.threshold_spread]])
-    gains, thresholds = 1 + spreads * rng.standard_normal((2, N_SENSORS))
-    lamp_gains = 1 + LAMP_SPREAD * rng.standard_normal(N_SENSORS)
-    heading_errors = HEADING_SPREAD_DEG * rng.standard_normal((2, N_SENSORS))
+    gains, thresholds = 1 + spreads * rng.standard_normal((2, n_sensors))
+    lamp_gains = 1 + LAMP_SPREAD * rng.standard_normal(n_sensors)
+    heading_errors = HEADING_SPREAD_DEG * rng.standard_normal((2, n_sensors))
     common_gain = np.exp(COMMON_GAIN_SPREAD * rng.standard_normal())
     deviations = np.clip(rng.standard_normal(7), -_MAX_DEVIATIONS, _MAX_DEVIATIONS).tolist()
     radius, base, inequality, friction, no_load, stall, gear = deviations
@@ -304,3 +322,20 @@ def read(name: str) -> tuple[Calibration, str]:
     """
     text, source = toml_files.read("calibration", name, CalibrationError)
     return toml_files.validate(Calibration, text, source, CalibrationError), text
+
+
+def read_for(name: str, model: RobotModel) -> Calibration:
+    """Return a calibration of a robot of a model, by bare name or path.
+
+    Raises:
+        CalibrationError: As `read`; or the calibration is of a robot with other sensors.
+    """
+    measured, n_ground = read(name)[0], len(model.body.ground_positions)
+    n_measured_ground = 0 if measured.ground is None else len(measured.ground.white_counts)
+    n_around = len(model.body.sensor_positions)
+    if (len(measured.heading_deg), n_measured_ground) != (n_around, n_ground):
+        raise CalibrationError(
+            f'{name}: of another robot than model = "{model.name}"; expected a calibration with {n_around} '
+            f"sensors around and {n_ground or 'no'} sensors of the ground"
+        )
+    return measured

@@ -96,7 +96,7 @@ def test_robots_of_the_same_make_spread_around_their_calibration_as_told() -> No
         (
             "noise_counts = 22",
             "noise_counts = -1",
-            "proximity: noise_counts = -1; expected a number from 0 to 1023, or a list of eight",
+            "proximity: noise_counts = -1; expected a number from 0 to 1023, or a list of numbers",
         ),
         ("diffuse = 0.062", "diffuse = 2", "ambient: diffuse = 2; expected a number from 0 to 1"),
         (
@@ -107,7 +107,7 @@ def test_robots_of_the_same_make_spread_around_their_calibration_as_told() -> No
         (
             "heading_deg = [78.1, ",
             "heading_deg = [",
-            "heading_deg; expected a list of eight numbers, one per sensor",
+            "heading_deg; expected a list of 8 numbers, one per sensor",
         ),
     ],
 )

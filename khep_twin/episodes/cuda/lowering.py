@@ -166,7 +166,7 @@ for _query, _function in (
     (views.scene_of, lambda plane: plane),
     (queries.decide, _keep_speeds),
     (unroll, lambda groups: groups),
-    (literal_unroll, lambda groups: groups),  # which replaces `unroll` once code for the processor is compiled
+    (literal_unroll, lambda groups: groups),  # what `unroll` is after compilations
     (fitness.square_root, lambda number: math.sqrt(number)),
     (fitness.clip, lambda number, low, high: min(max(number, low), high)),
 ):

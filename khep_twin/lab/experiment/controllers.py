@@ -13,7 +13,7 @@ from importlib.resources import files
 from operator import mul
 from pathlib import Path
 from types import ModuleType
-from typing import ClassVar, Literal, ParamSpec, TypeVar
+from typing import Any, ClassVar, Literal, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,16 @@ from khep_twin.errors import ControllerError, KhepTwinError, exception_text
 from khep_twin.files.atomic import resolve, write_atomic
 from khep_twin.files.text import escape_surrogates
 from khep_twin.host import Khepera
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.experiment.users_folder import in_users_folder
 from khep_twin.playpen import Playpen
 from khep_twin.signals import is_interruption
 
 Params = ParamSpec("Params")
 ReturnType = TypeVar("ReturnType")
+
+AnyRobot: TypeAlias = Any
+"""Robot of any model: an object of its host class, such as a `Khepera`."""
 
 
 class Controller:
@@ -52,32 +56,32 @@ class Controller:
     passes_time: ClassVar[str] = "to ask the robot something, or robot.sleep"
     defined_by: "AnyFunction | ModuleType | None" = None
 
-    def start(self, robot: Khepera) -> None:
+    def start(self, robot: AnyRobot) -> None:
         """Run before the first cycle of each run."""
 
-    def cycle(self, robot: Khepera) -> None:
+    def cycle(self, robot: AnyRobot) -> None:
         """Run one cycle; it must let time pass, as every command to the robot does."""
         raise NotImplementedError(f"{type(self).__name__} needs a cycle(self, robot)")
 
-    def end(self, robot: Khepera) -> None:
+    def end(self, robot: AnyRobot) -> None:
         """Run after the last cycle of each run, with the motors stopped."""
 
-    def stop(self, robot: Khepera) -> None:
+    def stop(self, robot: AnyRobot) -> None:
         """Clean up the robot after the last run or an error."""
 
 
 class FunctionController(Controller):
     """Controller that calls a function once a cycle; a mapping that it returns holds its variables."""
 
-    def __init__(self, function: Callable[[Khepera], object]) -> None:
+    def __init__(self, function: Callable[[AnyRobot], object]) -> None:
         self.defined_by = self.function = function
         self._returned: Mapping[str, object] = {}
 
-    def start(self, robot: Khepera) -> None:
+    def start(self, robot: AnyRobot) -> None:
         """Forget the variables of the previous run."""
         self._returned = {}
 
-    def cycle(self, robot: Khepera) -> None:
+    def cycle(self, robot: AnyRobot) -> None:
         """Call the function."""
         returned = self.function(robot)
         if isinstance(returned, Mapping):
@@ -102,7 +106,7 @@ class LoopingController(FunctionController):
     playpen: Playpen | None = None
 
     def loop(
-        self, robot: Khepera, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]
+        self, robot: AnyRobot, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]
     ) -> int | None:
         """Run the cycles of one run.
 
@@ -118,7 +122,7 @@ class LoopingController(FunctionController):
         raise NotImplementedError
 
 
-AnyController = Controller | Callable[[Khepera], object]
+AnyController = Controller | Callable[[AnyRobot], object]
 AnyFunction = Callable[..., object]
 
 
@@ -159,7 +163,7 @@ def call(function: Callable[Params, ReturnType], *args: Params.args, **kwargs: P
 
 
 @contextmanager
-def stopped_at_end(controller: Controller, robot: Khepera) -> Generator[None]:
+def stopped_at_end(controller: Controller, robot: HostRobot) -> Generator[None]:
     """Call a controller's `stop` at the end of the context, also after an error, which is raised again."""
     try:
         yield
@@ -252,5 +256,5 @@ def braitenberg(robot: Khepera) -> None:
     )
 
 
-BUILT_IN: Mapping[str, Callable[[Khepera], object]] = {"braitenberg": braitenberg}
+BUILT_IN: Mapping[str, Callable[[AnyRobot], object]] = {"braitenberg": braitenberg}
 """Built-in controllers by their names in `khep-twin run`."""

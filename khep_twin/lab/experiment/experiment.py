@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from khep_twin.errors import ControllerError, KhepTwinError
-from khep_twin.host import Khepera
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.experiment.controllers import (
     AnyController,
     LoopingController,
@@ -38,7 +38,7 @@ class Outcome:
 
 def run(
     controller: AnyController,
-    robot: Khepera,
+    robot: HostRobot,
     *,
     cycles: int | None = None,
     seconds: float | None = None,
@@ -107,12 +107,12 @@ def run(
                 call(controller.cycle, robot)
                 is_running = end_cycle()
         end, times = robot.time, robot.line_times
-        robot.set_speed(0, 0)
+        robot.stop()
         call(controller.end, robot)
     except BaseException:
         # A second error of this command would hide the first one.
         with suppress(KhepTwinError):
-            robot.set_speed(0, 0)
+            robot.stop()
         raise
     period = controller.period if isinstance(controller, PeriodicController) else 0.0
     line_time, byte_time = times.exchanges - start_times.exchanges, times.bytes - start_times.bytes

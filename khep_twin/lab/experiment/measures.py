@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.episodes.fitness import obstacle_avoidance
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.playpen import Playpen
@@ -104,7 +103,9 @@ class GroundTruthMetrics(Observer):
         self._times_ns: list[int] = []
         self._poses: list[tuple[float, float, float]] = []
         self._counts: list[NDArray[np.int64]] = []
-        self._sensor_registers = [*PROXIMITY, *AMBIENT]
+        channels = {channel.name: channel.registers for channel in world.robots[robot_index].sampled}
+        self._sensor_registers = [*channels["proximity"], *channels["ambient"]]
+        self._n_around = len(world.playpen.robots[robot_index].body.sensor_positions)
         # Read the calibration before a controller may change the working directory.
         robot_entry = world.playpen.robots[robot_index]
         self._dark = np.array(calibration.read(robot_entry.calibration)[0].ambient.dark_counts)
@@ -128,17 +129,19 @@ class GroundTruthMetrics(Observer):
     def metrics(self) -> dict[str, float]:
         """Return the metrics by name."""
         times_s, pose = np.array(self._times_ns) / 1e9, np.array(self._poses)
-        proximity, ambient = np.hsplit(np.array(self._counts), 2)
+        all_counts = np.hsplit(np.array(self._counts), 2)
+        proximity, ambient = (counts[:, : self._n_around] for counts in all_counts)
         playpen = self._world.playpen
         robot_entry = playpen.robots[self._robot_index]
-        radius = robot_entry.body.radius
+        body = robot_entry.body
+        radius = body.radius
         motion = statistics.motion(times_s, pose)
         collisions = statistics.collisions(times_s, pose, playpen, radius)
         return {
             "distance_m": motion.distance,
             "mean_speed_m_per_s": motion.mean_speed,
             "turn_rate_rad_per_s": (motion.left_turn + motion.right_turn) / (motion.duration_s or math.inf),
-            "near_s": statistics.near(times_s, proximity).total_s,
+            "near_s": statistics.near(times_s, proximity, body.near_counts).total_s,
             "collisions": float(len(collisions.times_s)),
             "collision_s": collisions.total_s,
             "light_gained": statistics.light(times_s, ambient, self._dark).mean,

@@ -18,7 +18,7 @@ from khep_twin.episodes.controllers import Network
 from khep_twin.errors import ControllerError
 from khep_twin.firmware import SPEED_LIMIT_PULSES
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controllers import Controller
+from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, Controller, LoopingController
 
 
 class PeriodicController(Controller):
@@ -51,6 +51,11 @@ class PeriodicController(Controller):
         robot.set_speed(left, right)
         if (remaining_ns := end_ns - to_ns(robot.time)) > 0:
             robot.sleep(remaining_ns / NS_PER_S)
+
+
+def needs_khepera(controller: AnyController) -> bool:
+    """Return whether a controller uses the commands and units of a Khepera."""
+    return controller in BUILT_IN.values() or isinstance(controller, LoopingController | PeriodicController)
 
 
 class NetworkController(PeriodicController):

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from khep_twin.errors import ControllerError, KhepTwinError
-from khep_twin.host import Khepera
+from khep_twin.host.host_robot import HostRobot, open_robot
 from khep_twin.lab.experiment.controllers import (
     AnyController,
     Controller,
@@ -34,6 +34,7 @@ from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.renamed import renamed_arguments
+from khep_twin.robots.model import Feature
 
 _STOP_CHECK_S = 0.1
 """Interval at which a pause calls `stop` [s]."""
@@ -65,14 +66,14 @@ class Session:
     """
 
     numbers: range
-    robot_context: AbstractContextManager[Khepera]
+    robot_context: AbstractContextManager[HostRobot]
     start: StartPose | None = None
 
 
 class OneRobot:
     """One robot for all runs, each from where it stands; `record` starts the log of a twin."""
 
-    def __init__(self, robot: Khepera, record: Callable[[Twin], None] | None = None) -> None:
+    def __init__(self, robot: HostRobot, record: Callable[[Twin], None] | None = None) -> None:
         self._robot = robot
         self._record = record
 
@@ -118,7 +119,7 @@ class FreshTwins:
         self._options = options
         self._starts = starts
         self._record = record
-        self._robot: Khepera | None = None
+        self._robot: HostRobot | None = None
 
     def first_run(self, n_saved: int, controller: AnyController) -> int:
         """Return the last saved run, which is repeated as a check; 1 for a `Controller`, which may learn."""
@@ -136,12 +137,12 @@ class FreshTwins:
             self._robot.hold()
 
     @contextmanager
-    def _twin(self, number: int, start: StartPose) -> Generator[Khepera]:
+    def _twin(self, number: int, start: StartPose) -> Generator[HostRobot]:
         options = replace(self._options, seed=self._options.seed + number - 1)
         twin = open_twin(at_start(self._playpen, options.robot or 0, start), options)
         if self._record is not None:
             self._record(twin, number)
-        with Khepera(Serial.of(twin, timeout=1.0)) as self._robot:
+        with open_robot(twin.robot_model, Serial.of(twin, timeout=1.0)) as self._robot:
             yield self._robot
 
 
@@ -193,7 +194,7 @@ def run_series(
 
 def _run_one(
     controller: Controller,
-    robot: Khepera,
+    robot: HostRobot,
     start: StartPose | None,
     number: int,
     plan: Plan,
@@ -204,6 +205,8 @@ def _run_one(
     """Return one run; None for an aborted run, which is passed to `on_abort`."""
     host_metrics, twin = HostMetrics(), twin_of(robot)
     ground_truth = None if twin is None else GroundTruthMetrics(twin.world, twin.robot.index)
+    # They know a Khepera's commands.
+    has_host_metrics = twin is None or Feature.EPISODES in twin.robot_model.features
     start_time, n_cycles = robot.time, 0
 
     def end_cycle() -> None:
@@ -212,7 +215,8 @@ def _run_one(
         n_cycles += 1
 
     def make_series_run(outcome: Outcome) -> SeriesRun:
-        metrics = host_metrics.metrics() | ({} if ground_truth is None else ground_truth.metrics())
+        metrics = host_metrics.metrics() if has_host_metrics else {}
+        metrics |= {} if ground_truth is None else ground_truth.metrics()
         variables = copy_variables(controller)
         # A twin in this process waits for its host.
         cycle_times = (outcome.cycle_time, outcome.expected_cycle_time) if twin is None else ()
@@ -248,7 +252,7 @@ def _run_one(
     return None
 
 
-def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> None:
+def _pause(robot: HostRobot, duration: float, stop: Callable[[], bool] | None) -> None:
     """Wait for a duration in the port's time [s], or until `stop` returns True."""
     remaining = duration
     while remaining > 0 and not (stop is not None and stop()):
@@ -261,6 +265,6 @@ def _log_event(twin: Twin | None, text: str) -> None:
         twin.world.log_event(twin.robot.index, text)
 
 
-def twin_of(robot: Khepera) -> Twin | None:
+def twin_of(robot: HostRobot) -> Twin | None:
     """Return the twin in this process behind a robot's port; None for any other port."""
     return getattr(robot.port, "twin", None)

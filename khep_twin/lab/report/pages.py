@@ -30,7 +30,7 @@ from khep_twin.lab.report.figure import (
     sensor_height,
 )
 from khep_twin.lab.report.report import Report, RobotReport
-from khep_twin.lab.report.rows import DEFINITIONS, Row
+from khep_twin.lab.report.rows import Row, definitions
 
 _T = TypeVar("_T")
 
@@ -83,9 +83,9 @@ def html(report: Report) -> bytes:
             parts.append(f'<p class="missing">{escape(robot.missing)}</p>')
         for draw, height, name in pictures(robot):
             parts.append(_image(_sheet(draw, height, robot), f"{name} of {robot.name} over time"))
-    definitions = DEFINITIONS
+    row_definitions = definitions()
     if report.shadow is not None:
-        definitions = shadow_section.DEFINITIONS
+        row_definitions = shadow_section.DEFINITIONS
         parts += [
             "<h2>The robot as its shadow follows it</h2>",
             _table(tuple(shadow_section.rows(report.shadow))),
@@ -97,7 +97,7 @@ def html(report: Report) -> bytes:
     events = _table(limit_rows(report.events)) if report.events else "<p>None.</p>"
     parts += ["<h2>Faults and events</h2>", events]
     parts += ["<h2>Versions and settings</h2>", _table(report.settings, "small")]
-    parts += ["<h2>What the numbers mean</h2>", _table(definitions, "small")]
+    parts += ["<h2>What the numbers mean</h2>", _table(row_definitions, "small")]
     return _PAGE.substitute(title=escape(report.title), body="\n".join(parts)).encode("utf-8")
 
 

@@ -20,7 +20,7 @@ from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import WIDTH
 from khep_twin.lab.report.pages import DPI, draw_map, limit_rows, pictures
 from khep_twin.lab.report.report import Report
-from khep_twin.lab.report.rows import DEFINITIONS, Row
+from khep_twin.lab.report.rows import Row, definitions
 
 _PAGE = (210 / 25.4, 297 / 25.4)
 """A4 [inch]."""
@@ -52,9 +52,9 @@ def pdf(report: Report) -> bytes:
             for draw, height, _ in pictures(robot):
                 bottom = pages.reserve(height)
                 draw(pages.figures[-1], robot, (_SIDE_MARGIN, bottom))
-        definitions = DEFINITIONS
+        row_definitions = definitions()
         if report.shadow is not None:
-            definitions = shadow_section.DEFINITIONS
+            row_definitions = shadow_section.DEFINITIONS
             shadow_rows = tuple(shadow_section.rows(report.shadow))
             pages.heading("The robot as its shadow follows it", 0.25 * len(shadow_rows))
             pages.table(shadow_rows, _TEXT_SIZE)
@@ -68,7 +68,7 @@ def pdf(report: Report) -> bytes:
         pages.heading("Versions and settings", 2.5)
         pages.table(report.settings, _SMALL_SIZE)
         pages.heading("What the numbers mean", 2.5)
-        pages.table(definitions, _SMALL_SIZE)
+        pages.table(row_definitions, _SMALL_SIZE)
         data = BytesIO()
         with PdfPages(data, metadata=METADATA["pdf"]) as file:
             for figure in pages.figures:

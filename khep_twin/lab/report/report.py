@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from khep_twin.board.kernel import LEFT, N_REGISTERS, RIGHT, Wheel
+from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.drawing.paths import DrawnPath
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.report.rows import (
@@ -28,7 +28,7 @@ from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
 from khep_twin.robots.model import RobotModel
-from khep_twin.units import K213_PIXELS, N_SENSORS
+from khep_twin.units import K213_PIXELS
 
 USUAL_DARK_COUNTS = 500
 """Default dark level of a sensor, if the log has no calibration [counts]."""
@@ -135,13 +135,11 @@ def _robot_report(
     """Return the part of the report on the robot with this index in the playpen and name in the log."""
     model = models_of(recording.label.attachments, [name], recording.series)[name]
     body = model.body
-    width = len(body.sensors)
-    pose, proximity, ambient, speed, registers, position = (
-        _find_series(recording, f"/{name}/{channel}", width)
-        for channel, width in (
-            *(("pose", 3), ("proximity", width), ("ambient", width), ("speed", 4)),
-            *(("registers", N_REGISTERS), ("position", 4)),
-        )
+    n_around = len(body.sensor_positions)
+    pose = _find_series(recording, f"/{name}/pose", 3)
+    proximity, ambient, speed, registers, position = (
+        _find_series(recording, f"/{name}/{channel}", len(model.channels.get(channel, ())))
+        for channel in ("proximity", "ambient", "speed", "registers", "position")
     )
     counters, columns = (registers, _ENCODERS) if position is None else (position, [0, 1])
     extra = {
@@ -166,10 +164,10 @@ def _robot_report(
         if counters is not None and np.array_equal(counters.times_ns, pose.times_ns):
             rows += slip_rows(pose, counters.values[:, columns].astype(np.int64), body)
     if proximity is not None:
-        counts = proximity.values[:, :N_SENSORS].astype(np.int64)
+        counts = proximity.values[:, :n_around].astype(np.int64)
         rows += near_rows(statistics.near(proximity.times_ns / 1e9, counts, body.near_counts))
     if ambient is not None:
-        rows += light_rows(ambient, dark_level, body.sensors)
+        rows += light_rows(ambient, dark_level, body.sensors, n_around)
     rows += wire_rows(lines, _duration_s(recording))
     channels = {"pose": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
     absent = [label for label, series in channels.items() if series is None]

@@ -13,40 +13,45 @@ from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import TimeSeries
 from khep_twin.robots.body import Body
 from khep_twin.robots.registry import default_model, installed_families
-from khep_twin.units import N_SENSORS
 
 Row = tuple[str, str]
 """Name, and value with its unit."""
 
-_OTHER_MODELS = [model for model in installed_families().values() if model is not default_model()]
-_NEAR_COUNTS = "".join(f", of a {model.title} {model.body.near_counts}" for model in _OTHER_MODELS)
-_WHEELS = "".join(
-    f", of a {model.title} {1000 * model.body.pulse_length:.4f} mm and {1000 * model.body.wheel_base:g} mm"
-    for model in _OTHER_MODELS
-)
 
-DEFINITIONS: tuple[Row, ...] = (
-    ("Distance", "path length of the centre, measured in steps of 1 mm; its mean speed includes standing"),
-    ("Largest speed", "between two samples, 20 ms apart"),
-    ("Turned", "sum of all turns to either side; net is their difference, positive counter-clockwise"),
-    (
-        "Near something",
-        f"any of the sensors around reads a proximity above {NEAR_COUNTS} counts{_NEAR_COUNTS}",
-    ),
-    (
-        "Collisions",
-        "the robot's round body is nearer than 1 mm to a wall or a fixed object, as the playpen has them; "
-        "contacts less than 0.1 s apart are one. Turrets, other robots and movable objects are left out",
-    ),
-    ("Light gained", "depth of an ambient light reading below the dark level; lamps lower it"),
-    (
-        "By counters",
-        "path and heading computed from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels"
-        f"{_WHEELS}; slip, and wheels of another size, make them differ from the truth",
-    ),
-    ("Reply time", "from the last byte of a command to the last byte of its reply"),
-    ("Unanswered", "commands without a reply of their letter, or a refusal, by the end of the log"),
-)
+def definitions() -> tuple[Row, ...]:
+    """Return the definitions of the rows."""
+    further_models = [model for model in installed_families().values() if model is not default_model()]
+    near_counts = "".join(f", of a {model.title} {model.body.near_counts}" for model in further_models)
+    wheels = "".join(
+        f", of a {model.title} {1000 * model.body.pulse_length:.4f} mm and "
+        f"{1000 * model.body.wheel_base:g} mm"
+        for model in further_models
+    )
+    return (
+        (
+            "Distance",
+            "path length of the centre, measured in steps of 1 mm; its mean speed includes standing",
+        ),
+        ("Largest speed", "between two samples, 20 ms apart"),
+        ("Turned", "sum of all turns to either side; net is their difference, positive counter-clockwise"),
+        (
+            "Near something",
+            f"any of the sensors around reads a proximity above {NEAR_COUNTS} counts{near_counts}",
+        ),
+        (
+            "Collisions",
+            "the robot's round body is nearer than 1 mm to a wall or a fixed object, as the playpen has them;"
+            " contacts less than 0.1 s apart are one. Turrets, other robots and movable objects are left out",
+        ),
+        ("Light gained", "depth of an ambient light reading below the dark level; lamps lower it"),
+        (
+            "By counters",
+            "path and heading computed from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels"
+            f"{wheels}; slip, and wheels of another size, make them differ from the truth",
+        ),
+        ("Reply time", "from the last byte of a command to the last byte of its reply"),
+        ("Unanswered", "commands without a reply of their letter, or a refusal, by the end of the log"),
+    )
 
 
 def motion_rows(pose: TimeSeries) -> Iterator[Row]:
@@ -87,10 +92,10 @@ def slip_rows(pose: TimeSeries, pulses: NDArray[np.int64], body: Body) -> Iterat
     yield "End by counters", f"{1000 * slip.end:.0f} mm off"
 
 
-def light_rows(ambient: TimeSeries, dark: float, names: Sequence[str]) -> Iterator[Row]:
+def light_rows(ambient: TimeSeries, dark: float, names: Sequence[str], n_around: int) -> Iterator[Row]:
     """Yield the rows on the light received from lamps, below a dark level [counts]."""
-    dark_levels = np.full(N_SENSORS, float(dark))
-    counts = ambient.values[:, :N_SENSORS].astype(np.int64)
+    dark_levels = np.full(n_around, float(dark))
+    counts = ambient.values[:, :n_around].astype(np.int64)
     light = statistics.light(ambient.times_ns / 1e9, counts, dark_levels)
     yield "Light gained", f"{light.mean:.1f} counts in the mean of all sensors"
     sensor = names[light.sensor]

@@ -13,7 +13,7 @@ from rerun.chunk import Chunk
 
 from khep_twin.log.viewer.arena import frame_chunk, line_chunks
 from khep_twin.log.viewer.collected import Floats, Samples, time_column
-from khep_twin.robots.body import Sonar
+from khep_twin.robots.body import SonarRing
 from khep_twin.robots.model import RobotModel
 from khep_twin.sensing.colours import AXES, Colour, sensor_colour
 
@@ -43,7 +43,7 @@ def arena_chunks(robot: str, model: RobotModel, samples: Samples, led_positions:
     return chunks
 
 
-def _beams(robot: str, sonar: Sonar, times_ns: NDArray[np.int64], distances: Floats) -> list[Chunk]:
+def _beams(robot: str, sonar: SonarRing, times_ns: NDArray[np.int64], distances: Floats) -> list[Chunk]:
     """Return a sector per sensor, as long as its distance [cm] (n, 5); none without a distance."""
     n, count = distances.shape
     headings = np.radians(sonar.headings_deg)

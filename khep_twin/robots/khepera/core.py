@@ -14,7 +14,6 @@ from khep_twin.board import battery, kernel
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
 from khep_twin.robot_core import Core, register
-from khep_twin.sensing.ambient import ambient_optics
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.noise import draws
@@ -22,7 +21,7 @@ from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
-from khep_twin.sensors import proximity_optics
+from khep_twin.sensors import robot_sensors
 from khep_twin.step import N_CONVERSIONS, STEPS, Simulated, StepInputs, powers_row
 
 SOUND, STUCK, DEAD = 0, 1, 2
@@ -90,12 +89,7 @@ def robot_state(
         motor_constant=measured.motors.constant,
         idle_current=entry.body.idle_current,
         used_min=battery.CHARGER if entry.battery_used_min is None else entry.battery_used_min,
-        sensors=RobotSensors(
-            indices.base,
-            list(indices.cameras),
-            proximity_optics(model, indices, measured),
-            ambient_optics(measured.ambient),
-        ),
+        sensors=robot_sensors(model, indices, measured),
         registers=cast(Any, np.zeros(kernel.N_REGISTERS, np.int64)),
         processor=np.zeros(kernel.N_PROCESSOR, np.int64),
         sensor_states=np.zeros(units.N_SENSORS, np.int64),
@@ -231,24 +225,17 @@ def _control(scene: Scene, robot: KheperaState) -> None:
     set_motor(scene, robot.right_motor, right_voltage)
 
 
-@compilable
-def _evaluate(robot: KheperaState, simulated: Simulated, inputs: StepInputs, part: int) -> None:
-    """Do nothing: no measurement is recorded."""
-
-
 CORE = register(
     Core(
         name="khepera",
         state=KheperaState,
         make_state=_make_state,
         changing=("registers", "processor", "sensor_states", "strengths", "voltage"),
-        n_moments=0,
         modules=("khep_twin.board.battery", "khep_twin.board.kernel", "khep_twin.robots.khepera.core"),
         sense=_sense,
         tick=_tick,
         measure_supply=_measure_supply,
         start=_start,
-        evaluate=_evaluate,
         scan=_scan,
     )
 )

@@ -26,7 +26,7 @@ from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.robot_arrays import Layout, Part
 from khep_twin.simulation.turret_place import WorldTurretContext
-from khep_twin.simulation.world_state import BoardState, RobotSnapshot
+from khep_twin.simulation.world_state import RobotSnapshot
 from khep_twin.units import SENSOR_LABELS
 
 _LEDS = (int(Board.LED_0), int(Board.LED_1))
@@ -67,6 +67,8 @@ class KheperaRobot(Robot):
 
     firmware: Firmware
     sampled = SAMPLED
+    layout = LAYOUT
+    fault_devices = (SENSOR, MOTOR, WHEEL)
 
     def __init__(
         self,
@@ -80,11 +82,9 @@ class KheperaRobot(Robot):
         turrets = {kind: kind.make() for kind in find_turrets(entry.turrets)}
         firmware = Firmware(entry.firmware, entry.mode, turrets, record["registers"], record["processor"])
         super().__init__(context, index, indices, firmware, make_rng, settings)
-        self._record = record
         self.fit_turrets()
         self.registers = firmware.registers
         self._register_view = firmware.register_view
-        self._has_stopped = False
         self._wheels = None
         if any(fault.device == WHEEL for fault in settings.faults):
             self._wheels = FaultyWheels(context.model, context.data, indices)
@@ -99,16 +99,9 @@ class KheperaRobot(Robot):
             if kind.fit is not None
         }
 
-    def state(self, since_ns: int = -1) -> RobotSnapshot:
-        """Return the state, with the replies that reach the host after a time [ns]."""
-        return self._snapshot(since_ns, LAYOUT, LAYOUT.pack(self._record), is_stopped=self._has_stopped)
-
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""
-        LAYOUT.unpack(self._record, state.model, state.version, state.arrays)
-        self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
-        self._has_stopped = state.is_stopped
-        self._set_led_lights(state.leds)
+        super().set_state(state)
         self.apply_faults()
 
     def act_after(self, reason: int) -> None:

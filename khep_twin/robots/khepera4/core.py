@@ -28,7 +28,6 @@ from khep_twin.robots.khepera4.motor_control import N_MOTOR, PWM_LIMIT, Motor
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.server import N_VEHICLE, WANDERING
 from khep_twin.robots.khepera4.ultrasonic import Sonar
-from khep_twin.sensing.ambient import ambient_optics
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -43,7 +42,7 @@ from khep_twin.sensing.scene import (
     save_moment,
     set_motor,
 )
-from khep_twin.sensors import proximity_optics
+from khep_twin.sensors import robot_sensors
 from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
 
 PULSES_PER_TURN = BODY.pulses_per_turn
@@ -132,12 +131,7 @@ def _make_state(
         idle_current=entry.body.idle_current,
         is_discharged=int(entry.battery_used_min is not None),
         first_moment=first_moment,
-        sensors=RobotSensors(
-            indices.base,
-            list(indices.cameras),
-            proximity_optics(model, indices, measured),
-            ambient_optics(measured.ambient),
-        ),
+        sensors=robot_sensors(model, indices, measured),
         ground=Ground(
             list(map(float, ground.white_counts)),
             float(ground.nothing_counts),
@@ -287,12 +281,6 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
 
 
 @compilable
-def _measure_supply(robot: Khepera4State, simulated: Simulated, time_ns: int) -> bool:
-    """Do nothing: the control period measures the supply."""
-    return False
-
-
-@compilable
 def _evaluate(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, part: int) -> None:
     """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
     scene, tables, noise, powers = simulated.scene, inputs.tables, robot.noise, inputs.powers[0]
@@ -325,7 +313,6 @@ CORE = register(
         modules=("khep_twin.board.kernel", *(f"khep_twin.robots.khepera4.{part}" for part in _PARTS)),
         sense=_sense,
         tick=_tick,
-        measure_supply=_measure_supply,
         start=_start,
         evaluate=_evaluate,
         scan=_scan,

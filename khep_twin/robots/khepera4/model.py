@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from khep_twin.board.rom import Rom, RunningMode
-from khep_twin.robots.body import Body, Sonar
+from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.khepera.model import KHEPERA_1
 from khep_twin.robots.khepera4.channels import (
     AROUND,
@@ -20,7 +20,7 @@ from khep_twin.robots.model import Bar, Columns, Dialect, RobotModel, parse_colu
 _CHANNELS: dict[str, Columns] = {name: parse_columns(name, label) for name, label in CHANNELS.items()}
 _REGISTERS = tuple((f"register_{name}", "") for columns in _CHANNELS.values() for name, _ in columns)
 
-SONAR = Sonar(ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES)
+SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES)
 """Headings: manual; distance from the centre: assumed; height: drawing."""
 
 BODY = Body(

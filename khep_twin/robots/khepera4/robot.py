@@ -5,15 +5,12 @@ log reads them.
 """
 
 from collections.abc import Callable
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import step
-from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL
-from khep_twin.errors import FaultError
-from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
+from khep_twin.robot import Robot, RobotSettings, WorldContext, consecutive_registers
 from khep_twin.robots.khepera4 import gauge, ultrasonic
 from khep_twin.robots.khepera4.channels import CHANNELS, ULTRASONIC_CODES
 from khep_twin.robots.khepera4.core import (
@@ -33,17 +30,11 @@ from khep_twin.robots.khepera4.server import Kh4Server
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.number_reader import LARGEST
 from khep_twin.simulation.robot_arrays import Layout, Part, read
-from khep_twin.simulation.world_state import BoardState, RobotSnapshot
-from khep_twin.units import TICK_NS
+from khep_twin.simulation.world_state import RobotSnapshot
 
 __all__ = ["PULSES_PER_TURN", "SAMPLED", "Khepera4Robot"]
 
-_CHANNEL_ENDS = [0, *accumulate(label.count(",") + 1 for label in CHANNELS.values())]
-
-SAMPLED = tuple(
-    SampledRegisters(name, label, range(start, end))
-    for (name, label), start, end in zip(CHANNELS.items(), _CHANNEL_ENDS, _CHANNEL_ENDS[1:], strict=False)
-)
+SAMPLED = consecutive_registers(CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""
 
 _MOTOR = (
@@ -102,13 +93,11 @@ class Khepera4Robot(Robot):
     Attributes:
         dspic: Its microcontroller.
         registers: Values of `SAMPLED` at the last `refresh`.
-
-    Raises:
-        FaultError: A fault is not one of the line.
     """
 
     firmware: Kh4Server
     sampled = SAMPLED
+    layout = LAYOUT
 
     def __init__(
         self,
@@ -118,28 +107,17 @@ class Khepera4Robot(Robot):
         make_rng: Callable[..., np.random.Generator],
         settings: RobotSettings,
     ) -> None:
-        for fault in settings.faults:
-            if fault.device in (SENSOR, MOTOR, WHEEL):
-                raise FaultError(
-                    f"fault {fault.text!r}: robot {index} is a Khepera IV; expected a fault of its line"
-                )
         self._state: Khepera4State = context.simulation.state_of(index)
         self.dspic = Dspic(self._state.dspic)
         firmware = Kh4Server(self.dspic, self._state.vehicle)
         super().__init__(context, index, indices, firmware, make_rng, settings)
         self.dspic.before_read = self._evaluate_pending
-        self.registers = np.zeros(_CHANNEL_ENDS[-1], np.int64)
-        self._record = context.simulation.record_of(index)
-        self._has_stopped = False
+        self.registers = np.zeros(SAMPLED[-1].registers[-1] + 1, np.int64)
 
     def act_after(self, reason: int) -> None:
         """Update faults before a control period, and act after it if the stepping core has asked for it."""
-        time_ns = self._context.time_ns
-        if reason == step.Reason.STEPPED and time_ns % TICK_NS == 0:
-            changed_faults = self.faults.update(("",), time_ns)
-            if any(fault.kind == "brown-out" for fault in changed_faults):
-                self.reset_processor()
-        elif reason == step.Reason.TICKED and self.dspic.is_powered:
+        super().act_after(reason)
+        if reason == step.Reason.TICKED and self.dspic.is_powered:
             self.firmware.tick()
         elif reason == step.Reason.TICKED and not self._has_stopped:
             self._has_stopped = True
@@ -172,23 +150,20 @@ class Khepera4Robot(Robot):
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""
         self.finish_measurements()
-        arrays, positions = LAYOUT.pack(self._record), b""
+        snapshot, positions = super().state(since_ns), b""
         if self._state.burst[0] != NONE:
             positions = self._burst_positions.tobytes()
-        return self._snapshot(
-            since_ns, LAYOUT, {**arrays, _POSITIONS: positions}, is_stopped=self._has_stopped
-        )
+        return snapshot._replace(arrays={**snapshot.arrays, _POSITIONS: positions})
 
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""
         arrays, time_ns = dict(state.arrays), self._context.time_ns
         positions = arrays.pop(_POSITIONS, b"")
-        LAYOUT.unpack(self._record, state.model, state.version, arrays)
+        super().set_state(state._replace(arrays=arrays))
         if (count := self._state.inertial.n_rates[0]) > (expected := time_ns // GYROSCOPE_NS):
             raise ValueError(f"inertial.n_rates = {count}; expected at most {expected}")
         if (powered := int(self.dspic.is_powered)) == state.is_stopped:
             raise ValueError(f"dspic.powered = {powered}; expected {1 - powered}")
-        self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
         for moment in range(len(self._state.times)):
             self._state.times[moment] = NONE
         has_burst = self._state.burst[0] != NONE
@@ -197,8 +172,6 @@ class Khepera4Robot(Robot):
         if has_burst:
             self._burst_positions[:] = numbers
             self._state.times[BURST] = time_ns // ultrasonic.PERIOD_NS * ultrasonic.PERIOD_NS
-        self._has_stopped = state.is_stopped
-        self._set_led_lights(state.leds)
 
     def move_measurements(self, state: RobotSnapshot, qpos: NDArray[np.float64]) -> RobotSnapshot:
         """Return a state whose last burst has the positions `qpos` of another scene."""
@@ -209,9 +182,6 @@ class Khepera4Robot(Robot):
     def finish_measurements(self) -> None:
         """Evaluate recorded measurements."""
         self._evaluate_pending(0, DspicRegister.BATTERY)
-
-    def apply_faults(self) -> None:
-        """Do nothing: only the line has faults."""
 
     @property
     def lit_leds(self) -> list[int]:

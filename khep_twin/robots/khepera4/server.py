@@ -11,14 +11,14 @@ byte of X's readings, and all bytes of X after the first 67. docs/khepera4.md li
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from khep_twin.board.kernel import divide
 from khep_twin.board.protocol import LINE_END
-from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.firmware import FirmwareState
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
+from khep_twin.robots.line_server import LineServer
 from khep_twin.sensing.buffers import Vector
 
 BAUD = 115_200
@@ -59,53 +59,38 @@ motion, and position at the last motion [pulses]."""
 N_VEHICLE = 5
 
 _FRONT = 3
-_PROGRAM = "kh4server"
 _INTEGER = re.compile(rb"\s*[+-]?\d+")
 
 
-class Kh4Server:
+class Kh4Server(LineServer):
     """The program on its serial line; it starts with the first bytes received.
 
     Args:
         dspic: Microcontroller that it controls.
         vehicle: State of the vehicle (N_VEHICLE,).
 
-    Attributes:
-        baud: Speed of the line [baud].
-        reply_baud: Same as `baud`.
-        turrets: Always empty.
-        answer_ns: Time from a command to its reply [ns].
     """
 
     answer_ns = ANSWER_NS
+    program = "kh4server"
 
     def __init__(self, dspic: Dspic, vehicle: Vector[int] | None = None) -> None:
         self._dspic = dspic
         self._vehicle = [0] * N_VEHICLE if vehicle is None else vehicle
-        self.baud = self.reply_baud = BAUD
-        self.turrets: Mapping[TurretKind, Turret] = {}
+        super().__init__(BAUD)
         self.forget()
 
     def forget(self) -> None:
         """End the program; it restarts with the next bytes."""
-        self._line = b""
+        super().forget()
         self._is_running = False
         for index in range(N_VEHICLE):
             self._vehicle[index] = 0
 
-    def forget_line(self) -> None:
-        """Discard the incomplete line."""
-        self._line = b""
-
     def reset(self) -> bytes:
         """Reset robot and program; return its banner, which is empty."""
         self._dspic.reset()
-        self.forget()
-        return b""
-
-    def baud_rate_hint(self, baud: int) -> str:
-        """Return a hint on how to match the baud rates of robot and host."""
-        return f"expected {BAUD} baud at the host, not {baud}"
+        return super().reset()
 
     @property
     def powered(self) -> bool:
@@ -114,8 +99,7 @@ class Kh4Server:
 
     def state(self) -> FirmwareState:
         """Return the state without that of the vehicle."""
-        program = _PROGRAM if self._is_running else ""
-        return FirmwareState(self.baud, self.reply_baud, program, self._line, {})
+        return super().state()._replace(running=self.program if self._is_running else "")
 
     def set_state(self, state: FirmwareState) -> None:
         """Restore a state without that of the vehicle.
@@ -123,14 +107,8 @@ class Kh4Server:
         Raises:
             ValueError: It is of another robot.
         """
-        program = _PROGRAM if state.running else ""
-        if state._replace(partial_line=b"") != FirmwareState(BAUD, BAUD, program, b"", {}):
-            raise ValueError(
-                f"baud = {state.baud}, {state.reply_baud}, program {state.running!r}, turrets "
-                f"{sorted(state.turrets)}; expected {BAUD} baud, {_PROGRAM!r} or '', without turrets"
-            )
+        super().set_state(state._replace(running=state.running or self.program))
         self._is_running = bool(state.running)
-        self._line = state.partial_line
 
     def receive(self, data: bytes) -> bytes:
         """Receive bytes; return the reply to the command that they complete, if any."""
@@ -144,7 +122,7 @@ class Kh4Server:
             line, self._line = self._line[: end.start()], self._line[end.end() :]
             if line:
                 self._line = b""
-                return self._execute(line[:LONGEST_LINE])
+                return self.execute(line[:LONGEST_LINE])
         self._line = self._line[:LONGEST_LINE]
         return b""
 
@@ -177,7 +155,7 @@ class Kh4Server:
         orders = [max(speed, MIN_SPEED) if speed >= 0 else min(speed, -MIN_SPEED) for speed in orders]
         self._order_speeds(orders)
 
-    def _execute(self, line: bytes) -> bytes:
+    def execute(self, line: bytes) -> bytes:
         """Execute a command by its method, `_on_a` for A; return its reply, ERROR if that returns None."""
         fields = [field for field in line[2:].split(b",") if field]
         values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]

@@ -17,7 +17,7 @@ from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.pages import EVENT_LIMIT, html, limit_rows
 from khep_twin.lab.report.pdf import pdf
 from khep_twin.lab.report.report import make_report
-from khep_twin.lab.report.rows import DEFINITIONS
+from khep_twin.lab.report.rows import definitions
 from khep_twin.log.reader import read_series
 from khep_twin.log.shadow_channels import PoseState
 from khep_twin.log.shadow_track import read_shadow
@@ -109,7 +109,7 @@ def test_the_page_is_well_formed_and_whole(page: str) -> None:
     assert {"seed", "mujoco", "('dead:left@1',)"} < set(content.words)
     assert "<taken> & $away$" in content.words
     assert "fault dead:left@1 begins" in content.words
-    assert {name for name, _ in DEFINITIONS} < set(content.words)
+    assert {name for name, _ in definitions()} < set(content.words)
 
 
 def test_the_page_needs_nothing_else(page: str) -> None:

@@ -68,11 +68,12 @@ class Catalogue:
 
     Attributes:
         checks: Checks in the order in which they run.
-        counters: Command that reads the positions of the wheels.
+        counters: Command that reads the positions of the wheels, of robots that may drive without commands;
+            the commands D and E are then those of a Khepera.
     """
 
     checks: tuple[Check, ...]
-    counters: str
+    counters: str = ""
 
 
 def check(

@@ -1,0 +1,260 @@
+"""A robot of a stranger, the Toy of `toy_robot`: it works in all places that ask its model."""
+
+import math
+import threading
+from contextlib import closing
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from command_line import complaint, good
+from matplotlib.patches import Circle
+from numba_marks import with_numba
+
+from khep_twin import playpen as playpens
+from khep_twin.drawing.map import draw
+from khep_twin.errors import PortError, SnapshotError
+from khep_twin.host import Khepera
+from khep_twin.host.host_robot import open_robot
+from khep_twin.host.opening import find_baud_rate
+from khep_twin.playpen import Playpen
+from khep_twin.ports.network import TcpPort
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.pty import PtyPort
+from khep_twin.ports.serve import serve
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.line_server import LineServer
+from khep_twin.robots.registry import find_model
+from khep_twin.web import drafts
+from khep_twin.web.robot_shape import robot_shape
+from khep_twin.world import World
+
+FOLDER = Path(__file__).parent / "toy_robot"
+
+TEXT = """
+version = 1
+name = "toys"
+
+[arena]
+width_mm = 600
+height_mm = 400
+
+[[robot]]
+model = "toy"
+x_mm = 200
+y_mm = 200
+heading_deg = 0
+
+[[robot]]
+x_mm = 450
+y_mm = 200
+heading_deg = 180
+"""
+
+CONTROLLER = """
+def wander(robot):
+    nose = robot.proximity()[0]
+    robot.set_speed(0.08, -0.08 if nose > 200 else 0.08)
+    return {"nose": nose}
+"""
+
+
+pytestmark = pytest.mark.usefixtures("installed_toy")
+
+
+@pytest.fixture
+def toys() -> Playpen:
+    """A Toy that faces a Khepera, 0.25 m away."""
+    return playpens.parse(TEXT, "toys")
+
+
+def drive(world: World, speeds: bytes = b"M,0064,0032\n") -> list[str]:
+    """Drive the Toys of a world; return hashes of their registers and of the physics."""
+    digests: list[str] = []
+    for _ in range(4):
+        for robot in world.robots:
+            if isinstance(robot.firmware, LineServer):
+                robot.send(speeds)
+        world.advance(0.1331)
+        contents = [robot.registers.tobytes() for robot in world.robots]
+        digests.append(sha256(b"".join([*contents, world.data.qpos.tobytes()])).hexdigest())
+    return digests
+
+
+def test_a_playpen_has_a_toy_with_the_defaults_of_its_model(toys: Playpen, tmp_path: Path) -> None:
+    robot = toys.robots[0]
+    assert (robot.model, robot.rom, Path(robot.calibration).name) == ("toy", "toy-1", "toy.toml")
+    (tmp_path / "toys.toml").write_text(TEXT)
+    assert good("playpen", "check", "toys.toml", folder=tmp_path) == "toys: 2 robots: no problem\n"
+    (tmp_path / "toys.toml").write_text(TEXT.replace('"toy"', '"toy"\ncalibration = "khepera1"'))
+    assert complaint("playpen", "check", "toys.toml", folder=tmp_path).endswith(
+        'khepera1: of another robot than model = "toy"; expected a calibration with 5 sensors around and no '
+        "sensors of the ground"
+    )
+    for key, expected in (("mode = 2", "mode = 2"), ('rom = "5.02"', "toy-1"), ('turrets = ["gripper"]', "")):
+        (tmp_path / "toys.toml").write_text(TEXT.replace('"toy"', f'"toy"\n{key}'))
+        line = complaint("playpen", "check", "toys.toml", folder=tmp_path)
+        assert "robot 1" in line
+        assert "toy" in line
+        assert expected in line
+
+
+def test_a_toy_drives_and_its_sensors_see_what_is_there(toys: Playpen) -> None:
+    world = World(toys, noise=False)
+    robot = world.robots[0]
+    robot.send(b"M,0064,0064\n")
+    world.advance(1)
+    readings = robot.readings()
+    x, y, heading = robot.pose
+    assert x == pytest.approx(0.2 + readings["position"][0] * toys.robots[0].body.pulse_length, abs=0.003)
+    assert readings["speed"] == [pytest.approx(100, abs=8)] * 2 + [100, 100]
+    ray = heading + math.radians(20)
+    eye_x = x + 0.031 * math.cos(ray)
+    assert readings["ultrasonic"] == [pytest.approx(1000 * (0.6 - eye_x) / math.cos(ray), abs=5)]
+    world.advance(0.9)
+    assert y == pytest.approx(0.2, abs=0.002)
+    nose, left_cheek, _, ear, tail = robot.readings()["proximity"]
+    assert nose > 300
+    assert nose > left_cheek
+    assert ear < 20
+    assert tail < 20
+
+
+def test_a_restored_toy_continues_to_the_last_bit(toys: Playpen) -> None:
+    world = World(toys, seed=3)
+    drive(world)
+    snapshot = world.snapshot()
+    digests = drive(world, b"M,ffce,0000\n")
+    copy = World(toys, seed=9)
+    copy.restore(snapshot)
+    assert drive(copy, b"M,ffce,0000\n") == digests
+    with pytest.raises(SnapshotError):
+        World("obstacles").restore(snapshot)
+    state = world.state()
+    damaged = state.robots[0]._replace(arrays={"registers": np.full(17, 2**20).tobytes()})
+    with pytest.raises(SnapshotError, match="register = 1048576; expected -32768 to"):
+        world.set_state(state._replace(robots=(damaged, *state.robots[1:])))
+
+
+def test_a_toy_and_a_khepera_share_a_world_and_toys_vary(toys: Playpen) -> None:
+    world = World(toys, seed=3)
+    assert world.simulation.models == ("khepera", "toy")
+    drive(world)
+    reverse = World(toys.model_copy(update={"robots": toys.robots[::-1]}), seed=3)
+    assert reverse.simulation.models == ("khepera", "toy")
+    assert [robot.name for robot in world.robots] == ["khepera0", "khepera1"]
+    assert world.robots[1].registers.shape != world.robots[0].registers.shape
+    varied = World(toys, seed=3, vary=True)
+    assert drive(varied) != drive(World(toys, seed=3))
+
+
+@with_numba
+def test_a_toy_runs_compiled_as_plain(toys: Playpen) -> None:
+    one = toys.model_copy(update={"robots": toys.robots[:1]})
+    assert drive(World(one, seed=5, compiled=True)) == drive(World(one, seed=5, compiled=False))
+
+
+def test_the_host_class_of_a_toy_drives_a_twin_in_this_process(toys: Playpen) -> None:
+    with open_robot(find_model("toy"), Serial.of(open_twin(toys), 1.0)) as robot:
+        toy = cast(Any, robot)
+        toy.set_speed(0.1, 0.1)
+        toy.sleep(1)
+        assert toy.position() == (pytest.approx(0.095, abs=0.01),) * 2
+        assert toy.distance() == pytest.approx(0.29, abs=0.02)
+        assert len(toy.proximity()) == 5
+        assert [*toy.read_panel()] == ["proximity", "ambient", "speed"]
+    with pytest.raises(PortError, match="the robot is a Toy"):
+        Khepera(Serial.of(open_twin(toys), 1.0))
+
+
+def test_the_baud_rate_of_a_toy_is_found(toys: Playpen) -> None:
+    twin = open_twin(toys, TwinOptions(strict_line=True))
+    port: Any = Serial.of(twin, 1.0)
+    assert find_baud_rate(port, "toy", lambda: twin.world.time_ns / 1e9) == port.baudrate == 57_600
+
+
+@pytest.mark.parametrize("where", ["pty", "tcp"])
+def test_a_toy_is_served(where: str, toys: Playpen, tmp_path: Path) -> None:
+    model = find_model("toy")
+    with open_twin(toys) as twin:
+        link = str(tmp_path / "toy")
+        port: Any = PtyPort(link) if where == "pty" else TcpPort("localhost", 0)
+        stop = threading.Event()
+        with closing(port):
+            server = threading.Thread(target=serve, args=(twin, [port]), kwargs={"stop": stop.is_set})
+            server.start()
+            try:
+                url = port.path
+                with open_robot(model, url) as robot:
+                    robot.check_model()
+                    assert robot.ask("B") == "b,toy,1"
+                    cast(Any, robot).set_speed(0.05, 0.05)
+            finally:
+                stop.set()
+                server.join()
+
+
+@pytest.fixture(scope="module")
+def log(installed_toy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Log of a Toy that drives for 2 s."""
+    path = tmp_path_factory.mktemp("logs") / "toy.mcap"
+    twin = open_twin(playpens.parse(TEXT, "toys"), TwinOptions(log=path))
+    with open_robot(find_model("toy"), Serial.of(twin, 1.0)) as robot:
+        cast(Any, robot).set_speed(0.08, 0.1)
+        for _ in range(20):
+            cast(Any, robot).proximity()
+            robot.sleep(0.1)
+    return path
+
+
+def test_a_log_of_a_toy_has_its_columns(log: Path, tmp_path: Path) -> None:
+    good("export", log, "-o", tmp_path / "both.csv")
+    header = (tmp_path / "both.csv").read_text().splitlines()[0].split(",")
+    assert {"proximity_left_90", "toy_proximity_nose", "ultrasonic_beacon"} <= {*header}
+    good("export", log, "-o", tmp_path / "toy.csv", "--robot", "khepera0")
+    header = (tmp_path / "toy.csv").read_text().splitlines()[0].split(",")
+    assert {"proximity_nose", "ultrasonic_beacon", "speed_setpoint_left", "position_right"} <= {*header}
+
+
+def test_a_log_of_a_toy_is_repeated_reported_and_shown(log: Path, tmp_path: Path) -> None:
+    assert good("repeat", log).startswith("identical: ")
+    good("report", log, "-o", tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert ", of a Toy 150" in page
+    assert "Distance by counters" in page
+    good("view", log, "--save", tmp_path / "view.rrd")
+
+
+def test_the_map_shows_a_toy_by_its_size(toys: Playpen) -> None:
+    figure = draw(toys)
+    circles = [patch for patch in figure.axes[0].patches if isinstance(patch, Circle)]
+    assert [circle.radius for circle in circles] == pytest.approx([45, 27.5])
+
+
+def test_a_twin_of_a_toy_conforms_to_its_checks(toys: Playpen, tmp_path: Path) -> None:
+    (tmp_path / "toys.toml").write_text(TEXT)
+    text = good("conform", "khep://toys.toml", "--model", "toy", "--move", folder=tmp_path)
+    assert "2 passed, 0 failed" in text
+
+
+def test_the_page_lists_the_model_and_draws_its_shape(toys: Playpen) -> None:
+    assert cast(Any, drafts.models()["toy"])["modes"] == {"toy-1": {1: "57600 baud"}}
+    shape = robot_shape(find_model("toy"), toys.robots[0].calibration)
+    assert shape["sensors"][0] == [44.0, 5.0, 5]
+    assert len(shape["sonar"]) == 1
+    assert drafts.problems_of(drafts.draft_of(toys)) == []
+
+
+def test_a_controller_in_python_drives_a_toy(tmp_path: Path) -> None:
+    (tmp_path / "toys.toml").write_text(TEXT)
+    (tmp_path / "wander.py").write_text(CONTROLLER)
+    words = "run", "wander.py", "--playpen", "toys.toml", "--seconds", "2", "--log", "run.mcap"
+    text = good(*words, folder=tmp_path)
+    assert text.startswith("100 cycles in 2.0 s\ndistance m ")
+    assert "fitness" not in text
+    assert complaint("run", "braitenberg", "--playpen", "toys.toml", folder=tmp_path) == (
+        "toys: robot 1: model = 'toy'; expected a Khepera or Khepera II for a network, a built-in controller "
+        "or one in the toolbox's form"
+    )

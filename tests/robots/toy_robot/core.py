@@ -1,0 +1,116 @@
+"""Core of the Toy: every 20 ms its sensors, every 10 ms its speed controllers; all state is in registers."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from khep_twin.compilable import compilable
+from khep_twin.playpen import RobotEntry
+from khep_twin.robot_core import Core, register
+from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.noise import draws
+from khep_twin.sensing.optics import convert
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.robot_sensors import RobotSensors
+from khep_twin.sensing.scene import body_frame, cast_rays, joint_position, joint_speed, set_motor
+from khep_twin.sensors import robot_sensors
+from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
+from toy_robot.model import BODY
+
+N_INFRARED, PERIOD_NS, REACH = 5, 20_000_000, 1.5
+PROXIMITY, AMBIENT, ULTRASONIC, SPEED, SETPOINT, POSITION, N_REGISTERS = 0, 5, 10, 11, 13, 15, 17
+"""Indices of the registers."""
+
+_MM_PER_RAD, _PULSES_PER_RAD = 1000 * BODY.wheel_radius, BODY.pulses_per_turn / math.tau
+_HEADING = math.radians(20)
+_X, _Y, _Z = 0.031 * math.cos(_HEADING), 0.031 * math.sin(_HEADING), 0.03
+_DX, _DY = math.cos(_HEADING), math.sin(_HEADING)
+
+
+class Beam(NamedTuple):
+    """Ray of the ultrasonic sensor, as `cast_rays` needs it."""
+
+    vectors: Vector[float]
+    lengths: Vector[float]
+    normals: Vector[float]
+    geoms: Vector[int]
+
+
+class ToyState(NamedTuple):
+    """State of one robot: indices in the scene, sensors, registers, and the key of its random draws."""
+
+    angles: Sequence[int]
+    speeds: Sequence[int]
+    motors: Sequence[int]
+    pose: int
+    radius: float
+    motor_constant: float
+    sensors: RobotSensors
+    beam: Beam
+    registers: Vector[int]
+    noise: Vector[int]
+
+
+def _make_state(
+    model: mujoco.MjModel, indices: RobotIndices, measured: Calibration, entry: RobotEntry, first_moment: int
+) -> ToyState:
+    return ToyState(
+        angles=list(indices.wheel_qpos),
+        speeds=list(indices.wheel_dofs),
+        motors=list(indices.motors),
+        pose=indices.pose,
+        radius=entry.body.radius,
+        motor_constant=measured.motors.constant,
+        sensors=robot_sensors(model, indices, measured),
+        beam=Beam(np.zeros(3), np.zeros(1), np.zeros(3), np.zeros(1, np.int64)),
+        registers=np.zeros(N_REGISTERS, np.int64),
+        noise=np.zeros(2, np.int64),
+    )
+
+
+@compilable
+def _measure(robot: ToyState, simulated: Simulated, inputs: StepInputs) -> None:
+    """Measure with all sensors."""
+    scene, sensors, registers = simulated.scene, robot.sensors, robot.registers
+    powers = inputs.powers[powers_row(simulated, inputs)]
+    time_ns = simulated.counters[STEPS] * simulated.timing.step_ns
+    for channel in range(N_INFRARED):
+        noise = draws(inputs.tables, robot.noise, time_ns // PERIOD_NS * N_INFRARED + channel)
+        counts = convert(scene, sensors, simulated.light, powers, time_ns, channel, noise)
+        registers[PROXIMITY + channel], registers[AMBIENT + channel] = counts
+    frame, vectors = body_frame(scene, sensors), robot.beam.vectors
+    for axis in range(3):
+        vectors[axis] = frame[3 * axis] * _DX + frame[3 * axis + 1] * _DY
+    x, y = joint_position(scene, robot.pose), joint_position(scene, robot.pose + 1)
+    start = x + frame[0] * _X + frame[1] * _Y, y + frame[3] * _X + frame[4] * _Y, _Z
+    cast_rays(scene, sensors, robot.beam, start, REACH)
+    registers[ULTRASONIC] = max(round(1000 * robot.beam.lengths[0]), 0)
+
+
+@compilable
+def _sense(robot: ToyState, simulated: Simulated, inputs: StepInputs, start: int) -> None:
+    """Measure if it is time, and before time 0."""
+    if simulated.counters[STEPS] * simulated.timing.step_ns % PERIOD_NS == 0:
+        _measure(robot, simulated, inputs)
+
+
+@compilable
+def _tick(robot: ToyState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
+    """Run the speed controllers, and count the wheels' ways."""
+    scene, registers = simulated.scene, robot.registers
+    for side in range(2):
+        speed = joint_speed(scene, robot.speeds[side])
+        setpoint = registers[SETPOINT + side] / _MM_PER_RAD
+        set_motor(scene, robot.motors[side], robot.motor_constant * (setpoint + 4 * (setpoint - speed)))
+        registers[SPEED + side] = round(speed * _MM_PER_RAD)
+        registers[POSITION + side] = round(joint_position(scene, robot.angles[side]) * _PULSES_PER_RAD)
+    return False
+
+
+CORE = register(
+    Core("toy", ToyState, _make_state, ("registers",), ("toy_robot.core",), _sense, _tick, scan=_measure)
+)
