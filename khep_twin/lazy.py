@@ -1,4 +1,4 @@
-"""Lazy imports: public names of a package, each loaded on its first use.
+"""Lazy imports: public names of a package, each loaded on its first use, and objects of installed packages.
 
 A package lists them once, as type checkers read them:
 
@@ -14,8 +14,60 @@ A package lists them once, as type checkers read them:
 
 import ast
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+
+class Named(Protocol):
+    """Object that a package offers."""
+
+    @property
+    def name(self) -> str:
+        """Name, that of its entry point."""
+        ...
+
+
+Plugin = TypeVar("Plugin", bound=Named)
+
+
+def load_plugins(
+    entries: "Iterable[EntryPoint]",
+    kind: type[Plugin],
+    error_type: type[Exception],
+    title: str,
+    *,
+    is_valid: Callable[[Plugin], bool] = lambda plugin: True,
+    expected: str = "",
+) -> dict[str, Plugin]:
+    """Return the objects of entry points by name.
+
+    Args:
+        entries: Entry points, in the order of the result.
+        kind: Class of the objects.
+        error_type: Class of the errors.
+        title: Kind of object, for messages.
+        is_valid: Function that checks an object.
+        expected: Its requirement, for messages.
+
+    Raises:
+        error_type: A package registers another object, or a name that is in use.
+    """
+    plugins: dict[str, Plugin] = {}
+    for entry in entries:
+        try:
+            plugin: object = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise error_type(f"{title} {entry.name}: {entry.value} cannot be loaded: {error}") from error
+        if not isinstance(plugin, kind) or plugin.name != entry.name or not is_valid(plugin):
+            text = f"{title} {entry.name}: {entry.value} is {plugin!r}"
+            raise error_type(f"{text}; expected a {kind.__name__} of this name{expected}")
+        if plugins.setdefault(plugin.name, plugin) is not plugin:
+            raise error_type(f"{title} {entry.name}: {entry.value}: the name is taken by another package")
+    return plugins
 
 
 def names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, pairwise
 from typing import NamedTuple, Protocol
@@ -49,6 +50,25 @@ class RobotSettings(NamedTuple):
     faults: tuple[Fault, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class RobotSetup:
+    """Place of a robot in a world, and its settings.
+
+    Attributes:
+        context: World of the robot.
+        index: Index among the playpen's robots.
+        indices: Indices in the scene.
+        make_rng: Function that returns a random stream of the robot by its name.
+        settings: Settings of the world's robots.
+    """
+
+    context: WorldContext
+    index: int
+    indices: RobotIndices
+    make_rng: Callable[..., np.random.Generator]
+    settings: RobotSettings
+
+
 class SampledRegisters(NamedTuple):
     """Registers that form a channel of a log.
 
@@ -74,12 +94,8 @@ class Robot(WiredBoard, ABC):
     """A robot of a world: its board, its line and its body in the physics.
 
     Args:
-        context: World of the robot.
-        index: Index among the playpen's robots.
-        indices: Indices in the scene.
+        setup: Its place and settings.
         firmware: Command interpreter.
-        make_rng: Function that returns a random stream of the robot by its name.
-        settings: Settings of the world's robots.
 
     Attributes:
         index: Index among the playpen's robots.
@@ -100,15 +116,9 @@ class Robot(WiredBoard, ABC):
     fault_devices: tuple[str, ...] = ()
     """Devices that may have faults, besides the line and the processor."""
 
-    def __init__(
-        self,
-        context: WorldContext,
-        index: int,
-        indices: RobotIndices,
-        firmware: BoardFirmware,
-        make_rng: Callable[..., np.random.Generator],
-        settings: RobotSettings,
-    ) -> None:
+    def __init__(self, setup: RobotSetup, firmware: BoardFirmware) -> None:
+        context, index, indices = setup.context, setup.index, setup.indices
+        make_rng, settings = setup.make_rng, setup.settings
         title = context.playpen.robots[index].robot_model.title
         for fault in settings.faults:
             if fault.device in (SENSOR, MOTOR, WHEEL) and fault.device not in self.fault_devices:

@@ -26,7 +26,7 @@ from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import position, resume, stream
 from khep_twin.renamed import renamed_arguments
-from khep_twin.robot import Robot, RobotSettings
+from khep_twin.robot import Robot, RobotSettings, RobotSetup
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
@@ -197,9 +197,9 @@ class World(NotCopied):
     def _make_robot(self, index: int, seed: int) -> Robot:
         """Return a robot."""
         model = self._base_playpen.robots[index].robot_model
-        make = cast(Callable[..., Robot], model.load_class("robot", Robot))
+        make = cast(Callable[[RobotSetup], Robot], model.load_class("robot", Robot))
         rng = partial(stream, seed, "robot", index)
-        return make(self, index, self._forms.indices[index], rng, self._robot_settings)
+        return make(RobotSetup(self, index, self._forms.indices[index], rng, self._robot_settings))
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import TurretError, choices
 from khep_twin.files.paths import StrPath
+from khep_twin.lazy import load_plugins
 
 if TYPE_CHECKING:
     import mujoco
@@ -163,19 +164,14 @@ def installed_turrets() -> Mapping[str, TurretKind]:
     Raises:
         TurretError: A package registers an object that is no turret, or a name that is in use.
     """
-    kinds: dict[str, TurretKind] = {}
-    for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
-        try:
-            kind: object = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise TurretError(f"turret {entry.name}: {entry.value} cannot be loaded: {error}") from error
-        if not isinstance(kind, TurretKind) or kind.name != entry.name or kind.number not in NUMBERS:
-            raise TurretError(
-                f"turret {entry.name}: {entry.value} is {kind!r}; expected a TurretKind of this name "
-                "with a number from 0 to 31"
-            )
-        if kinds.setdefault(kind.name, kind) is not kind:
-            raise TurretError(f"turret {entry.name}: {entry.value}: the name is taken by another package")
+    kinds = load_plugins(
+        sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)),
+        TurretKind,
+        TurretError,
+        "turret",
+        is_valid=lambda kind: kind.number in NUMBERS,
+        expected=" with a number from 0 to 31",
+    )
     return dict(sorted(kinds.items(), key=lambda item: (not item[1].is_lowest, item[1].height is None)))
 
 

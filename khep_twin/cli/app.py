@@ -43,10 +43,25 @@ from khep_twin.robots.registry import installed_models
 from khep_twin.signals import first_signal, handle_signals, leave
 from khep_twin.status_line import STATUS_LINE_VARIABLE, beside_status_line
 
+
+class _RootCommands(Commands):
+    """Commands of `khep-twin`, with those of the models of robots."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        for model in installed_models().values():
+            for name in model.commands:
+                single = typer.Typer(
+                    add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+                )
+                single.command(name)(model.load_command(name))
+                self.add_command(typer.main.get_command(single), name)
+
+
 app = typer.Typer(
     name="khep-twin",
     help="A physics-based digital twin of the Khepera miniature robot.",
-    cls=Commands,
+    cls=_RootCommands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -59,9 +74,6 @@ _LOGS = (view, report, export, recover, repeat, branch)
 _MEASUREMENTS = (sense, fit, calibrate)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)
-for robot_model in installed_models().values():
-    for command_name in robot_model.commands:
-        app.command(command_name)(robot_model.load_command(command_name))
 app.command("compile")(compile_all)
 app.command()(conform)
 

@@ -9,7 +9,7 @@ from khep_twin.cli.completion import logs, models, ports
 from khep_twin.cli.options import Force, check_new, refuse, usage
 from khep_twin.errors import PortError
 from khep_twin.files.atomic import unusable, write_atomic
-from khep_twin.robots.registry import DEFAULT, installed_families
+from khep_twin.robots.registry import DEFAULT
 
 _PORT_OPTIONS = {"move", "baudrate", "model"}
 """Options that do not apply to a log, by their parameters' names."""
@@ -28,7 +28,7 @@ def conform(
     model: Annotated[
         str,
         typer.Option(
-            help=f"Model of the robot, or its family: {', '.join(installed_families())}.",
+            help="Model of the robot, or its family, such as khepera.",
             autocompletion=models,
         ),
     ] = DEFAULT,

@@ -8,6 +8,7 @@ extra `rl` reads entry points of packages, so a program imports `khep_twin`, or 
 
 import dataclasses
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -30,7 +31,8 @@ def register() -> None:
             sys.meta_path.insert(0, _RegistrationFinder())
         return
     from khep_twin.envs.tasks import TASKS
-    from khep_twin.robots.registry import installed_models
+    from khep_twin.errors import RobotModelError
+    from khep_twin.robots.registry import installed_models, shipped_models
 
     registry: Any = module
     for task in TASKS:
@@ -41,7 +43,12 @@ def register() -> None:
                 vector_entry_point="khep_twin.envs.gymnasium_vector:KheperaVectorEnvironment",
                 kwargs={"task": task},
             )
-    for model in installed_models().values():
+    try:
+        models = installed_models()
+    except RobotModelError as error:  # an import of Gymnasium must not end in it
+        warnings.warn(str(error), stacklevel=2)
+        models = shipped_models()
+    for model in models.values():
         for task, environment in model.environments.items():
             if (name := f"khep_twin/{task}-v0") not in registry.registry:
                 registry.register(name, entry_point=environment, kwargs={"task": task})

@@ -1,9 +1,10 @@
 """`HostRobot`: common part of the robots at the other end of a serial port."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar, cast
 
 import serial
 
@@ -18,11 +19,11 @@ Value = TypeVar("Value")
 
 def open_robot(model: RobotModel, url: StrPath | serial.SerialBase, **options: Any) -> "HostRobot":
     """Open the robot of a model at a port; options are those of the model's host class."""
-    host_class: Callable[..., HostRobot] = model.load_class("host", HostRobot)
+    host_class = cast(Callable[..., HostRobot], model.load_class("host", HostRobot))
     return host_class(url, **options)
 
 
-class HostRobot:
+class HostRobot(ABC):
     """Robot behind a serial port. Leaving it as a context stops the motors.
 
     A missing or malformed reply raises an error with the exchange in it, after the line has been
@@ -143,13 +144,13 @@ class HostRobot:
         """
         self._line.sleep(duration)
 
+    @abstractmethod
     def stop(self) -> None:
         """Stop the wheels."""
-        raise NotImplementedError
 
+    @abstractmethod
     def read_panel(self) -> dict[str, list[int]]:
         """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [register]."""
-        raise NotImplementedError
 
     def ask(self, request: str) -> str:
         """Send any line, once, and return the reply, or a tool's first line, without its line ending.

@@ -37,9 +37,11 @@ def models_of(
     names = {f"khepera{index}": str(entry.get("model", DEFAULT)) for index, entry in enumerate(entries)}
     models: dict[str, RobotModel] = {}
     for robot in robots:
-        prefix = f"/{robot}/"
-        channels = {topic.removeprefix(prefix) for topic in topics if topic.startswith(prefix)}
-        models[robot] = installed_models().get(names.get(robot, "")) or model_of_channels(channels)
+        if (model := installed_models().get(names.get(robot, ""))) is None:
+            prefix = f"/{robot}/"
+            channels = {topic.removeprefix(prefix) for topic in topics if topic.startswith(prefix)}
+            model = model_of_channels(channels)
+        models[robot] = model
     return models
 
 

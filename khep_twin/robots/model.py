@@ -7,7 +7,7 @@ This module knows no model. A package registers its models under the entry point
 
 `parts` names the code that acts, as "module:attribute", which is imported on its first use:
 
-    core            `khep_twin.robot_core.Core`: what the stepping core runs
+    core            `khep_twin.robot_core.Core`: functions that the stepping core runs
     robot           subclass of `khep_twin.robot.Robot`: the robot of a world
     host            subclass of `khep_twin.host.HostRobot`: the robot at the other end of a line
     conformance     `khep_twin.lab.conformance.port.conform.Checks`: checks at a port

@@ -6,12 +6,17 @@ from importlib.metadata import EntryPoint, entry_points
 
 from khep_twin.board.rom import Rom
 from khep_twin.errors import RobotModelError, choices
+from khep_twin.lazy import load_plugins
 from khep_twin.robots.model import GROUP, Dialect, Feature, RobotModel
 
 DEFAULT = "khepera1"
 """Model of robots that a file or an option does not name."""
 
-_SHIPPED = ("khepera.model:KHEPERA_1", "khepera.model:KHEPERA_2", "khepera4.model:KHEPERA_4")
+_SHIPPED = {
+    "khepera1": "khepera.model:KHEPERA_1",
+    "khepera2": "khepera.model:KHEPERA_2",
+    "khepera4": "khepera4.model:KHEPERA_4",
+}
 
 
 @cache
@@ -21,21 +26,18 @@ def installed_models() -> Mapping[str, RobotModel]:
     Raises:
         RobotModelError: A package registers an object that is no model, or a name that is in use.
     """
-    shipped = [EntryPoint("", f"khep_twin.robots.{reference}", GROUP) for reference in _SHIPPED]
     foreign = sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value))
-    models: dict[str, RobotModel] = {}
-    for entry in (*shipped, *foreign):
-        try:
-            model: object = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise RobotModelError(f"robot {entry.name}: {entry.value} cannot be loaded: {error}") from error
-        if not isinstance(model, RobotModel) or entry.name not in ("", model.name):
-            raise RobotModelError(
-                f"robot {entry.name}: {entry.value} is {model!r}; expected a RobotModel of this name"
-            )
-        if models.setdefault(model.name, model) is not model:
-            raise RobotModelError(f"robot {entry.name}: {entry.value}: the name is taken by another package")
-    return models
+    return load_plugins([*_shipped_entries(), *foreign], RobotModel, RobotModelError, "robot")
+
+
+@cache
+def shipped_models() -> Mapping[str, RobotModel]:
+    """Return the models that ship, by name."""
+    return load_plugins(_shipped_entries(), RobotModel, RobotModelError, "robot")
+
+
+def _shipped_entries() -> list[EntryPoint]:
+    return [EntryPoint(name, f"khep_twin.robots.{reference}", GROUP) for name, reference in _SHIPPED.items()]
 
 
 def find_model(name: str) -> RobotModel:
@@ -75,7 +77,7 @@ def installed_roms() -> Mapping[str, Rom]:
 
 def default_model() -> RobotModel:
     """Return the model of robots that a file or an option does not name."""
-    return installed_models()[DEFAULT]
+    return shipped_models()[DEFAULT]
 
 
 def installed_families() -> Mapping[str, RobotModel]:

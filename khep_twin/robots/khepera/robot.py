@@ -1,9 +1,5 @@
 """A Khepera or Khepera II of a world: its registers, turrets, supply and faults."""
 
-from collections.abc import Callable
-
-import numpy as np
-
 from khep_twin import step, units
 from khep_twin.board import kernel
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL
@@ -20,9 +16,8 @@ from khep_twin.board.kernel import (
 )
 from khep_twin.board.turrets import find_turrets
 from khep_twin.firmware import Firmware
-from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
+from khep_twin.robot import Robot, RobotSetup, SampledRegisters
 from khep_twin.robots.khepera import core
-from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.robot_arrays import Layout, Part
 from khep_twin.simulation.turret_place import WorldTurretContext
@@ -59,7 +54,7 @@ class KheperaRobot(Robot):
     """A Khepera or Khepera II, whose board the stepping core runs.
 
     Args:
-        context, index, indices, make_rng, settings: See `Robot`.
+        setup: See `Robot`.
 
     Attributes:
         registers: State of the board (N_REGISTERS,).
@@ -70,24 +65,18 @@ class KheperaRobot(Robot):
     layout = LAYOUT
     fault_devices = (SENSOR, MOTOR, WHEEL)
 
-    def __init__(
-        self,
-        context: WorldContext,
-        index: int,
-        indices: RobotIndices,
-        make_rng: Callable[..., np.random.Generator],
-        settings: RobotSettings,
-    ) -> None:
+    def __init__(self, setup: RobotSetup) -> None:
+        context, index = setup.context, setup.index
         entry, record = context.playpen.robots[index], context.simulation.record_of(index)
         turrets = {kind: kind.make() for kind in find_turrets(entry.turrets)}
         firmware = Firmware(entry.firmware, entry.mode, turrets, record["registers"], record["processor"])
-        super().__init__(context, index, indices, firmware, make_rng, settings)
+        super().__init__(setup, firmware)
         self.fit_turrets()
         self.registers = firmware.registers
         self._register_view = firmware.register_view
         self._wheels = None
-        if any(fault.device == WHEEL for fault in settings.faults):
-            self._wheels = FaultyWheels(context.model, context.data, indices)
+        if any(fault.device == WHEEL for fault in setup.settings.faults):
+            self._wheels = FaultyWheels(context.model, context.data, setup.indices)
 
     def fit_turrets(self) -> None:
         """Create the bodies of its turrets in the present scene."""

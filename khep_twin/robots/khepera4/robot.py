@@ -4,13 +4,11 @@ The stepping core runs it (`khepera4.core`). Its measurements are evaluated when
 log reads them.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import step
-from khep_twin.robot import Robot, RobotSettings, WorldContext, consecutive_registers
+from khep_twin.robot import Robot, RobotSetup, consecutive_registers
 from khep_twin.robots.khepera4 import gauge, ultrasonic
 from khep_twin.robots.khepera4.channels import CHANNELS, ULTRASONIC_CODES
 from khep_twin.robots.khepera4.core import (
@@ -18,7 +16,6 @@ from khep_twin.robots.khepera4.core import (
     ECHO,
     INFRARED,
     NONE,
-    PULSES_PER_TURN,
     Khepera4State,
     wheel_pulses,
 )
@@ -27,12 +24,9 @@ from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS, PACKE
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
-from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.number_reader import LARGEST
 from khep_twin.simulation.robot_arrays import Layout, Part, read
 from khep_twin.simulation.world_state import RobotSnapshot
-
-__all__ = ["PULSES_PER_TURN", "SAMPLED", "Khepera4Robot"]
 
 SAMPLED = consecutive_registers(CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""
@@ -88,7 +82,7 @@ class Khepera4Robot(Robot):
     """A Khepera IV of a world.
 
     Args:
-        context, index, indices, make_rng, settings: See `Robot`.
+        setup: See `Robot`.
 
     Attributes:
         dspic: Its microcontroller.
@@ -99,18 +93,11 @@ class Khepera4Robot(Robot):
     sampled = SAMPLED
     layout = LAYOUT
 
-    def __init__(
-        self,
-        context: WorldContext,
-        index: int,
-        indices: RobotIndices,
-        make_rng: Callable[..., np.random.Generator],
-        settings: RobotSettings,
-    ) -> None:
-        self._state: Khepera4State = context.simulation.state_of(index)
+    def __init__(self, setup: RobotSetup) -> None:
+        self._state: Khepera4State = setup.context.simulation.state_of(setup.index)
         self.dspic = Dspic(self._state.dspic)
         firmware = Kh4Server(self.dspic, self._state.vehicle)
-        super().__init__(context, index, indices, firmware, make_rng, settings)
+        super().__init__(setup, firmware)
         self.dspic.before_read = self._evaluate_pending
         self.registers = np.zeros(SAMPLED[-1].registers[-1] + 1, np.int64)
 

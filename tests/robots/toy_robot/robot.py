@@ -4,14 +4,10 @@ Numbers are hexadecimal, of 16 bits in two's complement: B names the robot, M,LE
 its wheels [mm/s], R reads all registers.
 """
 
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from khep_twin.robot import Robot, RobotSettings, WorldContext, consecutive_registers
+from khep_twin.robot import Robot, RobotSetup, consecutive_registers
 from khep_twin.robots.line_server import LineServer
-from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.robot_arrays import Layout, Part
 from toy_robot.core import N_REGISTERS, SETPOINT
 from toy_robot.model import BAUD, LABELS
@@ -46,16 +42,9 @@ class ToyRobot(Robot):
     sampled = consecutive_registers(LABELS)
     layout = Layout("toy", 1, {"registers": [Part("register", N_REGISTERS, -(2**15), 2**15 - 1)]})
 
-    def __init__(
-        self,
-        context: WorldContext,
-        index: int,
-        indices: RobotIndices,
-        make_rng: Callable[..., np.random.Generator],
-        settings: RobotSettings,
-    ) -> None:
-        self.registers = context.simulation.record_of(index)["registers"]
-        super().__init__(context, index, indices, ToyServer(self.registers), make_rng, settings)
+    def __init__(self, setup: RobotSetup) -> None:
+        self.registers = setup.context.simulation.record_of(setup.index)["registers"]
+        super().__init__(setup, ToyServer(self.registers))
 
     def reset_motion(self) -> None:
         """Stop the wheels."""
