@@ -32,8 +32,8 @@ from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
 from khep_twin.episodes.cuda import card, card_batch, kernel
 from khep_twin.episodes.device import find_gpu_error
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.machine import n_cores
 from khep_twin.playpen import Playpen
+from khep_twin.process.machine import n_cores
 
 NETWORK = Network(hidden=(5,), recurrent=True)
 START_S = time.monotonic()

@@ -23,8 +23,8 @@ from khep_twin import Episode, EpisodeOptions, EpisodeSetup, Network, Playpen, r
 from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.errors import pip_install
 from khep_twin.files import unusable
-from khep_twin.invocation import command
 from khep_twin.lab.experiment import run_statistics
+from khep_twin.process.invocation import command
 from khep_twin.units import BODY_RADIUS
 
 try:

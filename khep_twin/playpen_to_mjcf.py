@@ -30,7 +30,7 @@ from khep_twin.playpen.parts import Obstacle
 from khep_twin.playpen.polygon import walls_around
 from khep_twin.playpen.stripes import Panel, panels, panels_within
 from khep_twin.playpen.surfaces import Surface
-from khep_twin.robot_to_mjcf import SOLIMP, SOLREF, add_contact, add_robot
+from khep_twin.robots.to_mjcf import SOLIMP, SOLREF, add_contact, add_robot
 from khep_twin.sensing.line_faces import STRIPE
 from khep_twin.sensing.mujoco_scene import GROUND_GROUP
 

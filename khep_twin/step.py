@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from khep_twin import units
 from khep_twin.compilable import compilable, compilable_once, unroll
-from khep_twin.robot_core import evaluate, measure_supply, sense, start, tick
+from khep_twin.robots.core import evaluate, measure_supply, sense, start, tick
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.light import Light
 from khep_twin.sensing.noise import Tables

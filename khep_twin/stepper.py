@@ -7,8 +7,8 @@ from typing import Protocol
 from khep_twin import step
 from khep_twin.clock import NEVER_NS
 from khep_twin.errors import DivergedError
-from khep_twin.one_thread import second_thread_error
-from khep_twin.robot import Robot
+from khep_twin.process.one_thread import second_thread_error
+from khep_twin.robots.robot import Robot
 from khep_twin.simulation.simulation import Simulation
 from khep_twin.simulation.stepping_code import SteppingCode
 from khep_twin.simulation.world_state import WorldState

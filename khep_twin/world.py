@@ -21,12 +21,12 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import to_ns
 from khep_twin.copies import NotCopied
 from khep_twin.errors import DivergedError, SnapshotError
-from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
+from khep_twin.process.one_thread import one_thread
 from khep_twin.randomness import position, resume, stream
 from khep_twin.renamed import renamed_arguments
-from khep_twin.robot import Robot, RobotSettings, RobotSetup
+from khep_twin.robots.robot import Robot, RobotSettings, RobotSetup
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel

@@ -44,7 +44,7 @@ from types import SimpleNamespace
 import pyarrow.parquet as pq
 from mcap.writer import MCAP0_MAGIC
 
-from khep_twin import machine
+from khep_twin.process import machine
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.atomic import write_atomic
 from khep_twin.log.tail import GrowingLog

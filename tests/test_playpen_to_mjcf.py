@@ -13,7 +13,7 @@ from khep_twin.board.kernel import PROXIMITY
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen_to_mjcf import to_mjcf, to_spec
-from khep_twin.robot_to_mjcf import ASSETS
+from khep_twin.robots.to_mjcf import ASSETS
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 from khep_twin.world import World

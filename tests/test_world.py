@@ -12,7 +12,7 @@ from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, SETPOINTS, S
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import DivergedError, PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.robot import Robot
+from khep_twin.robots.robot import Robot
 from khep_twin.simulation.mujoco_forms import SceneModel
 from khep_twin.world import World
 

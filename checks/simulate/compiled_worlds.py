@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from functools import cache
 from unittest.mock import patch
 
-import khep_twin.status_line  # noqa: F401 - before a simulation: compilation reports by it
+import khep_twin.process.status_line  # noqa: F401 - before a simulation: compilation reports by it
 from khep_twin.playpen import Playpen
 from khep_twin.vision import camera
 from khep_twin.world import World

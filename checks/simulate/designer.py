@@ -16,9 +16,9 @@ from checks.simulate import kernel
 from checks.simulate.kernel import NS_PER_S, OpenFile, Process
 from checks.simulate.page_threads import REQUEST, Group, Loop
 from checks.simulate.simulation import Simulation, Violation
-from khep_twin import signals
 from khep_twin.ports import service_registry
 from khep_twin.ports.host_port import NOTHING
+from khep_twin.process import signals
 from khep_twin.web import answers, file_actions, session_actions, twin_session
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard

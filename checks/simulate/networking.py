@@ -238,7 +238,7 @@ class Site:
             simulation.violate("leftovers", f"{process.name} leaves a thread")
 
     def _terminate(self, process: Process, session: Session, first_fault: int) -> None:
-        """End a process that hangs as `khep_twin.signals` does: clean-up in another thread, then the end.
+        """End a process that hangs as `process.signals` does: clean-up in another thread, then the end.
 
         Its motors must stand if the faults since its start, from the number `first_fault`, are harmless.
         """

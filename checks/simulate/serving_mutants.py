@@ -11,7 +11,7 @@ from khep_twin.ports.host_writes import Change
 from khep_twin.ports.link import Link
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.terminal_hosts import TerminalHosts
-from khep_twin.robot import Robot
+from khep_twin.robots.robot import Robot
 
 
 def _poll_events_alone(hosts: TerminalHosts, _: bool) -> Change:

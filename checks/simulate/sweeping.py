@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import khep_twin.status_line  # noqa: F401 - before a simulation: compilation reports by it
+import khep_twin.process.status_line  # noqa: F401 - before a simulation: compilation reports by it
 from checks.simulate import sweep_disk
 from checks.simulate.kernel import NS_PER_S, OpenFile, Process
 from checks.simulate.simulation import Simulation

@@ -7,7 +7,7 @@ from checks.simulate.simulation import Simulation
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, Mode, Wheel
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.ports.twin import Twin
-from khep_twin.robot import Robot
+from khep_twin.robots.robot import Robot
 from khep_twin.units import PULSES_PER_TURN, wheel_pulses
 from khep_twin.world import Observer
 

@@ -39,9 +39,9 @@ from khep_twin.cli.streams import exit_code
 from khep_twin.cli.sweep import sweep
 from khep_twin.cli.view import view
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, user_error_text
+from khep_twin.process.signals import first_signal, handle_signals, leave
+from khep_twin.process.status_line import STATUS_LINE_VARIABLE, beside_status_line
 from khep_twin.robots.registry import installed_models
-from khep_twin.signals import first_signal, handle_signals, leave
-from khep_twin.status_line import STATUS_LINE_VARIABLE, beside_status_line
 
 
 class _RootCommands(Commands):

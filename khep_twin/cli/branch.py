@@ -12,7 +12,7 @@ from khep_twin.cli.option_groups import expand_groups
 from khep_twin.cli.options import Faults, Force, check_inputs, check_new, check_picture, print_files, usage
 from khep_twin.cli.progress import part_bar
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.signals import stopping
+from khep_twin.process.signals import stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.branch import BranchPlan, Trajectory

@@ -11,8 +11,8 @@ from khep_twin.cli.completion import calibrations, ports
 from khep_twin.cli.fit import BearingDeg, RulerMm, check_outputs, fit_and_write
 from khep_twin.cli.options import Force, ask_line, notify
 from khep_twin.errors import FitError
-from khep_twin.invocation import command
-from khep_twin.signals import stopping
+from khep_twin.process.invocation import command
+from khep_twin.process.signals import stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.placement import Ruler

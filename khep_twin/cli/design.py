@@ -8,7 +8,7 @@ import typer
 
 from khep_twin.cli.options import notify, usage
 from khep_twin.files.atomic import resolve
-from khep_twin.signals import stopping
+from khep_twin.process.signals import stopping
 
 
 def design(

@@ -15,7 +15,7 @@ import typer
 from khep_twin.cli.completion import ports
 from khep_twin.cli.options import Force, check_new
 from khep_twin.errors import KhepTwinError
-from khep_twin.signals import register_cleanup, stopping
+from khep_twin.process.signals import register_cleanup, stopping
 
 if TYPE_CHECKING:
     import curses

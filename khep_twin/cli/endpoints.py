@@ -11,7 +11,7 @@ import typer
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import notify, print_files, print_kept_log, usage
 from khep_twin.errors import PortError
-from khep_twin.machine import is_writable
+from khep_twin.process.machine import is_writable
 
 if TYPE_CHECKING:
     from khep_twin.log.log_file import FileRecorder

@@ -13,8 +13,8 @@ from typer.core import TyperGroup
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, choices
 from khep_twin.files.atomic import is_same, resolve, unusable
 from khep_twin.files.drawings import is_replaceable
-from khep_twin.invocation import command
-from khep_twin.machine import read_byte
+from khep_twin.process.invocation import command
+from khep_twin.process.machine import read_byte
 
 if TYPE_CHECKING:
     from khep_twin.log.log_file import FileRecorder

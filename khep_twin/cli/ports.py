@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.errors import PortError, PortInUse
-from khep_twin.invocation import command
+from khep_twin.process.invocation import command
 
 
 def ports(

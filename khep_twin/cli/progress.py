@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
-from khep_twin.status_line import status_line
+from khep_twin.process.status_line import status_line
 
 _BAR_WIDTH = 36
 

@@ -37,8 +37,8 @@ from khep_twin.cli.run_logs import RunLogs
 from khep_twin.cli.streams import has_no_reader
 from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.files.atomic import resolve
-from khep_twin.invocation import command
-from khep_twin.signals import handle_signals, stopping
+from khep_twin.process.invocation import command
+from khep_twin.process.signals import handle_signals, stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controllers import AnyController

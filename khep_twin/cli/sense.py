@@ -17,7 +17,7 @@ from khep_twin.cli.progress import part_bar
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.files.atomic import resolve
-from khep_twin.signals import stopping
+from khep_twin.process.signals import stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest

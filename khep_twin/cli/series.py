@@ -8,7 +8,7 @@ import typer
 
 from khep_twin.cli.options import Force, check_new, check_picture, usage
 from khep_twin.errors import ControllerError
-from khep_twin.invocation import command
+from khep_twin.process.invocation import command
 
 
 class Kind(StrEnum):

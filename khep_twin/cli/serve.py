@@ -26,7 +26,7 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.cli.playpen import PlaypenName
-from khep_twin.signals import stopping
+from khep_twin.process.signals import stopping
 
 if TYPE_CHECKING:
     from khep_twin.ports.twin import Twin, TwinOptions

@@ -18,9 +18,9 @@ from khep_twin.cli.playpen import PlaypenName
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.shadow_run import EXIT_CODES, ExitOn, ShadowOptions, ShadowRun
 from khep_twin.clock import NS_PER_S
-from khep_twin.machine import lower_priority
-from khep_twin.signals import stopping
-from khep_twin.status_line import beside_status_line, status_line
+from khep_twin.process.machine import lower_priority
+from khep_twin.process.signals import stopping
+from khep_twin.process.status_line import beside_status_line, status_line
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen

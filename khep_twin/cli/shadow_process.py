@@ -12,8 +12,8 @@ import typer
 from khep_twin.cli.options import notify
 from khep_twin.cli.shadow_run import EXIT_CODES
 from khep_twin.errors import KhepTwinError
+from khep_twin.process.signals import block_signals, register_cleanup
 from khep_twin.shadow.line_pipe import LineSender
-from khep_twin.signals import block_signals, register_cleanup
 
 READY = b"\n"
 """Byte by which a shadow reports that it is ready."""

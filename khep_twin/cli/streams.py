@@ -15,7 +15,7 @@ import sys
 from contextlib import suppress
 from typing import Any
 
-from khep_twin.machine import open_files_limit
+from khep_twin.process.machine import open_files_limit
 
 MIN_OPEN_FILES = 64
 """Smallest limit of open files. A run has 8 open, `serve` 13, the page 11 without a browser (measured); the

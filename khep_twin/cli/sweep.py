@@ -13,8 +13,8 @@ from khep_twin.cli.completion import studies
 from khep_twin.cli.options import notify, usage
 from khep_twin.cli.progress import duration_text, progress
 from khep_twin.cli.rollout import check_compiled
-from khep_twin.invocation import command
-from khep_twin.signals import register_cleanup
+from khep_twin.process.invocation import command
+from khep_twin.process.signals import register_cleanup
 
 if TYPE_CHECKING:
     from khep_twin.sweep.shards import Shard, Work

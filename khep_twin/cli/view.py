@@ -12,8 +12,8 @@ from khep_twin.cli.progress import duration_text, progress
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, unusable
-from khep_twin.invocation import command
-from khep_twin.signals import stopping
+from khep_twin.process.invocation import command
+from khep_twin.process.signals import stopping
 
 
 def view(

@@ -34,7 +34,7 @@ from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TERMS, Task
 from khep_twin.episodes import version_check
 from khep_twin.errors import KhepTwinError, value_text
-from khep_twin.one_thread import one_thread
+from khep_twin.process.one_thread import one_thread
 from khep_twin.randomness import stream
 
 version_check.check()

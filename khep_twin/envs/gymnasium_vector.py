@@ -34,9 +34,9 @@ from khep_twin.episodes.device import Device
 from khep_twin.episodes.episode_batch import Slots
 from khep_twin.episodes.episode_options import as_integer, check_count
 from khep_twin.errors import KhepTwinError, MissingExtraError, value_text
-from khep_twin.machine import n_cores
-from khep_twin.one_thread import one_thread
 from khep_twin.playpen import PlaypenLike
+from khep_twin.process.machine import n_cores
+from khep_twin.process.one_thread import one_thread
 
 try:
     from gymnasium.utils.seeding import np_random

@@ -29,7 +29,7 @@ from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
-from khep_twin.one_thread import one_thread
+from khep_twin.process.one_thread import one_thread
 
 try:
     from gymnasium.spaces import Space

@@ -28,7 +28,7 @@ from khep_twin.episodes.controllers import Policy
 from khep_twin.episodes.device import Device
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
-from khep_twin.one_thread import one_thread
+from khep_twin.process.one_thread import one_thread
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 

@@ -33,9 +33,9 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes
 from khep_twin.episodes.metrics import METRICS, compute_means
 from khep_twin.errors import DivergedError
-from khep_twin.machine import n_cores
 from khep_twin.playpen import Lamp, PlaypenLike
 from khep_twin.playpen.starts import Start
+from khep_twin.process.machine import n_cores
 from khep_twin.simulation.mujoco_forms import movable_names
 from khep_twin.units import SCAN_NS
 

@@ -32,9 +32,9 @@ from khep_twin.episodes.line import NEVER
 from khep_twin.episodes.metrics import compute_metrics
 from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import DivergedError
-from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start
+from khep_twin.process.one_thread import one_thread
 from khep_twin.simulation.ready import find_missing_numba, function_of, when_ready
 from khep_twin.world import World
 

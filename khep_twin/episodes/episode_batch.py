@@ -27,7 +27,7 @@ from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.line import NEVER
 from khep_twin.episodes.stepping import Run, SlotArrays, run
 from khep_twin.errors import DivergedError
-from khep_twin.one_thread import one_thread
+from khep_twin.process.one_thread import one_thread
 from khep_twin.renamed import renamed_attribute
 from khep_twin.step import Reason, Stop
 

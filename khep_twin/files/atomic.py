@@ -12,9 +12,9 @@ from typing import BinaryIO, NamedTuple
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.paths import StrPath
-from khep_twin.invocation import quoted
-from khep_twin.machine import flags, remove, rename
-from khep_twin.signals import block_signals, register_cleanup
+from khep_twin.process.invocation import quoted
+from khep_twin.process.machine import flags, remove, rename
+from khep_twin.process.signals import block_signals, register_cleanup
 
 _NO_HARD_LINKS = errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL
 """Errors of file systems without hard links, such as FAT; EINVAL is that of Windows."""

@@ -26,7 +26,7 @@ from khep_twin.files.atomic import open_regular
 from khep_twin.files.text import decode
 from khep_twin.files.toml_edit import change_table
 from khep_twin.files.toml_lines import LineNumbers
-from khep_twin.invocation import command
+from khep_twin.process.invocation import command
 
 SIZE_LIMIT = 2**20
 """Largest file that is read [bytes]."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from khep_twin.errors import PortError, PortTimeout
 from khep_twin.host.resynchronization import Resynchronization
 from khep_twin.host.robot_port import RobotPort, decode_line
-from khep_twin.signals import register_cleanup
+from khep_twin.process.signals import register_cleanup
 
 STOP_WAIT = 0.5
 """Longest wait for the reply to the final command, which stops the motors [s]."""

@@ -11,8 +11,8 @@ from urllib.parse import quote
 import serial
 
 from khep_twin.errors import PORT_FAILURES, PortError, PortInUse, PortTimeout
-from khep_twin.invocation import command
 from khep_twin.ports.service_registry import served_ports
+from khep_twin.process.invocation import command
 from khep_twin.robots.registry import installed_families
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
-from khep_twin.invocation import command
 from khep_twin.log.channels import CDR_HEADER, TextLine
+from khep_twin.process.invocation import command
 
 LATEST_NS = 2**63 - 1
 """Latest accepted time [ns]: the range of int64, 292 years."""

@@ -26,8 +26,8 @@ from khep_twin.files.atomic import (
 )
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.output import Output
-from khep_twin.machine import RENAMES_OPEN_FILES, flags, lock, n_forks, remove, rename
-from khep_twin.signals import block_signals, register_cleanup
+from khep_twin.process.machine import RENAMES_OPEN_FILES, flags, lock, n_forks, remove, rename
+from khep_twin.process.signals import block_signals, register_cleanup
 
 
 class PartFile:

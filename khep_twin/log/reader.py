@@ -17,7 +17,6 @@ from khep_twin.drawing.paths import DrawnPath
 from khep_twin.errors import LogError, PlaypenError
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.paths import StrPath
-from khep_twin.invocation import command
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.columns import name_columns
@@ -28,6 +27,7 @@ from khep_twin.log.messages import Messages, TimeSeries, check_time, is_repeat_c
 from khep_twin.log.robot_models import SAMPLED_CHANNELS, further_channels, models_of
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.checks import require_feature
+from khep_twin.process.invocation import command
 from khep_twin.renamed import renamed_attribute
 from khep_twin.robots.model import Feature, RobotModel
 from khep_twin.robots.registry import default_model

@@ -25,7 +25,7 @@ from khep_twin.log.messages import NUMERIC_DECODERS, REPEAT_CHANNELS, line_topic
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
 from khep_twin.log.robot_models import SAMPLED_CHANNELS
 from khep_twin.log.snapshots import read_states
-from khep_twin.machine import lock
+from khep_twin.process.machine import lock
 
 _PART_SUFFIX = re.compile(r"\.part(\.[0-9]+)?$")
 _RECOVERED_SUFFIX = "recovered"

@@ -18,7 +18,7 @@ from pydantic import Base64UrlBytes, Field
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.channels import array_message, bytes_message
 from khep_twin.log.decoding import LATEST_NS, read_array
-from khep_twin.robot import Robot
+from khep_twin.robots.robot import Robot
 from khep_twin.simulation.snapshot_format import pack, unpack
 from khep_twin.simulation.world_state import WorldState
 from khep_twin.world import World

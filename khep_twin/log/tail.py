@@ -21,12 +21,12 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, resolve
-from khep_twin.invocation import command
 from khep_twin.log.decoding import DecodeError, read_errors
 from khep_twin.log.entries import Entry, EntryReader, Label, make_label, run_metadata
 from khep_twin.log.reader import read_label
 from khep_twin.log.record_bytes import HEAD, RecordBytes, parse_record
-from khep_twin.machine import RENAMES_OPEN_FILES, lock, unlock
+from khep_twin.process.invocation import command
+from khep_twin.process.machine import RENAMES_OPEN_FILES, lock, unlock
 
 _BLOCK_BYTES = 1 << 22  # per read
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from khep_twin.clock import NEVER_NS
 from khep_twin.ports.host_port import NOTHING, HostPort
 from khep_twin.ports.twin import Twin
-from khep_twin.robot import Robot
+from khep_twin.robots.robot import Robot
 
 
 class Connection:

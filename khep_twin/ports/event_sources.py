@@ -13,7 +13,7 @@ from contextlib import suppress
 from enum import Enum, auto
 from pathlib import Path
 
-from khep_twin.machine import flags
+from khep_twin.process.machine import flags
 
 _INOTIFY_FLAGS = flags("O_NONBLOCK", "O_CLOEXEC")
 

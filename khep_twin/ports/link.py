@@ -11,9 +11,9 @@ from pathlib import Path
 
 from khep_twin.errors import PortError
 from khep_twin.files.paths import StrPath
-from khep_twin.machine import lock
 from khep_twin.ports.service_registry import private_folder
-from khep_twin.signals import block_signals, register_cleanup
+from khep_twin.process.machine import lock
+from khep_twin.process.signals import block_signals, register_cleanup
 
 if sys.platform == "win32":
     raise ImportError("a terminal's link needs a system with terminals")

@@ -30,8 +30,8 @@ from serial.serialutil import SerialBase
 from khep_twin.board.uart import LineSettings
 from khep_twin.clock import to_ns
 from khep_twin.errors import KhepTwinError, PortError, choices
-from khep_twin.one_thread import one_thread
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.process.one_thread import one_thread
 
 _POLL_NS = 1_000_000
 """Duration of a poll on a line without delay [ns]."""

@@ -21,11 +21,11 @@ import serial
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PORT_FAILURES, PortError
-from khep_twin.machine import wait_readable
 from khep_twin.ports.host_port import HostPort, NoticeLimit
 from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.network import address_fault
 from khep_twin.ports.serve import LONGEST_WAIT_S, PeriodicFlush
+from khep_twin.process.machine import wait_readable
 from khep_twin.units import BITS_PER_BYTE
 
 _CHUNK = 1024

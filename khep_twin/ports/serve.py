@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from khep_twin.clock import NEVER_NS, NS_PER_S, Pacer
-from khep_twin.machine import wait_readable
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.event_sources import set_exact_timeouts
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
+from khep_twin.process.machine import wait_readable
 from khep_twin.units import TICK_NS
 
 LONGEST_WAIT_S = 0.02

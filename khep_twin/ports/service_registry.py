@@ -13,8 +13,8 @@ from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from khep_twin.errors import NO_TEMPORARY_FOLDER, PortError
-from khep_twin.machine import lock, remove
-from khep_twin.signals import register_cleanup
+from khep_twin.process.machine import lock, remove
+from khep_twin.process.signals import register_cleanup
 
 _ENTRY_SUFFIX = ".served"
 

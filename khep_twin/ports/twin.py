@@ -19,9 +19,9 @@ from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.checks import find_unfit_keys, playpen_problems
 from khep_twin.playpen.parts import model_defaults
 from khep_twin.randomness import SEED_LIMIT
-from khep_twin.robot import Robot
 from khep_twin.robots.model import RobotModel
 from khep_twin.robots.registry import installed_models, installed_roms
+from khep_twin.robots.robot import Robot
 from khep_twin.world import World
 
 

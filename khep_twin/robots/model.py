@@ -7,8 +7,8 @@ This module knows no model. A package registers its models under the entry point
 
 `parts` names the code that acts, as "module:attribute", which is imported on its first use:
 
-    core            `khep_twin.robot_core.Core`: functions that the stepping core runs
-    robot           subclass of `khep_twin.robot.Robot`: the robot of a world
+    core            `khep_twin.robots.core.Core`: functions that the stepping core runs
+    robot           subclass of `khep_twin.robots.robot.Robot`: the robot of a world
     host            subclass of `khep_twin.host.HostRobot`: the robot at the other end of a line
     conformance     `khep_twin.lab.conformance.port.conform.Checks`: checks at a port
 """

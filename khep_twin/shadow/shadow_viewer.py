@@ -20,11 +20,11 @@ from typing import Self
 
 from khep_twin.log.viewer.process import end_process
 from khep_twin.playpen import Playpen
+from khep_twin.process.signals import block_signals, register_cleanup
+from khep_twin.process.status_line import STATUS_LINE_VARIABLE
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import LIVE_FLUSH_NS, ShadowLog
 from khep_twin.shadow.update import Update
-from khep_twin.signals import block_signals, register_cleanup
-from khep_twin.status_line import STATUS_LINE_VARIABLE
 
 _POLL_S = 0.05
 """Interval of checks of the viewer's process [s]."""

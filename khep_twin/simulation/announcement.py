@@ -15,7 +15,7 @@ from typing import Any
 from numba.core import event
 
 from khep_twin.compilable import FUNCTIONS
-from khep_twin.status_line import announced
+from khep_twin.process.status_line import announced
 
 COMPILING = "khep_twin: compiling with numba"
 """Start of each line of an announcement."""

@@ -20,9 +20,10 @@ import mujoco
 import numba
 from numba.extending import overload, register_jitable
 
-from khep_twin import robot_core, step, units
+from khep_twin import step, units
 from khep_twin.compilable import FUNCTIONS
-from khep_twin.robot_core import CORES, DUTIES, Core, core_of
+from khep_twin.robots import core as robot_core
+from khep_twin.robots.core import CORES, DUTIES, Core, core_of
 from khep_twin.robots.registry import default_model, find_family
 from khep_twin.sensing import (
     light,

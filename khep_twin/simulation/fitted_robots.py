@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.robot_to_mjcf import wheel_inertia
+from khep_twin.robots.to_mjcf import wheel_inertia
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 
@@ -80,7 +80,7 @@ class CalibratedRobots:
 
 
 def _set_calibration(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> None:
-    """Set the values that `robot_to_mjcf` derives from a robot's calibration, except contacts."""
+    """Set the values that `robots.to_mjcf` derives from a robot's calibration, except contacts."""
     half_base = units.metres(calibration.wheels.base_mm) / 2
     for side, (y, radius) in enumerate(zip((half_base, -half_base), calibration.wheels.radii, strict=True)):
         wheel, tyre, rim = robot.wheels[side], robot.tyres[side], robot.rims[side]

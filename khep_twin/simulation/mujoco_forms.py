@@ -17,7 +17,8 @@ from khep_twin.playpen import Lighting, Playpen
 from khep_twin.playpen.model import MANY_ROBOTS
 from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import set_step, to_spec
-from khep_twin.robot_core import core_of
+from khep_twin.process.status_line import announced
+from khep_twin.robots.core import core_of
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.lamps import Lamps
@@ -28,7 +29,6 @@ from khep_twin.simulation.fitted_robots import CalibratedRobots
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.physics_state import FIELDS_CHANGED_BY_RUNS, fingerprint
 from khep_twin.simulation.simulation import NO_LIGHT
-from khep_twin.status_line import announced
 from khep_twin.step import Reason, Timing
 
 Floats = NDArray[np.float64]

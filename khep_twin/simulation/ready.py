@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from khep_twin.errors import MissingNumbaError
-from khep_twin.machine import lock, lower_priority
+from khep_twin.process.machine import lock, lower_priority
 from khep_twin.robots.registry import default_model, installed_families
 
 CODE = {

@@ -15,7 +15,7 @@ from khep_twin import step
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lighting
 from khep_twin.randomness import key, stream
-from khep_twin.robot_core import CORES
+from khep_twin.robots.core import CORES
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, HiddenSector, Light, LightLaw
@@ -60,7 +60,7 @@ class SceneForms(Protocol):
         ...
 
     def robot_states(self) -> list[Any]:
-        """Return the state of each robot before a start, named tuples of classes in `robot_core.CORES`."""
+        """Return the state of each robot before a start, named tuples of classes in `robots.core.CORES`."""
         ...
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
@@ -306,7 +306,7 @@ class Simulation:
 
         Args:
             robot: Number of the robot in the playpen.
-            part: Number of the measurement, as for `robot_core.evaluate`.
+            part: Number of the measurement, as for `robots.core.evaluate`.
             moment: Number of the moment.
             moments: All moments.
         """

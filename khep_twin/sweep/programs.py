@@ -21,8 +21,8 @@ from khep_twin.errors import ControllerError, choices, exception_text
 from khep_twin.files.atomic import read_regular
 from khep_twin.files.text import decode
 from khep_twin.files.toml_files import format_value
+from khep_twin.process.signals import is_interruption
 from khep_twin.randomness import stream
-from khep_twin.signals import is_interruption
 from khep_twin.sweep.study import NetworkTable, StudyFile
 
 

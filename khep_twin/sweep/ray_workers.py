@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from types import ModuleType
 
 from khep_twin.errors import KhepTwinError, MissingExtraError
-from khep_twin.machine import n_cores
+from khep_twin.process.machine import n_cores
 from khep_twin.sweep.results import encode_part
 from khep_twin.sweep.run_shard import run_shard
 from khep_twin.sweep.shards import Shard, Work, versions

@@ -33,7 +33,7 @@ from khep_twin.files.atomic import (
     rename_into_place,
     write_atomic,
 )
-from khep_twin.machine import FOLDER_LOCK, lock, open_folder
+from khep_twin.process.machine import FOLDER_LOCK, lock, open_folder
 from khep_twin.sweep.run_shard import Columns
 from khep_twin.sweep.shards import Shard, Work
 from khep_twin.sweep.study import COLUMNS

@@ -13,7 +13,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import ControllerError, exception_text
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen.starts import Start
-from khep_twin.signals import is_interruption
+from khep_twin.process.signals import is_interruption
 from khep_twin.sweep.programs import Program, driver_of, function_of
 from khep_twin.sweep.shards import Shard, Work
 from khep_twin.sweep.study import NS_PER_MS

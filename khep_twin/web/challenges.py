@@ -18,7 +18,7 @@ from khep_twin.errors import ChallengeError, StoppedError, choices, user_error_t
 from khep_twin.lab.challenge.attempt import Attempt, score_file
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, load, names
 from khep_twin.lab.challenge.results import participants, rank_attempts, score_files, to_csv
-from khep_twin.machine import n_cores
+from khep_twin.process.machine import n_cores
 from khep_twin.web import requests
 from khep_twin.web.answers import Actions, action
 from khep_twin.web.documents import PROGRAM_SUFFIXES, Documents

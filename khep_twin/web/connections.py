@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from khep_twin.machine import open_files_limit
+from khep_twin.process.machine import open_files_limit
 
 if TYPE_CHECKING:
     from uvicorn.server import Protocols

@@ -2,7 +2,7 @@
 
 import os
 
-from khep_twin.machine import n_forks
+from khep_twin.process.machine import n_forks
 
 
 class ForkGuard:

@@ -19,11 +19,11 @@ from collections.abc import Callable, Sequence
 from khep_twin.board.protocol import LINE_END
 from khep_twin.clock import NEVER_NS, Pacer
 from khep_twin.errors import KhepTwinError
-from khep_twin.machine import wait_readable
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
-from khep_twin.robot import Robot
+from khep_twin.process.machine import wait_readable
+from khep_twin.robots.robot import Robot
 from khep_twin.units import TICK_NS
 
 _LINE_LIMIT = 1024

@@ -11,13 +11,13 @@ from starlette.responses import Response
 
 from khep_twin.errors import PortError, choices
 from khep_twin.host.discovery import found_ports
-from khep_twin.invocation import command
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
 from khep_twin.playpen.starts import at_spots
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import TwinOptions
+from khep_twin.process.invocation import command
 from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.answers import Actions, action
 from khep_twin.web.documents import PROGRAM_SUFFIXES, Documents

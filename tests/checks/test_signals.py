@@ -90,7 +90,8 @@ def script(text: str) -> list[str]:
     """A command that does as its text says, with signals handled."""
     head = """
         import os, signal, sys, time
-        from khep_twin.signals import handle_signals, first_signal, register_cleanup, stopping, block_signals
+        from khep_twin.process.signals import block_signals, handle_signals, first_signal
+        from khep_twin.process.signals import register_cleanup, stopping
         def here():
             print("here", flush=True)
     """

@@ -19,10 +19,11 @@ from command_line import complaint, good, khep_twin, line_of
 from forked import Forked, run_python
 from typer.testing import CliRunner
 
-from khep_twin import __version__, invocation
+from khep_twin import __version__
 from khep_twin.cli.app import app
 from khep_twin.files import toml_files
 from khep_twin.log.reader import read_log
+from khep_twin.process import invocation
 
 GOOD = (toml_files.folder("playpens") / "obstacles.toml").read_text()
 

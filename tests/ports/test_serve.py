@@ -21,8 +21,8 @@ from served_twin import ask, exchange, served, stop
 
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
-from khep_twin.invocation import command
 from khep_twin.log.reader import read_log
+from khep_twin.process.invocation import command
 
 TIMEOUT_S = 20.0
 """Wait for what must come, on machines of any load [s]."""

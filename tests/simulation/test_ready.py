@@ -14,8 +14,8 @@ from khep_twin.episodes.controllers import Function
 from khep_twin.episodes.episode import SlowerWarning
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError, MissingNumbaError
-from khep_twin.machine import lock
 from khep_twin.playpen import Playpen
+from khep_twin.process.machine import lock
 from khep_twin.shadow.planes import Twins
 from khep_twin.simulation import ready
 from khep_twin.step import Reason

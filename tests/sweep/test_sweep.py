@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from checks.worker_kills import trial
 from khep_twin.cli.app import app
 from khep_twin.errors import KhepTwinError, MissingExtraError, StudyError
-from khep_twin.invocation import command
+from khep_twin.process.invocation import command
 from khep_twin.sweep import ray_workers
 from khep_twin.sweep.shards import Shard, Work, work_of
 from khep_twin.sweep.study import COLUMNS

@@ -38,7 +38,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar.plane import PUSHED, PUSHED_ASIDE, true_pose
 from khep_twin.episodes.stepping import EpisodeArguments
 from khep_twin.errors import DivergedError, PlaypenError
-from khep_twin.one_thread import one_thread
+from khep_twin.process.one_thread import one_thread
 from khep_twin.step import Reason
 
 BLOCK_SIZE = 64

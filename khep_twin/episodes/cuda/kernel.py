@@ -26,9 +26,9 @@ from khep_twin.episodes.cuda import views
 from khep_twin.episodes.cuda.views import array_at, constant_of, obstacles_at, overlay, record_at, scene_of
 from khep_twin.episodes.planar.compiled import PLANE_SOURCES
 from khep_twin.episodes.planar.plane import Plane
+from khep_twin.process.status_line import announced
 from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import digest_of, source_of
-from khep_twin.status_line import announced
 from khep_twin.step import Reason, Simulated, StepInputs
 
 STAMP = digest_of(

@@ -22,7 +22,7 @@ from khep_twin.compilable import FUNCTIONS, unroll
 from khep_twin.episodes import fitness
 from khep_twin.episodes.cuda import views
 from khep_twin.episodes.planar import casting
-from khep_twin.robot_core import DUTIES
+from khep_twin.robots.core import DUTIES
 from khep_twin.robots.khepera.core import CORE
 from khep_twin.sensing import scene as queries
 

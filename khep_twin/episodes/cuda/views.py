@@ -12,7 +12,7 @@ import numpy as np
 from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.plane import DISTANCE, N_COLUMNS, TANGENT_IMPULSE, Plane
-from khep_twin.robot_core import CORES
+from khep_twin.robots.core import CORES
 from khep_twin.robots.khepera.core import CORE
 
 N_STATE_COLUMNS = TANGENT_IMPULSE + 1 - DISTANCE

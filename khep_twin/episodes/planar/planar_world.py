@@ -17,9 +17,9 @@ from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.episodes.planar.plane import PlanarRobot, Plane
-from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Lamp, Lighting
 from khep_twin.playpen.starts import Start, at_spots
+from khep_twin.process.one_thread import one_thread
 from khep_twin.randomness import stream
 from khep_twin.robots.khepera.core import KheperaState, robot_state
 from khep_twin.sensing import calibration

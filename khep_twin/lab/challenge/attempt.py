@@ -28,8 +28,8 @@ from khep_twin.files.atomic import write_atomic
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.challenge.challenge import ChallengeFile, load
 from khep_twin.lab.challenge.scoring import Score, is_worth_compiling, score
-from khep_twin.shutdown import EXIT_S, INTERRUPTION_S
-from khep_twin.signals import handle_signals
+from khep_twin.process.shutdown import EXIT_S, INTERRUPTION_S
+from khep_twin.process.signals import handle_signals
 from khep_twin.simulation.ready import when_ready
 
 REAL_SECONDS = 60.0

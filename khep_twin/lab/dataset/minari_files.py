@@ -29,7 +29,7 @@ from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.files.atomic import free_name, name_taken_message, resolve
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset.episodes import OfflineEpisode
-from khep_twin.signals import register_cleanup
+from khep_twin.process.signals import register_cleanup
 
 try:
     import gymnasium

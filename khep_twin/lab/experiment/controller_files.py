@@ -17,7 +17,6 @@ from khep_twin.errors import ControllerError, choices
 from khep_twin.files.atomic import open_regular, resolve
 from khep_twin.files.text import check_encoding
 from khep_twin.files.toml_files import names
-from khep_twin.invocation import command
 from khep_twin.lab.experiment.controller_source import ReadOnceLoader
 from khep_twin.lab.experiment.controllers import (
     BUILT_IN,
@@ -34,7 +33,8 @@ from khep_twin.lab.experiment.controllers import (
 from khep_twin.lab.experiment.periodic_controllers import NetworkController, PeriodicController
 from khep_twin.lab.experiment.series_run import SeriesRun
 from khep_twin.lab.experiment.users_folder import in_users_folder, reset_users_folder
-from khep_twin.signals import is_interruption
+from khep_twin.process.invocation import command
+from khep_twin.process.signals import is_interruption
 
 Candidate = type[Controller] | PeriodicController | AnyFunction
 CandidateType = TypeVar("CandidateType", bound=Candidate)

@@ -26,7 +26,7 @@ from khep_twin.host import Khepera
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.experiment.users_folder import in_users_folder
 from khep_twin.playpen import Playpen
-from khep_twin.signals import is_interruption
+from khep_twin.process.signals import is_interruption
 
 Params = ParamSpec("Params")
 ReturnType = TypeVar("ReturnType")

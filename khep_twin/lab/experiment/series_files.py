@@ -26,9 +26,9 @@ from khep_twin.errors import ControllerError
 from khep_twin.files.atomic import read_regular, write_atomic
 from khep_twin.files.mat_file import mat_bytes
 from khep_twin.files.paths import StrPath
-from khep_twin.invocation import command
 from khep_twin.lab.experiment.measures import UNITS
 from khep_twin.lab.experiment.series_run import SeriesRun
+from khep_twin.process.invocation import command
 from khep_twin.renamed import renamed_attribute
 
 Row = Mapping[str, int | float | str | bool]

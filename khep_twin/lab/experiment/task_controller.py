@@ -29,8 +29,8 @@ from khep_twin.host.results import Positions
 from khep_twin.lab.experiment.controllers import error_in_file, source_file
 from khep_twin.lab.experiment.periodic_controllers import PeriodicController
 from khep_twin.playpen import Playpen
+from khep_twin.process.signals import is_interruption
 from khep_twin.sensing import calibration as calibrations
-from khep_twin.signals import is_interruption
 
 
 @runtime_checkable

@@ -26,7 +26,6 @@ from rerun.chunk import Chunk
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.text import escape_surrogates
-from khep_twin.invocation import command
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
@@ -35,6 +34,7 @@ from khep_twin.log.viewer.collected import Collector, times_of
 from khep_twin.log.viewer.layout import ShownLog, layout
 from khep_twin.log.viewer.process import Web, open_viewer
 from khep_twin.log.viewer.replay import HIDDEN_TOPICS, Additions, static_chunks
+from khep_twin.process.invocation import command
 
 SAMPLE_NS = NS_PER_S // 25
 """Simulated time per shown sample of each channel [ns]; transcripts and events are complete."""

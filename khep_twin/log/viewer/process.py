@@ -23,7 +23,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import resolve
 from khep_twin.files.drawings import write_drawing
 from khep_twin.log.viewer.collected import TIMELINE
-from khep_twin.signals import block_signals, register_cleanup
+from khep_twin.process.signals import block_signals, register_cleanup
 
 if TYPE_CHECKING:
     import rerun.experimental as rx

@@ -1,7 +1,7 @@
 """Core of the Khepera and the Khepera II: sensors, control tick and supply of a robot.
 
 A step converts the next sensor, a control tick runs from encoders to motor voltages. The functions are
-`compilable`, see `robot_core`.
+`compilable`, see `robots.core`.
 """
 
 from typing import Any, NamedTuple, cast
@@ -13,7 +13,7 @@ from khep_twin import units
 from khep_twin.board import battery, kernel
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robot_core import Core, register
+from khep_twin.robots.core import Core, register
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.noise import draws

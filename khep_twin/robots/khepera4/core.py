@@ -7,7 +7,7 @@ At the end of a control period of 10 ms it updates
     3. the battery's charge; an empty one stops the robot
 
 Infrared sensors record a moment every 5 ms, an enabled ultrasonic one every 20 ms. A moment is evaluated when
-its readings are read. The functions are `compilable`, see `robot_core`.
+its readings are read. The functions are `compilable`, see `robots.core`.
 """
 
 import math
@@ -18,7 +18,7 @@ import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robot_core import Core, register
+from khep_twin.robots.core import Core, register
 from khep_twin.robots.khepera4 import dspic, gauge, inertial, infrared, ultrasonic
 from khep_twin.robots.khepera4.dspic import N_ULTRASONIC, DspicState
 from khep_twin.robots.khepera4.inertial import InertialState

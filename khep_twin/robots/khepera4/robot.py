@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import step
-from khep_twin.robot import Robot, RobotSetup, consecutive_registers
 from khep_twin.robots.khepera4 import gauge, ultrasonic
 from khep_twin.robots.khepera4.channels import CHANNELS, ULTRASONIC_CODES
 from khep_twin.robots.khepera4.core import (
@@ -24,6 +23,7 @@ from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS, PACKE
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
+from khep_twin.robots.robot import Robot, RobotSetup, consecutive_registers
 from khep_twin.simulation.number_reader import LARGEST
 from khep_twin.simulation.robot_arrays import Layout, Part, read
 from khep_twin.simulation.world_state import RobotSnapshot

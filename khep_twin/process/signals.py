@@ -18,7 +18,7 @@ from types import FrameType
 from typing import NoReturn
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.shutdown import Interrupted, shutdown
+from khep_twin.process.shutdown import Interrupted, shutdown
 
 _write_lock = threading.RLock()
 

@@ -7,7 +7,7 @@ import pytest
 from numba_marks import with_numba
 
 from khep_twin.playpen import Lamp, Playpen
-from khep_twin.robot_core import CORES, DUTIES, core_of
+from khep_twin.robots.core import CORES, DUTIES, core_of
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.robots.registry import find_family, installed_families

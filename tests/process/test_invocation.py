@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from khep_twin.invocation import command
+from khep_twin.process.invocation import command
 
 
 @pytest.fixture

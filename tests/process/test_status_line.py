@@ -21,7 +21,7 @@ from khep_twin.cli.endpoints import EndpointOptions, print_end
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import notify
 from khep_twin.cli.progress import progress
-from khep_twin.status_line import STATUS_LINE_VARIABLE, announced, beside_status_line, status_line
+from khep_twin.process.status_line import STATUS_LINE_VARIABLE, announced, beside_status_line, status_line
 
 
 def test_lines_of_output_and_a_progress_bar_never_share_a_line() -> None:
