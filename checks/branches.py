@@ -91,7 +91,7 @@ def drive(world: World, seed: int, end_ns: int) -> None:
     while world.time_ns < end_ns:
         rng = np.random.default_rng([seed, world.time_ns])
         for robot in world.robots:
-            is_khepera = Feature.EPISODES in world.playpen.robots[robot.index].robot_model.features
+            is_khepera = Feature.LINE in world.playpen.robots[robot.index].robot_model.features
             words = (WORDS if is_khepera else WORDS4) + ARM * bool(robot.firmware.turrets)
             robot.uart.tx.read(world.time_ns)
             robot.send(f"{rng.choice(words)}\n".encode() * int(rng.integers(1, 3)))
@@ -129,7 +129,7 @@ def drive(world: World, seed: int, end_ns: int) -> None:
 
 def faults_of(playpen_of: Playpen) -> Sequence[str]:
     """Return the faults that all robots of a playpen may have; a Khepera IV has those of its line."""
-    if all(Feature.EPISODES in robot.robot_model.features for robot in playpen_of.robots):
+    if all(Feature.LINE in robot.robot_model.features for robot in playpen_of.robots):
         return FAULTS
     return [fault for fault in FAULTS if fault.partition(":")[0].partition("@")[0] in LINE_FAULTS]
 
@@ -177,7 +177,7 @@ def change_of(number: int, at_ns: int, playpen_of: Playpen) -> tuple[BranchPoint
         edits=(str(rng.choice(edits)),) if rng.random() < 0.4 else (),
     )
     # The controller is a Khepera's.
-    return change, bool(rng.random() < 0.5) and Feature.EPISODES in playpen_of.robots[0].robot_model.features
+    return change, bool(rng.random() < 0.5) and Feature.LINE in playpen_of.robots[0].robot_model.features
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:

@@ -120,7 +120,7 @@ def find_fault(number: int, candidate: Playpen, seconds: float = 10.0) -> str | 
                 if world.time_ns >= due_ns[index]:
                     speeds = rng.choice(COMMANDS)
                     arm, hand = rng.randrange(256), rng.randrange(2)
-                    if Feature.EPISODES in candidate.robots[index].robot_model.features:
+                    if Feature.LINE in candidate.robots[index].robot_model.features:
                         robot.send(b"D,%d,%d\nT,1,E,%d\nT,1,D,%d\n" % (*speeds, arm, hand))
                     else:
                         robot.send(b"L,%d,%d\r\n" % tuple(speed * FULL_PWM // 127 for speed in speeds))
@@ -166,7 +166,7 @@ def _off_its_wheels(world: World, body: int, number: int) -> Iterator[str]:
         yield f"robot {number + 1} tilts by {tilt_deg:.0f} degrees"
     elif height > HIGHEST:
         yield f"robot {number + 1} is {height * 1000:.1f} mm off the floor"
-    fastest = FASTEST if Feature.EPISODES in world.playpen.robots[number].robot_model.features else FASTEST4
+    fastest = FASTEST if Feature.LINE in world.playpen.robots[number].robot_model.features else FASTEST4
     if (speed := math.hypot(*world.data.qvel[start : start + 2].tolist())) > fastest:
         yield f"robot {number + 1} goes {speed:.2f} m/s"
 

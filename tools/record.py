@@ -61,7 +61,7 @@ def names() -> list[str]:
     return [
         name
         for name in playpens
-        if all(Feature.EPISODES in robot.robot_model.features for robot in Playpen.load(name).robots)
+        if all(Feature.LINE in robot.robot_model.features for robot in Playpen.load(name).robots)
     ]
 
 

@@ -209,7 +209,7 @@ class Run:
 def _has_kheperas(path: Path) -> bool:
     """Return whether all robots of a log are Kheperas, which may have faults of sensors and motors."""
     return all(
-        Feature.EPISODES in robot.robot_model.features
+        Feature.LINE in robot.robot_model.features
         for robot in playpen_of(read_label(path).attachments, path).robots
     )
 

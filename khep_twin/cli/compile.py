@@ -47,7 +47,6 @@ def _compile_part(part: str) -> None:
     import numpy as np
 
     from khep_twin import playpen as playpens
-    from khep_twin.episodes.controllers import Braitenberg
     from khep_twin.episodes.episode import Episode
     from khep_twin.episodes.episode_setup import EpisodeSetup
     from khep_twin.playpen import Playpen
@@ -58,11 +57,12 @@ def _compile_part(part: str) -> None:
     from khep_twin.world import World
 
     kind, *families = part.split(".")
+    models = [find_family(family) for family in families] or [default_model()]
+    text = _ARENA.format(width=600 * len(models))
+    text += "".join(_ROBOT.format(model=model.name, x=300 + 600 * i) for i, model in enumerate(models))
+    playpen = playpens.parse(text, part)
     if kind == "world":
-        models = [find_family(family) for family in families] or [default_model()]
-        text = _ARENA.format(width=600 * len(models))
-        text += "".join(_ROBOT.format(model=model.name, x=300 + 600 * i) for i, model in enumerate(models))
-        world = World(playpens.parse(text, part), compiled=True)
+        world = World(playpen, compiled=True)
         world.advance_to(world.timing.step_ns)
     elif part == "vision":
         take_test_image()
@@ -73,5 +73,4 @@ def _compile_part(part: str) -> None:
         particles.twins.advance(1)
         SensorModel(particles.twins).observe(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
     else:
-        setup = EpisodeSetup(Playpen.load("default"), planar=part == "plane")
-        Episode(setup, Braitenberg(), compiled=True).begin()
+        Episode(EpisodeSetup(playpen, planar=kind == "plane"), compiled=True).begin()

@@ -23,7 +23,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
 from khep_twin.episodes.device import Device, choose_device
 from khep_twin.episodes.episode import Episode, is_compiled
@@ -36,6 +35,7 @@ from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, PlaypenLike
 from khep_twin.playpen.starts import Start
 from khep_twin.process.machine import n_cores
+from khep_twin.robots.core import Interface
 from khep_twin.simulation.mujoco_forms import movable_names
 from khep_twin.units import SCAN_NS
 
@@ -71,7 +71,7 @@ class RolloutResult:
 
     Attributes:
         metrics: Metrics by name (`metrics.METRICS`), NaN for failed episodes, each (n,).
-        registers: Registers of each board at the end (n, N_REGISTERS).
+        registers: Registers of each robot at the end (n, n_registers).
         poses: Final x, y [m] and heading [rad] (n, 3).
         objects: Final x, y [m] and heading [rad] of the movable objects, in the order of `Playpen.objects`
             (n, n_objects, 3); no axis of robots.
@@ -142,13 +142,12 @@ def rollout(
     elif planar and setup.planar_scene is None:
         raise ValueError("planar = True: and a setup in MuJoCo; expected EpisodeSetup(..., planar=True)")
     n_episodes = len(seeds)
-    n_robots = len(setup.playpen.robots)
     max_threads = n_cores() if threads is None else check_count(threads, "threads")
     common_options = options if line is None else replace(options, line=line)
     arguments = _RolloutArguments(setup, seeds, seconds, common_options, genes, starts, lamps, paths_every)
     arguments.check(driver)
     uses_gpu = choose_device(device, setup, driver, common_options.line, n_episodes, lamps) == "cuda"
-    results = _Results(n_episodes, n_robots, len(movable_names(setup.playpen)), arguments.n_samples)
+    results = _Results(setup, n_episodes, arguments.n_samples)
     use_compiled = uses_gpu or is_compiled(compiled)
     n_workers = max_threads if use_compiled else 1
     if uses_gpu:
@@ -226,9 +225,10 @@ class _RolloutArguments:
 class _Results:
     """Results of all episodes, filled in one by one."""
 
-    def __init__(self, n_episodes: int, n_robots: int, n_objects: int, n_samples: int) -> None:
+    def __init__(self, setup: EpisodeSetup, n_episodes: int, n_samples: int) -> None:
+        n_robots, n_objects = len(setup.playpen.robots), len(movable_names(setup.playpen))
         self.metrics = {name: np.full((n_episodes, n_robots), np.nan) for name in METRICS}
-        self.registers = np.zeros((n_episodes, n_robots, N_REGISTERS), np.int64)
+        self.registers = np.zeros((n_episodes, n_robots, setup.interface.n_registers), np.int64)
         self.poses = np.zeros((n_episodes, n_robots, 3))
         self.objects = np.zeros((n_episodes, n_objects, 3))
         self.paths = np.full((n_episodes, n_robots, n_samples, 3), np.nan)
@@ -238,7 +238,8 @@ class _Results:
     def store(self, index: int, seed: int, episode: Episode, failure: DivergedError | None) -> None:
         """Store the results of an episode that ended or failed."""
         self._stored_indices.add(index)
-        self.registers[index], self.poses[index] = episode.boards, episode.poses
+        self.registers[index] = [episode.read_registers(robot) for robot in range(len(episode.boards))]
+        self.poses[index] = episode.poses
         self.objects[index] = episode.objects
         self._store_metrics(slice(index, index + 1), episode.sums[None])
         if failure is not None:
@@ -366,7 +367,9 @@ def _run_group(
         if not len(active_slots):
             break
         if isinstance(driver, Policy):
-            batch.speeds[active_slots] = _decide_speeds(driver, batch, active_slots, group)
+            batch.speeds[active_slots] = _decide_speeds(
+                driver, arguments.setup.interface, batch, active_slots, group
+            )
             failures |= batch.step(active_slots, arguments.setup.steps_per_period)
         else:
             steps = int(batch.steps[active_slots[0]])
@@ -376,11 +379,13 @@ def _run_group(
     results.store_group(group, arguments.seeds, batch, failures)
 
 
-def _decide_speeds(policy: Policy, batch: EpisodeBatch, slots: NDArray[np.int64], group: range) -> Floats:
+def _decide_speeds(
+    policy: Policy, interface: Interface, batch: EpisodeBatch, slots: NDArray[np.int64], group: range
+) -> Floats:
     """Return the speeds that a policy decides on for some slots (n_slots, n_robots, 2)."""
-    boards = batch.registers[slots].reshape(-1, N_REGISTERS)
+    boards = batch.registers[slots].reshape(-1, interface.n_registers)
     indices = np.repeat(slots + group.start, batch.registers.shape[1])
-    output = policy.decide(boards[:, PROXIMITY], boards[:, AMBIENT], indices)
+    output = policy.decide(boards[:, interface.proximity_slice], boards[:, interface.ambient_slice], indices)
     try:
         speeds = np.asarray(output, np.float64)
     except (TypeError, ValueError) as error:

@@ -13,17 +13,17 @@ import numpy as np
 from numba import carray, cfunc, njit, types  # pyright: ignore
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
-from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.episodes import fitness, line, metrics, networks, stepping
 from khep_twin.errors import ControllerError
+from khep_twin.robots.core import Interface
 from khep_twin.sensing.light import Light
-from khep_twin.simulation.compiled import SOURCES, compiled
-from khep_twin.simulation.foreign import relocate
+from khep_twin.simulation.compiled import compiled, named, sources_of
+from khep_twin.simulation.foreign import address_of, call_controller, implements, relocate
 from khep_twin.simulation.mujoco_calls import MujocoCalls
 from khep_twin.step import Reason, Simulated, StepInputs
 
-EPISODE_SOURCES = (*SOURCES, fitness, networks, metrics, line, stepping)
-"""Modules that are compiled."""
+EPISODE_SOURCES = fitness, networks, metrics, line, stepping
+"""Modules that are compiled, besides those of `sources_of`."""
 
 _CALLBACKS: list[object] = []
 """Compiled controllers, which must outlive the use of their addresses."""
@@ -48,32 +48,52 @@ def _run(arguments, end_step, stops, slots):
     return reason
 
 
-run = compiled(_run, EPISODE_SOURCES)
-"""`stepping.run_slot`, compiled, for one episode or many; `arguments` are the fields of
-`EpisodeArguments`."""
+@cache
+def run_of(model: str) -> Callable[..., int]:
+    """Return `stepping.run_slot` for robots of a family, compiled, for one episode or many.
+
+    Its first argument are the fields of `EpisodeArguments`.
+    """
+    return compiled(named(_run, "run", model), (*sources_of(model), *EPISODE_SOURCES))
+
+
+@implements(stepping.call_function)
+def _call_function(function, registers, memory, genes, speeds):
+    call_controller(
+        function,
+        address_of(registers),
+        address_of(memory),
+        len(memory),
+        address_of(genes),
+        len(genes),
+        address_of(speeds),
+    )
 
 
 @cache
-def compile_controller(function: Callable[..., tuple[float, float]]) -> int:
+def compile_controller(function: Callable[..., tuple[float, float]], interface: Interface) -> int:
     """Compile a controller; return its address for compiled code.
 
     Args:
-        function: Function of proximity (8,), ambient (8,), memory and genes, plain or by `numba.njit`; it
-            returns left and right speed [pulses/10 ms].
+        function: Function of proximity (n,), ambient (n,), memory and genes, plain or by `numba.njit`; it
+            returns left and right speed [register].
+        interface: Registers of the robot.
 
     Raises:
         ControllerError: numba cannot compile it.
     """
-    first_proximity, first_ambient, count = PROXIMITY[0], AMBIENT[0], len(PROXIMITY)
+    n_registers = interface.n_registers
+    first_proximity, end_proximity = interface.proximity, interface.proximity + interface.n_proximity
+    first_ambient, end_ambient = interface.ambient, interface.ambient + interface.n_ambient
     int_pointer, float_pointer = types.CPointer(types.int64), types.CPointer(types.float64)
 
     def call(registers, memory, n_memory, genes, n_genes, speeds):
-        board, speed_pair = carray(registers, (N_REGISTERS,)), carray(speeds, (2,))
+        board, speed_pair = carray(registers, (n_registers,)), carray(speeds, (2,))
         speed_pair[:] = np.nan
         try:
             left, right = decide(
-                board[first_proximity : first_proximity + count],
-                board[first_ambient : first_ambient + count],
+                board[first_proximity:end_proximity],
+                board[first_ambient:end_ambient],
                 carray(memory, (n_memory,)),
                 carray(genes, (n_genes,)),
             )

@@ -5,20 +5,21 @@ All but a policy run inside the compiled loop. A policy is plain Python that is 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from khep_twin.board import kernel
 from khep_twin.episodes import network_file, networks, stepping
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.episodes.line import LineTimes, initial_events, line_times
 from khep_twin.episodes.metrics import initial_sums
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
+from khep_twin.robots.core import Interface, Registers, wander_nowhere
+from khep_twin.robots.registry import default_model
 from khep_twin.units import SCAN_NS
 
 Floats = NDArray[np.float64]
@@ -26,7 +27,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ConstantSpeed:
-    """No controller; both wheels start at a speed [pulses/10 ms] and keep it, with any line.
+    """No controller; both wheels start at a speed [register] and keep it, with any line.
 
     The `requests` of a controller are those that it sends to the robot in each cycle: see `line.REQUESTS`.
     """
@@ -42,7 +43,7 @@ class ConstantSpeed:
 
 @dataclass(frozen=True, slots=True)
 class Braitenberg:
-    """The Braitenberg vehicle of the ROM: speed = proximity x weights / 400 + 10."""
+    """The Braitenberg vehicle of a Khepera's ROM: speed = proximity x weights / 400 + 10."""
 
     @property
     def requests(self) -> str:
@@ -62,7 +63,9 @@ class Network:
         hidden: Neurons of each hidden layer; none to connect sensors directly to motors.
         recurrent: Whether the first layer behind the sensors has feedback of its last values.
         ambient: Whether ambient light (0 dark to 1 bright) is an input behind proximity (0 to 1).
-        top_speed: Speed for an output of 1 [pulses/10 ms].
+        top_speed: Speed for an output of 1, in units of the robot's register; by default that of the metrics.
+            A Khepera's is in pulses/10 ms.
+        model: Family of the robot, e.g. "khepera4".
         genes: Genome (n_genes,) for episodes whose options have none; empty for none.
         period_ns: Control period of training [ns], used by a host and by a rollout without a setup.
         light: Ambient counts that are inputs of 0 and 1 on a host (2,); a rollout uses those of its robot.
@@ -73,7 +76,8 @@ class Network:
     hidden: tuple[int, ...] = ()
     recurrent: bool = False
     ambient: bool = False
-    top_speed: float = TOP_SPEED_PULSES
+    top_speed: float | None = None
+    model: str = field(default=default_model().family, kw_only=True)
     genes: Sequence[float] | Floats = field(default=(), repr=False, kw_only=True)
     period_ns: int = field(default=SCAN_NS, kw_only=True)
     light: tuple[float, float] = field(default=network_file.LIGHT, repr=False, kw_only=True)
@@ -81,7 +85,9 @@ class Network:
     seed: int | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        """Store the genes as a tuple, which is comparable and immutable."""
+        """Store the genes as a tuple, which is comparable and immutable, and the default of the speed."""
+        if self.top_speed is None:
+            object.__setattr__(self, "top_speed", network_file.interface_of(self.model).top_speed)
         object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
 
     @classmethod
@@ -129,7 +135,7 @@ class Network:
     @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers of inputs, neurons of each layer and outputs (left and right)."""
-        return network_file.sizes(self.hidden, self.ambient)
+        return network_file.sizes(self.hidden, self.ambient, self.model)
 
     @property
     def requests(self) -> str:
@@ -144,10 +150,10 @@ class Network:
 
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A function of a robot's proximity (8,), ambient (8,), memory and genes.
+    """A function of a robot's proximity (n,), ambient (n,), memory and genes.
 
-    It returns left and right speed [pulses/10 ms], which are rounded and clipped to 127 as by command D. It
-    may change only its memory. The decorator `numba.njit` is optional: compiled episodes compile it.
+    It returns left and right speed [register], which are rounded and clipped as by command D. It may change
+    only its memory. The decorator `numba.njit` is optional: compiled episodes compile it.
 
     Attributes:
         decide: The function.
@@ -169,9 +175,9 @@ class Policy:
     """A function in plain Python that is called once per control period for many robots.
 
     Attributes:
-        decide: Function of proximity (n, 8), ambient (n, 8) and indices of the episodes (n,), with a row for
-            each robot. It returns speeds (n, 2) [pulses/10 ms]; a row must not depend on other episodes.
-            By default there is none: the caller of the `Episode` sets the speeds.
+        decide: Function of proximity (n, n_sensors), ambient (n, n_sensors) and indices of the episodes (n,),
+            with a row for each robot. It returns speeds (n, 2) [register]; a row must not depend on other
+            episodes. By default there is none: the caller of the `Episode` sets the speeds.
         requests: Requests of a cycle; "N" for a policy that needs no light saves time on a line.
     """
 
@@ -189,8 +195,7 @@ def make_controllers(
     genes: Floats,
     home: Floats,
     line: LineTimes,
-    period_ns: int,
-    n_robots: int,
+    setup: EpisodeSetup,
     compiled: bool,
 ) -> stepping.Controllers:
     """Return the controllers of an episode's robots as the stepping core uses them.
@@ -201,14 +206,14 @@ def make_controllers(
             (n_robots, n_genes).
         home: Home x, y, radius [m] and duration of the charge [s] (4,).
         line: Line between controllers and robots.
-        period_ns: Control period [ns].
-        n_robots: Number of robots.
+        setup: Setup of the episode.
         compiled: Whether compiled code runs the controllers, with a function by its address.
 
     Raises:
-        ControllerError: The number of genes is wrong, numba cannot compile the function, or the driver is of
-            no known kind.
+        ControllerError: The number of genes is wrong, numba cannot compile the function, the model has no
+            such controller, or the driver is of no known kind.
     """
+    core, interface, n_robots = setup.core, setup.interface, len(setup.playpen.robots)
     kind, function, sizes, recurrent, top_speed, n_memory = stepping.CONSTANT_SPEED, 0, (), False, 0.0, 0
     if isinstance(driver, Network) and not genes.size:
         genes = np.array(driver.genes, np.float64)
@@ -217,25 +222,31 @@ def make_controllers(
     weights = np.array(np.broadcast_to(genes, (n_robots, genes.shape[-1])), np.float64)
     match driver:
         case Braitenberg():
+            if core.wander is wander_nowhere:
+                raise ControllerError(f"Braitenberg: a robot of model {core.name}; expected a Khepera")
             kind = stepping.BRAITENBERG
         case Network():
+            if driver.model != core.name:
+                raise ControllerError(f"network of model {driver.model!r}; expected model = {core.name!r}")
             if weights.shape[1] != driver.n_genes:
                 raise ControllerError(f"{weights.shape[1]} genes for {driver}; expected {driver.n_genes}")
             kind, sizes, recurrent = stepping.NETWORK, driver.sizes, driver.recurrent
-            top_speed, n_memory = float(driver.top_speed), sizes[1]
+            top_speed, n_memory = float(driver.top_speed or 0), sizes[1]
         case Function():
-            kind, function, n_memory = stepping.FUNCTION, driver.decide, driver.n_memory
+            kind, n_memory = stepping.FUNCTION, driver.n_memory
             if compiled:
                 from khep_twin.episodes.compiled import compile_controller
 
-                function = compile_controller(driver.decide)
+                function = compile_controller(driver.decide, interface)
+            else:
+                function = partial(_call_plain, driver.decide, interface)
         case Policy():
             kind = stepping.CONSTANT_SPEED if line is None else stepping.CALLER
         case ConstantSpeed():
             pass
         case _:
             raise ControllerError(f"{driver!r} is no controller; {_EXPECTED_DRIVER}")
-    times = line_times(line, driver.requests, period_ns)
+    times = line_times(line, driver.requests, setup.period_ns)
     controllers = stepping.Controllers(
         kind,
         function,
@@ -250,9 +261,21 @@ def make_controllers(
         initial_sums(n_robots, home),
         times,
         initial_events(n_robots, times),
-        np.zeros((n_robots, kernel.N_REGISTERS), np.int64),
+        np.zeros((n_robots, interface.n_registers), np.int64),
     )
     return controllers if compiled else _to_python(controllers)
+
+
+def _call_plain(
+    function: Callable[..., tuple[float, float]],
+    interface: Interface,
+    registers: Registers,
+    memory: Floats,
+    genes: Floats,
+) -> tuple[float, float]:
+    """Call a function with the sensors in the registers."""
+    readings: NDArray[np.int64] = np.asarray(registers)
+    return function(readings[interface.proximity_slice], readings[interface.ambient_slice], memory, genes)
 
 
 def _to_python(controllers: stepping.Controllers) -> stepping.Controllers:

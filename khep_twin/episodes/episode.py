@@ -21,7 +21,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board import kernel
 from khep_twin.copies import NotCopied
 from khep_twin.episodes import stepping
 from khep_twin.episodes.contacts import in_contact
@@ -33,9 +32,12 @@ from khep_twin.episodes.metrics import compute_metrics
 from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.checks import require_feature
 from khep_twin.playpen.starts import Start
 from khep_twin.process.one_thread import one_thread
-from khep_twin.simulation.ready import find_missing_numba, function_of, when_ready
+from khep_twin.robots.core import update_registers
+from khep_twin.robots.model import Feature
+from khep_twin.simulation.ready import find_missing_numba, function_of, part_of, when_ready
 from khep_twin.world import World
 
 _CHECK_INTERVAL = 2000
@@ -71,8 +73,8 @@ class Episode(NotCopied):
         observed: Whether the episode's world may have observers; then it does not share its model.
 
     Attributes:
-        boards: State of each board (n_robots, N_REGISTERS).
-        registers: State of the first board (N_REGISTERS,).
+        boards: Registers of each robot (n_robots, n_registers); some models update them when they are read.
+        registers: Registers of the first robot (n_registers,).
         guard: Lock of its methods, shared with its world.
     """
 
@@ -88,7 +90,8 @@ class Episode(NotCopied):
     ) -> None:
         self._setup = setup
         self._driver = driver or ConstantSpeed()
-        self._code_name = "episodes" if setup.planar_scene is None else "plane"
+        kind = "episodes" if setup.planar_scene is None else "plane"
+        self._code_name = part_of(kind, [setup.core.name])
         self._check_step = None
         run: stepping.Run | None = None
         if compiled:
@@ -128,6 +131,8 @@ class Episode(NotCopied):
         self._genes = np.asarray(options.genes, np.float64)
         self._home = np.array(options.home_in_metres, np.float64)
         self._line = options.line
+        if self._line is not None:
+            require_feature(self._setup.playpen, Feature.LINE)
         self._lamps = options.lamps
         if self._check_step is not None:
             self._use_compiled_if_ready()
@@ -200,9 +205,17 @@ class Episode(NotCopied):
         return self._world.joints if isinstance(self._world, PlanarWorld) else self.data.qpos.copy()
 
     def readings(self, robot: int = 0) -> tuple[list[int], list[int]]:
-        """Return proximity and ambient counts (8,) from a robot's registers, or at a line as last read."""
-        board = np.asarray(self._controllers.host_registers[robot]) if self.is_at_line else self.boards[robot]
-        return board[kernel.PROXIMITY].tolist(), board[kernel.AMBIENT].tolist()
+        """Return proximity and ambient counts from a robot's registers, or at a line as last read."""
+        interface, registers = self._setup.interface, self.read_registers(robot)
+        return registers[interface.proximity_slice].tolist(), registers[interface.ambient_slice].tolist()
+
+    def read_registers(self, robot: int = 0) -> NDArray[np.int64]:
+        """Return a robot's registers, measured now, or at a line as last read (n_registers,)."""
+        if self.is_at_line:
+            return np.asarray(self._controllers.host_registers[robot])
+        simulation = self._simulation
+        update_registers(simulation.state_of(robot), simulation.plain, simulation.inputs)
+        return self.boards[robot]
 
     def run(self, seconds: float) -> None:
         """Run the episode for a time [s], in whole control periods.
@@ -225,7 +238,7 @@ class Episode(NotCopied):
 
     @one_thread
     def drive(self, left: float, right: float, robot: int = 0) -> None:
-        """Set both speeds of a robot [pulses/10 ms] like a controller, at a line with its delay.
+        """Set both speeds of a robot [register] like a controller, at a line with its delay.
 
         Raises:
             DivergedError: A speed is not finite.
@@ -234,8 +247,7 @@ class Episode(NotCopied):
         if self._awaits_speeds:
             is_finite = stepping.drive_by_line(self._simulation.plain, self._controllers, robot, left, right)
         else:
-            powered = self._simulation.records[0]["processor"][robot, kernel.POWERED]
-            is_finite = not powered or stepping.drive(self.boards[robot].data, left, right)
+            is_finite = stepping.drive(self._simulation.state_of(robot), left, right)
         if not is_finite:
             raise DivergedError(
                 f"{self._simulation.title} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: "
@@ -257,7 +269,7 @@ class Episode(NotCopied):
             return
         self._require_start()
         while self.steps < end_step:
-            stepping.control(self._simulation.plain, self._controllers)
+            stepping.control(self._simulation.plain, self._simulation.inputs, self._controllers)
             if (event_step := stepping.next_step(self._controllers)) == NEVER:
                 return
             self._world.advance_to(min(event_step, end_step) * self._setup.step_ns)
@@ -293,7 +305,8 @@ class Episode(NotCopied):
 
     def observe(self, slots: stepping.SlotArrays, slot: int) -> None:
         """Copy the robots' registers and poses into the arrays of a batch at a slot."""
-        stepping.observe(self._simulation.plain, self._controllers, slots, slot)
+        simulation = self._simulation
+        stepping.observe(simulation.plain, simulation.inputs, self._controllers, slots, slot)
 
     def touches(self, robot: int = 0) -> bool:
         """Return whether a robot touched anything but the floor in the last step."""
@@ -334,9 +347,8 @@ class Episode(NotCopied):
 
     def _new_controllers(self) -> stepping.Controllers:
         """Return the controllers in their state at the start of an episode."""
-        period_ns, count = self._setup.period_ns, len(self.boards)
         return make_controllers(
-            self._driver, self._genes, self._home, self._line, period_ns, count, self._compiled
+            self._driver, self._genes, self._home, self._line, self._setup, self._compiled
         )
 
     def _require_start(self) -> None:

@@ -1,12 +1,13 @@
 """Batches of episodes: all run for the same time, in one call of compiled code per thread.
 
     setup = EpisodeSetup(Playpen.load("obstacles"), planar=True)
+    interface = setup.core.interface
     batch = EpisodeBatch([Episode(setup) for _ in range(32)], threads=1)
     for index in range(32):
         batch.begin(index, seed=index)
     batch.speeds[:] = 10, 8
     failures = batch.step(range(32), setup.steps_per_period)
-    print(batch.registers[:, 0, PROXIMITY], batch.poses[:, 0])
+    print(batch.registers[:, 0, interface.proximity_slice], batch.poses[:, 0])
 
 Results equal those of single episodes bitwise. A batch has slots, each of which runs one episode at a time.
 Episodes whose arrays differ in shape, like those of different playpens, need one call per group. Episodes
@@ -43,8 +44,8 @@ class EpisodeBatch(NotCopied):
         threads: Number of threads.
 
     Attributes:
-        speeds: Speeds of the wheels, set at the start of each step (n, n_robots, 2) [pulses/10 ms].
-        registers: States of the boards (n, n_robots, N_REGISTERS).
+        speeds: Speeds of the wheels, set at the start of each step (n, n_robots, 2) [register].
+        registers: Registers of the robots (n, n_robots, n_registers).
         poses: True x, y [m] and heading [rad] of the robots (n, n_robots, 3).
         steps: Number of physics steps of each episode (n,).
         last_step: Step at which episodes at a line stop.
@@ -56,8 +57,8 @@ class EpisodeBatch(NotCopied):
     def __init__(self, episodes: Sequence[Episode], threads: int) -> None:
         self.guard = RLock()
         self._episodes = list(episodes)
-        n_slots, n_robots = len(episodes), len(episodes[0].boards)
-        self._arrays = arrays = SlotArrays.of(n_slots, n_robots, 0)
+        self._arrays = arrays = SlotArrays.of(len(episodes), *episodes[0].boards.shape)
+        n_slots = len(episodes)
         self.speeds, self.registers, self.poses = arrays.speeds, arrays.registers, arrays.poses
         self.steps: NDArray[np.int64] = arrays.end_steps
         self.last_step = NEVER
@@ -120,7 +121,7 @@ class EpisodeBatch(NotCopied):
 
     @property
     def boards(self) -> NDArray[np.int64]:
-        """States of the boards (n, n_robots, N_REGISTERS), at a line before a policy has read them."""
+        """Registers of the robots (n, n_robots, n_registers), at a line before a policy has read them."""
         return np.array([episode.boards for episode in self._episodes])
 
     def touches(self, slots: Slots) -> NDArray[np.bool_]:

@@ -11,9 +11,8 @@ from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen, PlaypenLike
-from khep_twin.playpen.checks import require_feature
 from khep_twin.playpen.starts import Start, at_spots
-from khep_twin.robots.model import Feature
+from khep_twin.robots.core import core_of
 from khep_twin.sensing import calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.mujoco_forms import SceneModel
@@ -39,6 +38,8 @@ class EpisodeSetup:
         scene_model: Compiled model.
         step_ns: Step of the episodes [ns].
         steps_per_period: Steps per control period.
+        core: Core of the robots.
+        interface: Registers of the robots.
         entry: First robot.
         calibration: Calibration of the first robot.
         indices: Indices of the first robot.
@@ -64,7 +65,15 @@ class EpisodeSetup:
         name, robots = playpen.name, playpen.robots
         if len(robots) == 0:
             raise PlaypenError(f"{name}: 0 robots; expected one for an episode")
-        require_feature(playpen, Feature.EPISODES)
+        families = sorted({robot.robot_model.family for robot in robots})
+        if len(families) > 1:
+            raise PlaypenError(f"{name}: robots of {len(families)} models; expected one model in an episode")
+        self.core = core_of(robots[0].robot_model)
+        if (interface := self.core.interface) is None:
+            raise PlaypenError(
+                f"{name}: robot 1: model = {families[0]!r} gives no interface; expected one for an episode"
+            )
+        self.interface = interface
         if planar and (playpen.arena.table or any(block.ramp for block in playpen.blocks)):
             raise PlaypenError(f"{name}: a table or a ramp; expected level floor and walls in the plane")
         if planar and len(robots) > 1:

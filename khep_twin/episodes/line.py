@@ -1,4 +1,4 @@
-"""Times of a host's exchanges with its robot, for episodes without a serial line.
+"""Times of a host's exchanges with a Khepera, for episodes without a serial line.
 
 A host's cycle on the line, in which each exchange (request and reply) starts when the previous one has ended:
 
@@ -22,6 +22,7 @@ from khep_twin.board import kernel
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.compilable import compilable
 from khep_twin.errors import value_text
+from khep_twin.robots.core import Interface, Registers
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import BITS_PER_BYTE, N_SENSORS
 
@@ -45,7 +46,6 @@ _LINE_END = 2  # carriage return and line feed end a reply
 _REQUEST = 2  # a letter and a line feed
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _ENCODER, _POSITION = int(kernel.Wheel.ENCODER), int(kernel.Wheel.POSITION)
-_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,27 +124,32 @@ def set_next_step(event: Vector[int], times: Vector[int], step_ns: int) -> None:
 
 @compilable
 def answer_request(
-    event: Vector[int], times: Vector[int], registers: kernel.Registers, host_registers: kernel.Registers
+    event: Vector[int],
+    times: Vector[int],
+    registers: Registers,
+    host_registers: Registers,
+    interface: Interface,
 ) -> bool:
     """Answer a request; return whether it is the last of its cycle.
 
     Args:
         event: Event of the robot; changed to that of the next request, or to the end of the last reply.
         times: Times of the line.
-        registers: State of the board.
-        host_registers: State as read by the host, changed in place (N_REGISTERS,).
+        registers: Registers of the robot.
+        host_registers: Registers as read by the host, changed in place (n_registers,).
+        interface: Meaning of the registers.
     """
     stage, baud = event[STAGE], times[BAUD]
     request = times[FIRST_REQUEST + stage]
     if stage == 0:
-        for register in range(kernel.N_REGISTERS):
+        for register in range(len(host_registers)):
             host_registers[register] = registers[register]
     elif request == 1:
-        for sensor in range(N_SENSORS):
-            host_registers[_AMBIENT + sensor] = registers[_AMBIENT + sensor]
+        for register in range(interface.ambient, interface.ambient + interface.n_ambient):
+            host_registers[register] = registers[register]
     elif request == 0:
-        for sensor in range(N_SENSORS):
-            host_registers[_PROXIMITY + sensor] = registers[_PROXIMITY + sensor]
+        for register in range(interface.proximity, interface.proximity + interface.n_proximity):
+            host_registers[register] = registers[register]
     else:
         for wheel in (0, kernel.RIGHT):
             host_registers[wheel + _ENCODER] = registers[wheel + _ENCODER]
@@ -159,10 +164,13 @@ def answer_request(
 
 
 @compilable
-def send_speeds(event: Vector[int], times: Vector[int], host_registers: kernel.Registers) -> None:
+def send_speeds(
+    event: Vector[int], times: Vector[int], host_registers: Registers, interface: Interface
+) -> None:
     """Set the event to the time when the setpoints in `host_registers` take effect."""
     if times[BAUD] > 0:
-        length = 4 + _n_chars(host_registers[_LEFT_SETPOINT]) + _n_chars(host_registers[_RIGHT_SETPOINT])
+        left, right = host_registers[interface.left_setpoint], host_registers[interface.right_setpoint]
+        length = 4 + _n_chars(left) + _n_chars(right)
         event[EVENT_NS] += _transfer_ns(times[BAUD], length)
     event[EVENT_NS] += times[DELAY_NS]
 
@@ -185,7 +193,7 @@ def _transfer_ns(baud: int, n_bytes: int) -> int:
 
 
 @compilable
-def _reply_length(host_registers: kernel.Registers, request: int) -> int:
+def _reply_length(host_registers: Registers, request: int) -> int:
     """Return the length [bytes] of the reply to a request, an index in REQUESTS (0 N, 1 O, 2 H)."""
     length = 1 + _LINE_END
     if request == 2:

@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import units
-from khep_twin.board import kernel
 from khep_twin.compilable import compilable
 from khep_twin.episodes import fitness
+from khep_twin.robots.core import Interface, Registers
 from khep_twin.sensing.buffers import Vector
 
 
@@ -41,10 +40,6 @@ PERIODS, CHARGE, LAST_X, LAST_Y = N_METRICS, N_METRICS + 1, N_METRICS + 2, N_MET
 """Indices in a robot's sums, behind those of the metrics: number of control periods, remaining charge [s],
 and last position of the robot [m]."""
 N_SUMS = N_METRICS + 4
-
-_PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
-_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
-_SIDES = (int(units.Sensor.LEFT_90), int(units.Sensor.RIGHT_90))
 
 
 def initial_sums(n_robots: int, home: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
@@ -75,26 +70,26 @@ def compute_means(sums: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
 
 @compilable
 def add_period(
-    registers: kernel.Registers,
+    registers: Registers,
+    interface: Interface,
     sums: Vector[float],
     home: Vector[float],
-    dark: float,
-    floor: float,
+    lights: tuple[float, float],
     pose: tuple[float, float, float, float],
     period: float,
 ) -> None:
     """Add the summands of a control period, from its readings and the speeds just set.
 
     Args:
-        registers: State of the board.
+        registers: Registers of the robot.
+        interface: Meaning of the registers.
         sums: Sums over the episode, changed in place (N_SUMS,).
         home: Home as in `initial_sums`.
-        dark: Ambient reading in the dark [counts].
-        floor: Ambient reading in the brightest light [counts].
+        lights: Ambient readings in the dark and in the brightest light [counts].
         pose: Robot x and y [m], cosine and sine of its heading.
         period: Control period [s].
     """
-    period_metrics = compute_period(registers, sums, home, dark, floor, pose)
+    period_metrics = compute_period(registers, interface, sums, home, lights, pose)
     for metric in range(N_METRICS):
         sums[metric] += period_metrics[metric]
     sums[LAST_X], sums[LAST_Y] = pose[0], pose[1]
@@ -106,32 +101,41 @@ def add_period(
 
 @compilable
 def compute_period(
-    registers: kernel.Registers,
+    registers: Registers,
+    interface: Interface,
     sums: Vector[float],
     home: Vector[float],
-    dark: float,
-    floor: float,
+    lights: tuple[float, float],
     pose: tuple[float, float, float, float],
 ) -> Metrics:
     """Return the summands of a control period; arguments are those of `add_period`."""
-    nearest, darkest = registers[_PROXIMITY], registers[_AMBIENT]
-    for sensor in range(1, units.N_SENSORS):
-        nearest = max(nearest, registers[_PROXIMITY + sensor])
-        darkest = min(darkest, registers[_AMBIENT + sensor])
-    side = max(registers[_PROXIMITY + _SIDES[0]], registers[_PROXIMITY + _SIDES[1]]) / units.COUNTS_LIMIT
-    left, right = float(registers[_LEFT_SETPOINT]), float(registers[_RIGHT_SETPOINT])
-    proximity = nearest / units.COUNTS_LIMIT
+    nearest, lowest = registers[interface.proximity], registers[interface.ambient]
+    for register in range(interface.proximity, interface.proximity + interface.n_proximity):
+        nearest = max(nearest, registers[register])
+    for register in range(interface.ambient, interface.ambient + interface.n_ambient):
+        lowest = min(lowest, registers[register])
+    side = max(registers[interface.left_side], registers[interface.right_side])
+    speed_scale = fitness.TOP_SPEED_PULSES / interface.top_speed
+    left = registers[interface.left_setpoint] * speed_scale
+    right = registers[interface.right_setpoint] * speed_scale
+    proximity = _nearness(interface, nearest)
     dx, dy = (pose[0] - sums[LAST_X], pose[1] - sums[LAST_Y]) if sums[PERIODS] > 0 else (0.0, 0.0)
     is_away = home[2] > 0 and sums[CHARGE] > 0 and not _is_home(home, pose)
     return Metrics(
         obstacle_avoidance=fitness.obstacle_avoidance(left, right, proximity),
-        light_seeking=fitness.light_seeking(float(darkest), dark, floor),
+        light_seeking=fitness.light_seeking(float(lowest), lights[0], lights[1]),
         homing=fitness.homing(left, right, proximity) if is_away else 0.0,
-        wall_following=fitness.wall_following(left, right, side),
+        wall_following=fitness.wall_following(left, right, _nearness(interface, side)),
         effort=fitness.effort(left, right),
         distance_m=math.sqrt(dx * dx + dy * dy),
         forward_m=dx * pose[2] + dy * pose[3],
     )
+
+
+@compilable
+def _nearness(interface: Interface, counts: int) -> float:
+    """Return proximity as a part of its range, 0 to 1."""
+    return max(counts - interface.rest_counts, 0) / (interface.counts_limit - interface.rest_counts)
 
 
 @compilable

@@ -6,9 +6,10 @@ Arrays of a file, which are checked after reading and before writing:
     version     1
     hidden      neurons of each hidden layer (n_layers,)
     recurrent   whether the first layer has feedback of its last values
-    top_speed   speed for an output of 1 [pulses/10 ms]
+    top_speed   speed for an output of 1, in units of the robot's register
     genes       weights, in the order of `networks` (n_genes,)
     inputs      names of the inputs in their order (n_inputs,), such as "proximity left_90"
+    model       family of the robot; left out for a Khepera
     zero, one   sensor counts that are inputs of 0 and 1 (n_inputs,)
     period_ns   control period of training [ns]
     playpen     playpen of training, as text; empty if unknown
@@ -27,8 +28,9 @@ from khep_twin.episodes import networks
 from khep_twin.errors import ControllerError, choices
 from khep_twin.files.atomic import open_regular, write_atomic
 from khep_twin.files.npz_file import SIZE_LIMIT, npz_bytes, read_arrays
-from khep_twin.firmware import SPEED_LIMIT_PULSES
 from khep_twin.randomness import SEED_LIMIT
+from khep_twin.robots.core import Interface, core_of
+from khep_twin.robots.registry import default_model, find_family, installed_families
 
 SUFFIX = ".npz"
 """Suffix of network files."""
@@ -38,7 +40,6 @@ FORMAT, VERSION = "khep_twin network", 1
 LIGHT = (484.8, 75.0)
 """Ambient counts in the dark and in the brightest light, of the calibration khepera1."""
 
-_SENSORS = tuple(sensor.key for sensor in units.Sensor)
 _TEXT = "U"
 _ARRAY_KINDS = {
     "format": (_TEXT, 0),
@@ -48,6 +49,7 @@ _ARRAY_KINDS = {
     "top_speed": ("fiu", 0),
     "genes": ("fiu", 1),
     "inputs": (_TEXT, 1),
+    "model": (_TEXT, 0),
     "zero": ("fiu", 1),
     "one": ("fiu", 1),
     "period_ns": ("iu", 0),
@@ -55,6 +57,8 @@ _ARRAY_KINDS = {
     "seed": ("iu", 0),
 }
 """Kinds and dimensions of the arrays, by name."""
+
+_OPTIONAL = "model", "seed"
 
 _KIND_NAMES = {"U": "text", "b": "true or false", "iu": "integers", "fiu": "numbers"}
 
@@ -71,11 +75,27 @@ class NetworkContent(NamedTuple):
     light: tuple[float, float]
     playpen: str
     seed: int | None
+    model: str
 
 
-def sizes(hidden: Sequence[int], ambient: bool) -> tuple[int, ...]:
+def interface_of(family: str) -> Interface:
+    """Return the registers of a family of robots that run in episodes.
+
+    Raises:
+        ControllerError: The family is unknown, or runs in no episodes.
+    """
+    families = installed_families()
+    if family not in families:
+        raise ControllerError(f"model = {family[:40]!r}: unknown; {choices(family, families)}")
+    if (interface := core_of(find_family(family)).interface) is None:
+        raise ControllerError(f"model = {family!r} gives no interface; expected one for an episode")
+    return interface
+
+
+def sizes(hidden: Sequence[int], ambient: bool, family: str) -> tuple[int, ...]:
     """Return a network's numbers of inputs, neurons of each layer and outputs (left and right)."""
-    return (units.N_SENSORS * (1 + ambient), *hidden, 2)
+    interface = interface_of(family)
+    return (interface.n_proximity + ambient * interface.n_ambient, *hidden, 2)
 
 
 def read(path: Path) -> NetworkContent:
@@ -112,7 +132,7 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
     """
     if path.suffix != SUFFIX:
         raise ControllerError(f"{path}: expected a name that ends in {SUFFIX}")
-    names, zero, one = _describe_inputs(content.ambient, content.light)
+    names, zero, one = _describe_inputs(content.ambient, content.light, content.model)
     arrays: dict[str, ArrayLike] = {
         "format": FORMAT,
         "version": VERSION,
@@ -126,6 +146,7 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
         "period_ns": content.period_ns,
         "playpen": content.playpen,
         **({} if content.seed is None else {"seed": content.seed}),
+        **({} if content.model == default_model().family else {"model": content.model}),
     }
     _check_arrays(path, {name: np.asarray(value) for name, value in arrays.items()})
     may_replace = replace or _is_network(path)
@@ -142,11 +163,16 @@ def _is_network(path: Path) -> bool:
     return True
 
 
-def _describe_inputs(ambient: bool, light: tuple[float, float]) -> tuple[list[str], list[float], list[float]]:
+def _describe_inputs(
+    ambient: bool, light: tuple[float, float], family: str
+) -> tuple[list[str], list[float], list[float]]:
     """Return the names of the inputs, and the counts that are 0 and 1."""
-    terms = {"proximity": (0.0, float(units.COUNTS_LIMIT)), **({"light": light} if ambient else {})}
-    names = [f"{term} {sensor}" for term in terms for sensor in _SENSORS]
-    zero, one = ([scale[end] for scale in terms.values() for _ in _SENSORS] for end in (0, 1))
+    interface, cameras = interface_of(family), find_family(family).body.cameras
+    terms = [("proximity", interface.n_proximity, (0.0, float(interface.counts_limit)))]
+    if ambient:
+        terms.append(("light", interface.n_ambient, light))
+    names = [f"{term} {camera}" for term, count, _ in terms for camera in cameras[:count]]
+    zero, one = ([scale[end] for _, count, scale in terms for _ in range(count)] for end in (0, 1))
     return names, zero, one
 
 
@@ -160,7 +186,7 @@ def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> NetworkCont
         names = ", ".join(sorted(arrays)) or "nothing"
         raise refusal(f"no network: an NPZ file of {names[:200]}", "one that Network.save has written")
     for name, (kind, dimensions) in _ARRAY_KINDS.items():
-        if name not in arrays and name != "seed":
+        if name not in arrays and name not in _OPTIONAL:
             raise refusal(f"no {name}", "one")
         if name in arrays and (arrays[name].dtype.kind not in kind or arrays[name].ndim != dimensions):
             shape = "a single one" if dimensions == 0 else "a row of them"
@@ -170,38 +196,47 @@ def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> NetworkCont
             raise refusal(f"version = {arrays[name]}", f"{VERSION}; is it of a newer khep_twin?")
     for name in arrays.keys() - _ARRAY_KINDS.keys():
         raise ControllerError(f"{path}: {name}: unknown; {choices(name, _ARRAY_KINDS)}")
-    return _content(arrays, refusal)
+    return _content(path, arrays, refusal)
 
 
-def _content(arrays: Mapping[str, NDArray[Any]], refusal: Callable[[str, str], Exception]) -> NetworkContent:
+def _content(
+    path: Path, arrays: Mapping[str, NDArray[Any]], refusal: Callable[[str, str], Exception]
+) -> NetworkContent:
     """Return the content of arrays of the right kinds; raise `refusal` for unusable values."""
     hidden, genes = tuple(arrays["hidden"].tolist()), tuple(map(float, arrays["genes"].tolist()))
     recurrent, inputs = bool(arrays["recurrent"]), arrays["inputs"].tolist()
     top_speed, period_ns = float(arrays["top_speed"]), int(arrays["period_ns"])
     seed = int(arrays["seed"]) if "seed" in arrays else None
+    family = str(arrays["model"]) if "model" in arrays else default_model().family
+    try:
+        interface = interface_of(family)
+    except ControllerError as error:
+        raise ControllerError(str(error), file=path) from error
     if not all(1 <= size <= 1000 for size in hidden) or len(hidden) > 100:
         raise refusal(f"hidden = {list(hidden)[:100]}", "1 to 1000 neurons in each of at most 100 layers")
-    if not 0 < top_speed <= SPEED_LIMIT_PULSES:
-        raise refusal(f"top_speed = {top_speed:g}", f"a number above 0 and at most {SPEED_LIMIT_PULSES}")
+    if not 0 < top_speed <= interface.speed_limit:
+        raise refusal(f"top_speed = {top_speed:g}", f"a number above 0 and at most {interface.speed_limit}")
     if period_ns <= 0 or period_ns % units.TICK_NS:
         raise refusal(f"period_ns = {period_ns}", f"whole ticks of {units.TICK_NS} ns")
     if seed is not None and not 0 <= seed < SEED_LIMIT:
         raise refusal(f"seed = {seed}", "an integer from 0 to 2**63-1")
-    ambient = len(inputs) > units.N_SENSORS
+    ambient = len(inputs) > interface.n_proximity
     light = LIGHT
     zero, one = arrays["zero"].tolist(), arrays["one"].tolist()
     if ambient and len(zero) == len(one) == len(inputs):
         light = float(zero[-1]), float(one[-1])
-    names, *expected_scale = _describe_inputs(ambient, light)
+    names, *expected_scale = _describe_inputs(ambient, light, family)
     if len(inputs) != len(names):
-        raise refusal(f"{len(inputs)} inputs", f"{units.N_SENSORS}, or {2 * units.N_SENSORS} with light")
+        raise refusal(f"{len(inputs)} inputs", _n_inputs_text(interface))
     for index, (input_name, name) in enumerate(zip(inputs, names, strict=True)):
         if input_name != name:
             raise refusal(f"inputs[{index}] = {input_name[:40]!r}", repr(name))
     if [zero, one] != expected_scale or not np.isfinite(light).all() or light[0] == light[1]:
-        expected = f"proximity from 0 to {units.COUNTS_LIMIT}, and the same light from dark to bright for all"
+        expected = (
+            f"proximity from 0 to {interface.counts_limit}, and the same light from dark to bright for all"
+        )
         raise refusal(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", expected)
-    layers = sizes(hidden, ambient)
+    layers = sizes(hidden, ambient, family)
     if len(genes) != (count := networks.n_genes(layers, recurrent)):
         feedback = ", recurrent" if recurrent else ""
         raise refusal(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")
@@ -209,4 +244,11 @@ def _content(arrays: Mapping[str, NDArray[Any]], refusal: Callable[[str, str], E
         raise refusal(f"genes[{invalid[0]}] = {genes[invalid[0]]}", "finite numbers")
     if not (playpen := str(arrays["playpen"])).isprintable() or len(playpen) > 200:
         raise refusal(f"playpen = {playpen[:40]!r}", "a name of at most 200 characters")
-    return NetworkContent(hidden, recurrent, ambient, top_speed, genes, period_ns, light, playpen, seed)
+    return NetworkContent(
+        hidden, recurrent, ambient, top_speed, genes, period_ns, light, playpen, seed, family
+    )
+
+
+def _n_inputs_text(interface: Interface) -> str:
+    n_sensors = interface.n_proximity
+    return f"{n_sensors}, or {n_sensors + interface.n_ambient} with light"

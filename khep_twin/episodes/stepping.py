@@ -3,6 +3,7 @@
 A controller replaces the bytes on the line. Once per control period it reads the registers and sets the
 speeds of both wheels in them, as the firmware does on a command D: immediately, or at the times of a `line`.
 Like the core, this is plain arithmetic that runs interpreted and compiled; `episode` provides the data.
+All robots of an episode are of one model, whose registers `robots.core.Interface` describes.
 """
 
 import math
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board import kernel
 from khep_twin.compilable import compilable
 from khep_twin.episodes import networks
 from khep_twin.episodes.line import (
@@ -27,19 +27,16 @@ from khep_twin.episodes.line import (
     set_next_step,
 )
 from khep_twin.episodes.metrics import add_period
+from khep_twin.robots.core import Registers, interface_of, is_powered, set_speeds, update_registers, wander
 from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.scene import decide, pose
+from khep_twin.sensing.scene import pose
 from khep_twin.step import PHASE, STEPS, Phase, Reason, Simulated, StepInputs, Stop, advance, switch_on
 
 CONSTANT_SPEED, BRAITENBERG, NETWORK, FUNCTION, CALLER = 0, 1, 2, 3, 4
-"""Kinds of controller: none (constant speeds), the ROM's Braitenberg vehicle, a network, a function, and the
-caller of the core, which sets speeds after each reading at a line."""
+"""Kinds of controller: none (constant speeds), the robot's Braitenberg vehicle, a network, a function, and
+the caller of the core, which sets speeds after each reading at a line."""
 
-_SPEED_LIMIT = 127
 _STEP_S = units.STEP_NS * 1e-9
-_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
-_PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
-
 
 Records = Any
 """Arrays of records, whose fields numba infers."""
@@ -53,16 +50,16 @@ class Controllers(NamedTuple):
         function: Address of a compiled function, or the Python function if episodes run uncompiled.
         sizes: Sizes of the network: inputs, layers, outputs.
         recurrent: Whether the network has feedback.
-        top_speed: Speed for an output of 1 [pulses/10 ms].
+        top_speed: Speed for an output of 1 [register].
         genes: Weights of the networks, or parameters of the functions (n_robots, n_genes).
         memory: Memories between control periods (n_robots, n_memory).
         neurons: Buffer for the values of a network's neurons.
-        speeds: Buffer for the speeds of a function (2,) [pulses/10 ms].
+        speeds: Buffer for the speeds of a function (2,) [register].
         home: Home x, y and radius [m], and time for which a full battery lasts [s] (4,); radius 0 for none.
         sums: Sums over the episode, see `metrics` (n_robots, N_SUMS).
         line: Times of the line, see `line.line_times`.
         events: Events of the robots' lines (n_robots, N_EVENT).
-        host_registers: States of the boards as read by the controllers (n_robots, N_REGISTERS).
+        host_registers: Registers of the robots as read by the controllers (n_robots, n_registers).
     """
 
     kind: int
@@ -103,9 +100,9 @@ class SlotArrays(NamedTuple):
         addresses: Addresses of the arrays of each slot's `EpisodeArguments` (n, n_arrays).
         indices: Indices of the slots to run (n_slots,).
         end_steps: Number of steps since the start at which each episode stops (n,).
-        speeds: Speeds of the wheels to set first (n, n_robots, 2) [pulses/10 ms]; (0, n_robots, 2) for none.
+        speeds: Speeds of the wheels to set first (n, n_robots, 2) [register]; (0, n_robots, 2) for none.
         reasons: `Reason` of each return, filled in (n,).
-        registers: Final states of the boards, filled in (n, n_robots, N_REGISTERS).
+        registers: Final registers of the robots, filled in (n, n_robots, n_registers).
         poses: Final true x, y [m] and heading [rad], filled in (n, n_robots, 3).
     """
 
@@ -118,15 +115,15 @@ class SlotArrays(NamedTuple):
     poses: NDArray[np.float64]
 
     @classmethod
-    def of(cls, count: int, n_robots: int, n_arrays: int) -> Self:
+    def of(cls, count: int, n_robots: int, n_registers: int) -> Self:
         """Return arrays for `count` slots, filled with zeros."""
         return cls(
-            np.zeros((count, n_arrays), np.int64),
+            np.zeros((count, 0), np.int64),
             np.arange(count),
             np.zeros(count, np.int64),
             np.zeros((count, n_robots, 2)),
             np.zeros(count, np.int64),
-            np.zeros((count, n_robots, kernel.N_REGISTERS), np.int64),
+            np.zeros((count, n_robots, n_registers), np.int64),
             np.zeros((count, n_robots, 3)),
         )
 
@@ -155,7 +152,7 @@ def run(controllers: Controllers, simulated: Simulated, inputs: StepInputs, end_
     counters = simulated.counters
     while True:
         if counters[PHASE] == Phase.DONE and counters[STEPS] < end_step:
-            if not control(simulated, controllers):
+            if not control(simulated, inputs, controllers):
                 return Reason.NO_SPEED
         next_event = next_step(controllers)
         if next_event == NEVER and stops & Stop.AWAITED:
@@ -187,23 +184,27 @@ def run_slot(
             if controllers.kind == CALLER:
                 is_driven = drive_by_line(simulated, controllers, robot, left, right)
             else:
-                is_driven = not state.processor[kernel.POWERED] or drive(state.registers, left, right)
+                is_driven = drive(state, left, right)
             if not is_driven:
                 reason = Reason.NO_SPEED
     if reason == Reason.DONE:
         reason = run(controllers, simulated, inputs, end_step, stops)
     if slot >= 0:
         slots.reasons[slot] = reason
-        observe(simulated, controllers, slots, slot)
+        observe(simulated, inputs, controllers, slots, slot)
     return reason
 
 
 @compilable
-def observe(simulated: Simulated, controllers: Controllers, slots: SlotArrays, slot: int) -> None:
+def observe(
+    simulated: Simulated, inputs: StepInputs, controllers: Controllers, slots: SlotArrays, slot: int
+) -> None:
     """Copy registers (at a line as last read) and poses of an episode's robots into the arrays of a slot."""
     for robot in range(len(simulated.groups[0])):
         state = simulated.groups[0][robot]
-        for index in range(kernel.N_REGISTERS):
+        if controllers.kind != CALLER:
+            update_registers(state, simulated, inputs)
+        for index in range(interface_of(state).n_registers):
             if controllers.kind == CALLER:
                 slots.registers[slot, robot, index] = controllers.host_registers[robot][index]
             else:
@@ -224,12 +225,12 @@ def next_step(controllers: Controllers) -> int:
 
 
 @compilable
-def control(simulated: Simulated, controllers: Controllers) -> bool:
+def control(simulated: Simulated, inputs: StepInputs, controllers: Controllers) -> bool:
     """Handle all due events of the controllers; return False if a speed is not finite."""
     for robot in range(len(simulated.groups[0])):
         event = controllers.events[robot]
         while event[NEXT_STEP] <= simulated.counters[STEPS]:
-            if not _handle_event(simulated, controllers, robot):
+            if not _handle_event(simulated, inputs, controllers, robot):
                 return False
     return True
 
@@ -238,71 +239,108 @@ def control(simulated: Simulated, controllers: Controllers) -> bool:
 def drive_by_line(
     simulated: Simulated, controllers: Controllers, robot: int, left: float, right: float
 ) -> bool:
-    """Send the caller's speeds [pulses/10 ms] over the line; return False if they are not finite."""
-    event = controllers.events[robot]
-    if not drive(controllers.host_registers[robot], left, right):
+    """Send the caller's speeds [register] over the line; return False if they are not finite."""
+    event, state = controllers.events[robot], simulated.groups[0][robot]
+    if not _set_setpoints(state, controllers.host_registers[robot], left, right):
         return False
-    send_speeds(event, controllers.line, controllers.host_registers[robot])
+    send_speeds(event, controllers.line, controllers.host_registers[robot], interface_of(state))
     set_next_step(event, controllers.line, simulated.timing.step_ns)
     return True
 
 
 @compilable
-def _handle_event(simulated: Simulated, controllers: Controllers, robot: int) -> bool:
+def _handle_event(simulated: Simulated, inputs: StepInputs, controllers: Controllers, robot: int) -> bool:
     """Handle the due event of a robot's line; return False if a speed is not finite."""
     state, line = simulated.groups[0][robot], controllers.line
-    registers, ambient = state.registers, state.sensors.ambient
+    interface, ambient = interface_of(state), state.sensors.ambient
     event, host_registers = controllers.events[robot], controllers.host_registers[robot]
-    is_driven = controllers.kind != CONSTANT_SPEED and state.processor[kernel.POWERED]
+    is_driven = controllers.kind != CONSTANT_SPEED and is_powered(state)
     if event[STAGE] < len(line) - FIRST_REQUEST:
-        if answer_request(event, line, registers, host_registers):
+        update_registers(state, simulated, inputs)
+        if answer_request(event, line, state.registers, host_registers, interface):
             if controllers.kind == CALLER:
                 event[NEXT_STEP] = NEVER
                 return True
-            if is_driven and not _decide(host_registers, controllers, robot, ambient.dark, ambient.floor):
+            if is_driven and not _decide(state, host_registers, controllers, robot):
                 return False
-            send_speeds(event, line, host_registers)
+            send_speeds(event, line, host_registers, interface)
     else:
         if is_driven:
-            kernel.set_speed(registers, 0, host_registers[_LEFT_SETPOINT])
-            kernel.set_speed(registers, kernel.RIGHT, host_registers[_RIGHT_SETPOINT])
+            left, right = interface.left_setpoint, interface.right_setpoint
+            set_speeds(state, host_registers[left], host_registers[right])
         robot_pose, sums, home = pose(simulated.scene, state.pose), controllers.sums[robot], controllers.home
         period = end_cycle(event, line) / units.STEP_NS * _STEP_S
-        add_period(host_registers, sums, home, ambient.dark, ambient.floor, robot_pose, period)
+        lights = ambient.dark, ambient.floor
+        add_period(host_registers, interface, sums, home, lights, robot_pose, period)
     set_next_step(event, line, simulated.timing.step_ns)
     return True
 
 
 @compilable
-def drive(registers: kernel.Registers, left: float, right: float) -> bool:
-    """Set both speeds [pulses/10 ms] as command D does, rounded and clipped; return False if not finite."""
+def drive(robot: Any, left: float, right: float) -> bool:
+    """Set both speeds of a powered robot [register], rounded and clipped; return False if not finite."""
+    if not is_powered(robot):
+        return True
     if not (math.isfinite(left) and math.isfinite(right)):
         return False
-    limit = float(_SPEED_LIMIT)
-    kernel.set_speed(registers, 0, round(min(max(left, -limit), limit)))
-    kernel.set_speed(registers, kernel.RIGHT, round(min(max(right, -limit), limit)))
+    limit = float(interface_of(robot).speed_limit)
+    set_speeds(robot, round(min(max(left, -limit), limit)), round(min(max(right, -limit), limit)))
     return True
 
 
 @compilable
-def _decide(
-    registers: kernel.Registers, controllers: Controllers, robot: int, dark: float, floor: float
-) -> bool:
-    """Let a controller set the speeds; return False if one is not finite."""
+def _set_setpoints(robot: Any, registers: Registers, left: float, right: float) -> bool:
+    """Set both setpoints in registers as `drive` does; return False if a speed is not finite."""
+    if not (math.isfinite(left) and math.isfinite(right)):
+        return False
+    interface = interface_of(robot)
+    limit = float(interface.speed_limit)
+    registers[interface.left_setpoint] = round(min(max(left, -limit), limit))
+    registers[interface.right_setpoint] = round(min(max(right, -limit), limit))
+    return True
+
+
+@compilable
+def _decide(robot: Any, registers: Registers, controllers: Controllers, index: int) -> bool:
+    """Let a controller set the setpoints in registers; return False if a speed is not finite."""
     if controllers.kind == BRAITENBERG:
-        kernel.wander(registers)
+        wander(robot, registers)
     elif controllers.kind == NETWORK:
-        neurons = controllers.neurons
-        for sensor in range(units.N_SENSORS):
-            neurons[sensor] = registers[_PROXIMITY + sensor] / units.COUNTS_LIMIT
-        for sensor in range(controllers.sizes[0] - units.N_SENSORS):
-            neurons[units.N_SENSORS + sensor] = (dark - registers[_AMBIENT + sensor]) / (dark - floor)
-        genes, memory = controllers.genes[robot], controllers.memory[robot]
+        neurons, interface, ambient = controllers.neurons, interface_of(robot), robot.sensors.ambient
+        n_sensors, dark, floor = interface.n_proximity, ambient.dark, ambient.floor
+        for sensor in range(n_sensors):
+            neurons[sensor] = registers[interface.proximity + sensor] / interface.counts_limit
+        for sensor in range(controllers.sizes[0] - n_sensors):
+            neurons[n_sensors + sensor] = (dark - registers[interface.ambient + sensor]) / (dark - floor)
+        genes, memory = controllers.genes[index], controllers.memory[index]
         output = networks.forward(controllers.sizes, controllers.recurrent, genes, memory, neurons)
         top_speed = controllers.top_speed
-        return drive(registers, top_speed * neurons[output], top_speed * neurons[output + 1])
+        return _set_setpoints(robot, registers, top_speed * neurons[output], top_speed * neurons[output + 1])
     elif controllers.kind == FUNCTION:
-        genes, memory, speeds = controllers.genes[robot], controllers.memory[robot], controllers.speeds
-        decide(controllers.function, registers, memory, genes, speeds)
-        return drive(registers, speeds[0], speeds[1])
+        genes, memory, speeds = controllers.genes[index], controllers.memory[index], controllers.speeds
+        call_function(controllers.function, registers, memory, genes, speeds)
+        return _set_setpoints(robot, registers, speeds[0], speeds[1])
     return True
+
+
+def call_function(
+    function: Callable[..., tuple[float, float]],
+    registers: Registers,
+    memory: Vector[float],
+    genes: Vector[float],
+    speeds: Vector[float],
+) -> None:
+    """Call a controller; compiled code calls it by address.
+
+    Args:
+        function: Function of registers, memory and genes.
+        registers: Registers of the robot (n_registers,).
+        memory: State of the controller.
+        genes: Parameters of the controller, read-only.
+        speeds: Buffer for the returned speeds, left and right (2,); NaN after an arithmetic error such as a
+            division by 0.
+    """
+    try:
+        speeds[0], speeds[1] = function(registers, memory, genes)
+    except ArithmeticError:
+        speeds[0] = speeds[1] = math.nan

@@ -28,7 +28,8 @@ from khep_twin.log.channels import (
 )
 from khep_twin.log.description import body_name
 from khep_twin.log.snapshots import RecorderState, board_registers
-from khep_twin.robots.robot import Robot, SampledRegisters
+from khep_twin.robots.model import SampledRegisters
+from khep_twin.robots.robot import Robot
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.world import World
 

@@ -5,11 +5,15 @@ choose them by the class of the robot's state: in plain code by a table, in comp
 `simulation.compiled` registers. So a scene compiles what its models have, and nothing else.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import Any, NamedTuple
 
 from khep_twin.compilable import compilable
 from khep_twin.robots.model import RobotModel
+from khep_twin.sensing.buffers import Vector
+
+Registers = Vector[int]
+"""Registers of a robot (n_registers,)."""
 
 
 @compilable
@@ -29,6 +33,74 @@ def _evaluate_nothing(robot: Any, simulated: Any, inputs: Any, part: int) -> Non
     """Do nothing, as no measurement is recorded."""
 
 
+@compilable
+def _keep_registers(robot: Any, simulated: Any, inputs: Any) -> None:
+    """Do nothing, as the registers are always up to date."""
+
+
+@compilable
+def _set_setpoints(robot: Any, left: int, right: int) -> None:
+    """Set the setpoints of the speeds."""
+    interface = interface_of(robot)
+    robot.registers[interface.left_setpoint] = left
+    robot.registers[interface.right_setpoint] = right
+
+
+@compilable
+def _is_always_powered(robot: Any) -> bool:
+    """Return True, as the supply always suffices."""
+    return True
+
+
+@compilable
+def wander_nowhere(robot: Any, registers: Registers) -> None:
+    """Do nothing, as the robot has no such vehicle."""
+
+
+class Interface(NamedTuple):
+    """Registers that controllers of episodes read and set.
+
+    Attributes:
+        n_registers: Number of registers.
+        proximity: First register of proximity, which rises towards an obstacle.
+        n_proximity: Number of them.
+        ambient: First register of ambient light.
+        n_ambient: Number of them.
+        left_setpoint: Register of the left wheel's speed setpoint.
+        right_setpoint: Register of the right wheel's speed setpoint.
+        left_side: Register of proximity to the left.
+        right_side: Register of proximity to the right.
+        rest_counts: Proximity without obstacles, which is 0 for metrics [counts].
+        counts_limit: Proximity that is 1 for networks and metrics [counts].
+        top_speed: Speed that is 1 for metrics [register].
+        speed_limit: Largest setpoint [register].
+    """
+
+    n_registers: int
+    proximity: int
+    n_proximity: int
+    ambient: int
+    n_ambient: int
+    left_setpoint: int
+    right_setpoint: int
+    left_side: int
+    right_side: int
+    rest_counts: int
+    counts_limit: int
+    top_speed: float
+    speed_limit: int
+
+    @property
+    def proximity_slice(self) -> slice:
+        """Registers of proximity."""
+        return slice(self.proximity, self.proximity + self.n_proximity)
+
+    @property
+    def ambient_slice(self) -> slice:
+        """Registers of ambient light."""
+        return slice(self.ambient, self.ambient + self.n_ambient)
+
+
 class Core(NamedTuple):
     """Core of a model.
 
@@ -38,10 +110,11 @@ class Core(NamedTuple):
     Attributes:
         name: Name of the family of models that it runs.
         state: Class of a robot's state, a named tuple of numbers and arrays, or of named tuples of them. It
-            has at least `pose` (index of the pose), `radius` [m] and `noise` (key of the random draws, (2,)).
+            has at least `pose` (index of the pose), `radius` [m], `noise` (key of the random draws, (2,)),
+            and for episodes `registers` (n_registers,) and `sensors`.
         make_state: Function that returns the state before a start, for a model, indices of the robot, its
             calibration, its entry of the playpen, and the number of its first moment.
-        changing: Fields of the state that change during a run.
+        changing: Fields of the state that change during a run, buffers included.
         modules: Names of the modules that are compiled for it.
         sense: Runs the sensors in a step.
         tick: Runs the control period of 10 ms.
@@ -50,6 +123,11 @@ class Core(NamedTuple):
         measure_supply: Measures the supply; by default it is constant.
         evaluate: Evaluates a recorded measurement.
         n_moments: Number of moments that the robot records for later measurements, see `scene.save_moment`.
+        interface: Registers for controllers of episodes; None if the model runs in no episodes.
+        update_registers: Measures, and updates the registers; by default they are always up to date.
+        set_speeds: Sets the speeds; by default the setpoints in the registers.
+        is_powered: Returns whether the processor runs; by default always.
+        wander: Sets the setpoints of a Braitenberg vehicle in registers; by default there is none.
     """
 
     name: str
@@ -64,6 +142,17 @@ class Core(NamedTuple):
     measure_supply: Callable[..., bool] = _measure_no_supply
     evaluate: Callable[..., None] = _evaluate_nothing
     n_moments: int = 0
+    interface: Interface | None = None
+    update_registers: Callable[..., None] = _keep_registers
+    set_speeds: Callable[..., None] = _set_setpoints
+    is_powered: Callable[..., bool] = _is_always_powered
+    wander: Callable[..., None] = wander_nowhere
+
+    @property
+    def interface_of(self) -> Callable[[Any], Interface | None]:
+        """Function that returns the interface for a state, a constant of compiled code."""
+        interface = self.interface
+        return lambda robot: interface
 
 
 CORES: dict[type[Any], Core] = {}
@@ -120,5 +209,43 @@ def evaluate(robot: Any, simulated: Any, inputs: Any, part: int) -> None:
     CORES[type(robot)].evaluate(robot, simulated, inputs, part)
 
 
-DUTIES = (sense, tick, measure_supply, start, evaluate)
+def interface_of(robot: Any) -> Any:
+    """Return the registers for controllers of a robot, `Interface`."""
+    return CORES[type(robot)].interface
+
+
+def update_registers(robot: Any, simulated: Any, inputs: Any) -> None:
+    """Measure, and update the registers of a robot."""
+    CORES[type(robot)].update_registers(robot, simulated, inputs)
+
+
+def set_speeds(robot: Any, left: int, right: int) -> None:
+    """Set the speeds of a robot's wheels [register], as a command of its protocol does."""
+    CORES[type(robot)].set_speeds(robot, left, right)
+
+
+def is_powered(robot: Any) -> bool:
+    """Return whether a robot's processor runs."""
+    return CORES[type(robot)].is_powered(robot)
+
+
+def wander(robot: Any, registers: Registers) -> None:
+    """Set the setpoints of a robot's Braitenberg vehicle in registers."""
+    CORES[type(robot)].wander(robot, registers)
+
+
+def marker_of(core: Core) -> str:
+    """Return the name of the field that marks the records of a core's states in compiled code."""
+    return f"is_{core.name}"
+
+
+def core_of_fields(names: Container[str]) -> Core | None:
+    """Return the core whose states' records have these fields, among them its marker; None for none."""
+    return next((core for core in CORES.values() if marker_of(core) in names), None)
+
+
+DUTIES = (
+    *(sense, tick, measure_supply, start, evaluate),
+    *(interface_of, update_registers, set_speeds, is_powered, wander),
+)
 """Functions that choose a model's function of the same name."""

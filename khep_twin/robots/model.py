@@ -14,10 +14,11 @@ This module knows no model. A package registers its models under the entry point
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib.metadata import EntryPoint
+from itertools import accumulate, pairwise
 from typing import NamedTuple, TypeVar, cast
 
 from khep_twin.board.rom import Rom
@@ -37,7 +38,7 @@ class Feature(StrEnum):
     """Use of a robot that not every model has; the value is its purpose in messages."""
 
     TURRETS = "turrets"
-    EPISODES = "an episode"
+    LINE = "an episode with a line"
     CONTROLLERS = "a network, a built-in controller or one in the toolbox's form"
     FIT = "a fit"
     PROGRAMS = "programs of the page"
@@ -179,3 +180,24 @@ def parse_columns(channel: str, label: str) -> Columns:
     """Return the columns of a channel from the label of its numbers: "left, right [unit]"."""
     names, _, unit = label.removesuffix("]").partition(" [")
     return tuple((f"{channel}_{name.replace(' ', '_')}".lower(), unit) for name in names.split(", "))
+
+
+class SampledRegisters(NamedTuple):
+    """Registers that form a channel of a log.
+
+    Attributes:
+        name: Name of the channel.
+        label: Names of its numbers, and their unit in brackets.
+        registers: Indices of the registers.
+    """
+
+    name: str
+    label: str
+    registers: Sequence[int]
+
+
+def consecutive_registers(labels: Mapping[str, str]) -> tuple[SampledRegisters, ...]:
+    """Return the channels of consecutive registers from the labels of the channels."""
+    ends = accumulate((label.count(",") + 1 for label in labels.values()), initial=0)
+    parts = zip(labels.items(), pairwise(ends), strict=True)
+    return tuple(SampledRegisters(name, label, range(*part)) for (name, label), part in parts)

@@ -1,10 +1,9 @@
 """A robot of a world, of any model: its board on a serial line, and its body in the physics."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import accumulate, pairwise
 from typing import NamedTuple, Protocol
 
 import mujoco
@@ -15,6 +14,7 @@ from khep_twin import step
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
 from khep_twin.board.turrets import TurretBody
 from khep_twin.errors import FaultError
+from khep_twin.robots.model import SampledRegisters
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.robot_arrays import Layout
@@ -67,27 +67,6 @@ class RobotSetup:
     indices: RobotIndices
     make_rng: Callable[..., np.random.Generator]
     settings: RobotSettings
-
-
-class SampledRegisters(NamedTuple):
-    """Registers that form a channel of a log.
-
-    Attributes:
-        name: Name of the channel.
-        label: Names of its numbers, and their unit in brackets.
-        registers: Indices of the registers.
-    """
-
-    name: str
-    label: str
-    registers: Sequence[int]
-
-
-def consecutive_registers(labels: Mapping[str, str]) -> tuple[SampledRegisters, ...]:
-    """Return the channels of consecutive registers from the labels of the channels."""
-    ends = accumulate((label.count(",") + 1 for label in labels.values()), initial=0)
-    parts = zip(labels.items(), pairwise(ends), strict=True)
-    return tuple(SampledRegisters(name, label, range(*part)) for (name, label), part in parts)
 
 
 class Robot(WiredBoard, ABC):

@@ -12,9 +12,6 @@ Numbers = TypeVar("Numbers", bound=NamedTuple)
 _RECORD_TYPES: dict[np.dtype[np.void], np.dtype[np.void]] = {}
 """Record types, one object for each: numba compares different objects field by field at every call."""
 
-RECORD_CLASSES: dict[np.dtype[np.void], type[Any]] = {}
-"""Class of the named tuples with each record type."""
-
 
 class Vector(Protocol[Value]):
     """One-dimensional sequence of numbers (n,): an array, its memoryview, or a list."""
@@ -41,14 +38,15 @@ def view(array: NDArray[np.float64]) -> "memoryview[float]":
     return cast("memoryview[float]", array.data)
 
 
-def as_records(values: Sequence[NamedTuple], template: NamedTuple) -> NDArray[np.void]:
+def as_records(values: Sequence[NamedTuple], template: NamedTuple, marker: str = "") -> NDArray[np.void]:
     """Return named tuples as records with the same fields (n,), which compiled code passes by address.
 
     Args:
         values: Named tuples of numbers, lists, arrays and named tuples, all of the same shapes.
         template: A named tuple of these shapes.
+        marker: Name of a further field, which makes the type of the records unique.
     """
-    records = np.zeros(len(values), _record_type(template))
+    records = np.zeros(len(values), _record_type(template, marker))
     for record, value in zip(records, values, strict=True):
         fill_record(record, value)
     return records
@@ -70,7 +68,7 @@ def as_plain(values: Numbers, record: Any) -> Numbers:
     return values._make(plain_values)
 
 
-def _record_type(values: NamedTuple) -> np.dtype[np.void]:
+def _record_type(values: NamedTuple, marker: str = "") -> np.dtype[np.void]:
     """Return the type of a named tuple's record."""
     fields: list[Any] = []
     for name, value in zip(values._fields, values, strict=True):
@@ -79,8 +77,9 @@ def _record_type(values: NamedTuple) -> np.dtype[np.void]:
         else:
             array: NDArray[Any] = np.asarray(cast(Any, value))
             fields.append((name, np.int64 if array.dtype.kind == "i" else array.dtype, array.shape))
+    if marker:
+        fields.append((marker, np.int64))
     dtype = np.dtype(fields, align=True)
-    RECORD_CLASSES.setdefault(dtype, type(values))
     return _RECORD_TYPES.setdefault(dtype, dtype)
 
 

@@ -6,7 +6,6 @@
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,13 +14,16 @@ from numpy.typing import NDArray
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import view
 from khep_twin.sensing.robot_sensors import RobotSensors, chip_behind
-from khep_twin.sensing.scene import COARSE, FINE, MAX_SPEED, Triple
+from khep_twin.sensing.scene import COARSE, FINE, MAX_SPEED, Beams, Triple
 from khep_twin.sensing.seen_surfaces import Chip, Upright, add_upright
 
 Floats = NDArray[np.float64]
 
 PAINT_HEIGHT = 0.0005
 """Height up to which a fixed geom is paint on the floor, invisible to the sensors [m]."""
+
+FRAME_UPDATES = mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight
+"""Functions that move bodies, geoms and cameras to the positions of the joints."""
 
 GROUND_GROUP = 1
 """Group of geoms to drive on, also invisible to the sensors."""
@@ -191,6 +193,11 @@ class MujocoScene:
             n_blocked += 0 <= hit < glass
         return n_blocked / len(points)
 
+    def update_frames(self) -> None:
+        """Implement the query `update_frames`."""
+        for update in FRAME_UPDATES:
+            update(self._model, self._data)
+
     def save_moment(self, moment: int, powers: Sequence[float]) -> None:
         """Implement the query `save_moment`."""
         row, n_qpos = self._moments[moment], len(self._qpos)
@@ -211,7 +218,7 @@ class MujocoScene:
         length = mujoco.mj_ray(model, self._data, np.array(start), vector, None, True, sensors.base, geom)
         return length, float(model.geom_user[geom[0], 0]) if length >= 0 else 0.0
 
-    def cast_rays(self, sensors: RobotSensors, beams: Any, start: Triple, reach: float) -> None:
+    def cast_rays(self, sensors: RobotSensors, beams: Beams, start: Triple, reach: float) -> None:
         """Implement the query `cast_rays`."""
         lengths, normals, vectors = map(np.asarray, (beams.lengths, beams.normals, beams.vectors))
         geoms, origin, base = np.zeros(len(lengths), np.int32), np.array(start), sensors.base

@@ -5,13 +5,11 @@ function for each kind of scene: `khep_twin.simulation.mujoco_calls` for MuJoCo,
 `khep_twin.episodes.planar.compiled` for the plane. Core and sensors are the same for all kinds.
 """
 
-import math
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, Self, cast
 
 import numpy as np
 
-from khep_twin.board.kernel import AMBIENT, PROXIMITY, Registers
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.seen_surfaces import Chip
@@ -23,6 +21,29 @@ MAX_SPEED = 1000.0
 """Highest speed of a joint in a playpen [m/s or rad/s]; beyond it the simulation has diverged."""
 
 Triple = tuple[float, float, float]
+
+
+class Beams(NamedTuple):
+    """Rays from a point, buffers of `cast_rays`.
+
+    Attributes:
+        vectors: Unit vectors of the rays (3 * n,).
+        lengths: Their lengths [m], below 0 without an obstacle (n,).
+        normals: Normals of the obstacles (3 * n,).
+        geoms: Indices of the obstacles (n,).
+    """
+
+    vectors: Vector[float]
+    lengths: Vector[float]
+    normals: Vector[float]
+    geoms: Vector[int]
+
+    @classmethod
+    def of(cls, n_rays: int) -> Self:
+        """Return buffers for a number of rays."""
+        arrays = (np.zeros(n) for n in (3 * n_rays, n_rays, 3 * n_rays))
+        vectors, lengths, normals = (cast("Vector[float]", array) for array in arrays)
+        return cls(vectors, lengths, normals, np.zeros(n_rays, np.int64))
 
 
 class SceneMotion(Protocol):
@@ -111,6 +132,9 @@ class Scene(SceneMotion, SceneJoints, SceneSight, SceneRays, Protocol):
 class BeamScene(Scene, Protocol):
     """A scene for robots that record moments, and whose rays meet the floor or form beams."""
 
+    def update_frames(self) -> None:
+        """Implement the query `update_frames`."""
+
     def save_moment(self, moment: int, powers: Sequence[float]) -> None:
         """Implement the query `save_moment`."""
 
@@ -125,7 +149,7 @@ class BeamScene(Scene, Protocol):
         """Implement the query `ray`."""
         ...
 
-    def cast_rays(self, sensors: RobotSensors, beams: Any, start: Triple, reach: float) -> None:
+    def cast_rays(self, sensors: RobotSensors, beams: Beams, start: Triple, reach: float) -> None:
         """Implement the query `cast_rays`."""
 
 
@@ -228,6 +252,11 @@ def hidden_part(
     return scene.hidden_part(sensors, channel, disc, left, up, ray, glass)
 
 
+def update_frames(scene: BeamScene) -> None:
+    """Move all bodies and sensors to the present positions of the joints, which the next step does, too."""
+    scene.update_frames()
+
+
 def save_moment(scene: BeamScene, moment: int, powers: Sequence[float]) -> None:
     """Record the positions of all joints and the powers of the lamps [W] as a moment, by its number."""
     scene.save_moment(moment, powers)
@@ -248,40 +277,14 @@ def ray(scene: BeamScene, sensors: RobotSensors, start: Triple, direction: Tripl
     return scene.ray(sensors, start, direction)
 
 
-def cast_rays(scene: BeamScene, sensors: RobotSensors, beams: Any, start: Triple, reach: float) -> None:
+def cast_rays(scene: BeamScene, sensors: RobotSensors, beams: Beams, start: Triple, reach: float) -> None:
     """Cast rays from a point, up to a length [m]; the floor is no obstacle.
 
     Args:
         scene: Scene of the robot.
         sensors: Sensors of the robot, which the rays ignore.
-        beams: Unit vectors of the rays (`vectors`, (3 * n,)), and buffers that are filled in: `lengths` [m],
-            below 0 without an obstacle (n,), `normals` of the obstacles (3 * n,), and their indices `geoms`.
+        beams: Vectors of the rays; the other buffers are filled in.
         start: Point.
         reach: Longest length [m].
     """
     scene.cast_rays(sensors, beams, start, reach)
-
-
-def decide(
-    function: Callable[..., tuple[float, float]],
-    registers: Registers,
-    memory: Vector[float],
-    genes: Vector[float],
-    speeds: Vector[float],
-) -> None:
-    """Call a controller; compiled code calls it by address.
-
-    Args:
-        function: Function of proximity (8,), ambient (8,), memory and genes.
-        registers: Registers of the board (N_REGISTERS,).
-        memory: State of the controller.
-        genes: Parameters of the controller, read-only.
-        speeds: Buffer for the returned speeds, left and right (2,); NaN after an arithmetic error such as a
-            division by 0.
-    """
-    board = np.asarray(registers)
-    proximity, ambient = board[PROXIMITY[0] : PROXIMITY[-1] + 1], board[AMBIENT[0] : AMBIENT[-1] + 1]
-    try:
-        speeds[0], speeds[1] = function(proximity, ambient, memory, genes)
-    except ArithmeticError:
-        speeds[0] = speeds[1] = math.nan

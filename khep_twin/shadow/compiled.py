@@ -25,7 +25,7 @@ from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.shadow.wheel_commands import DUTY, SPEED, TARGET
 from khep_twin.simulation.compiled import compiled
 
-assert planar_compiled.run  # Its import registers the queries of a plane for numba.
+assert planar_compiled.run_of  # Its import registers the queries of a plane for numba.
 
 _SENSING = seen_surfaces, reflection, robot_sensors, light, optics
 _SOURCES = units, kernel, *_SENSING, casting, contact_solver, motion, plane, pushing, shadows
@@ -42,7 +42,7 @@ _BRAKING = 6.0
 
 def _advance(obstacles, order, near, empty, robots, registers, processor, strength, constant, voltage, ticks):
     for twin in range(len(robots)):
-        scene = Plane(obstacles[twin], order[twin], near, empty, empty, robots[twin])
+        scene = Plane(obstacles[twin], order[twin], near, empty, empty, empty, robots[twin])
         board = registers[twin]
         for _ in range(ticks):
             motion.step(scene)
@@ -65,7 +65,7 @@ def _motor_voltage(strength, back_emf, applied, supply):
 
 def _illuminate(obstacles, order, near, empty, robots, sensors, turns, light, slope):
     for twin in range(len(robots)):
-        scene = Plane(obstacles[twin], order[twin], near, empty, empty, robots[twin])
+        scene = Plane(obstacles[twin], order[twin], near, empty, empty, empty, robots[twin])
         motion.find_near(scene)
         for channel in range(units.N_SENSORS):
             face, turn = chip(scene, sensors[0], channel), turns[twin, channel]
@@ -144,7 +144,7 @@ def _observe(
 
 def _lamplight(obstacles, order, near, empty, robots, sensors, law, bulbs, hidden, powers, min_count, light):
     for twin in range(len(robots)):
-        scene = Plane(obstacles[twin], order[twin], near, empty, empty, robots[twin])
+        scene = Plane(obstacles[twin], order[twin], near, empty, empty, empty, robots[twin])
         for channel in range(units.N_SENSORS):
             for lamp in range(len(bulbs)):
                 bulb, ambient = bulbs[lamp], sensors[0].ambient
@@ -182,7 +182,7 @@ def _clear(obstacles, robots, poses, is_clear):
 
 def _measure(obstacles, order, near, empty, robots):
     for twin in range(len(robots)):
-        motion.measure_distances(Plane(obstacles[twin], order[twin], near, empty, empty, robots[twin]))
+        motion.measure_distances(Plane(obstacles[twin], order[twin], near, empty, empty, empty, robots[twin]))
 
 
 advance: Any = compiled(_advance, _SOURCES)

@@ -53,7 +53,7 @@ class PlanarBodies:
     def __init__(self, setup: EpisodeSetup, forms: PlanarForms, count: int) -> None:
         self._compiled: Any = module_of("shadow")
         state = forms.robot_states()[0]
-        obstacles, order, _, bodies, _, robot = forms.compiled()
+        obstacles, order, _, bodies, *_, robot = forms.compiled()
         if len(bodies):
             problem = f"{setup.playpen.name}: {len(bodies)} movable objects"
             raise PlaypenError(f"{problem}; expected none in the playpen of a shadow")

@@ -23,8 +23,8 @@ from numba.extending import overload, register_jitable
 from khep_twin import step, units
 from khep_twin.compilable import FUNCTIONS
 from khep_twin.robots import core as robot_core
-from khep_twin.robots.core import CORES, DUTIES, Core, core_of
-from khep_twin.robots.registry import default_model, find_family
+from khep_twin.robots.core import DUTIES, core_of, core_of_fields
+from khep_twin.robots.registry import find_family
 from khep_twin.sensing import (
     light,
     mujoco_scene,
@@ -35,7 +35,6 @@ from khep_twin.sensing import (
     scene,
     seen_surfaces,
 )
-from khep_twin.sensing.buffers import RECORD_CLASSES
 from khep_twin.sensing.light import Light
 from khep_twin.simulation import addresses, foreign, linking, mujoco_calls
 from khep_twin.simulation.announcement import ANNOUNCER
@@ -57,10 +56,6 @@ def sources_of(*models: str) -> tuple[ModuleType, ...]:
     """Return the modules that are compiled for worlds of robots with these cores."""
     cores = [core_of(find_family(model)) for model in models]
     return (*_CORE_SOURCES, *(sys.modules[name] for core in cores for name in core.modules))
-
-
-SOURCES = sources_of(default_model().family)
-"""Modules that are compiled for worlds of robots of the default family."""
 
 
 def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
@@ -111,18 +106,10 @@ def _chooser(duty):
     """Return a function that returns the function of a duty for the state of a robot, by its numba type."""
 
     def choose(robot, *rest):
-        core = _find_core(robot)
+        core = core_of_fields(getattr(robot, "fields", ()))
         return core and getattr(core, duty)
 
     return choose
-
-
-def _find_core(kind) -> Core | None:
-    """Return the core whose states have this record type."""
-    for record_type, state in RECORD_CLASSES.items():
-        if state in CORES and numba.from_dtype(record_type) == kind:
-            return CORES[state]
-    return None
 
 
 def _advance(scene, timing, law, bulbs, hidden_sectors, groups, counters, powers, tables, end_step, stops):
@@ -140,15 +127,11 @@ def _advance(scene, timing, law, bulbs, hidden_sectors, groups, counters, powers
 @cache
 def advance_of(*models):
     """Return `simulation.plain_advance` compiled for worlds of robots with these cores, in this order."""
-    return compiled(_copy(_advance, "_".join(("advance", *models))), sources_of(*models))
+    return compiled(named(_advance, "advance", *models), sources_of(*models))
 
 
-def _copy(function, name):
-    """Return a copy of a function with another name."""
-    copy = FunctionType(function.__code__, function.__globals__, name)
+def named(function, name, *models):
+    """Return a copy of a function, named after the families of models that it is compiled for."""
+    copy = FunctionType(function.__code__, function.__globals__, "_".join((name, *models)))
     copy.__module__ = function.__module__
     return copy
-
-
-advance = advance_of("khepera")
-"""The core of worlds of Kheperas, compiled."""

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.sensing.mujoco_scene import MujocoScene
+from khep_twin.sensing.mujoco_scene import FRAME_UPDATES, MujocoScene
 
 
 class Moments:
@@ -49,7 +49,7 @@ class Moments:
         """Move the copy of the scene to a moment."""
         data = self._copy
         data.qpos[:] = self.rows[moment, : self._n_qpos]
-        for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
+        for update in FRAME_UPDATES:
             update(self._model, data)
 
     @property

@@ -22,9 +22,8 @@ from khep_twin.sensing.seen_surfaces import add_upright
 from khep_twin.simulation.addresses import function_address, object_address
 from khep_twin.simulation.foreign import (
     address_of,
-    call_controller,
     call_ray_geom,
-    call_step,
+    call_update,
     implements,
     load,
     load_int,
@@ -39,6 +38,9 @@ class Addresses(NamedTuple):
 
     Attributes:
         step: Function mj_step.
+        kinematics: Function mj_kinematics.
+        com_pos: Function mj_comPos.
+        cam_light: Function mj_camlight.
         ray_geom: Function mju_rayGeom.
         model: Model.
         data: State.
@@ -68,6 +70,9 @@ class Addresses(NamedTuple):
     """
 
     step: int
+    kinematics: int
+    com_pos: int
+    cam_light: int
     ray_geom: int
     model: int
     data: int
@@ -161,6 +166,9 @@ def make_calls(
     array_names = ("qpos", "qvel", "ctrl", "xpos", "xmat", "cam_xpos", "cam_xmat", "geom_xpos", "geom_xmat")
     addresses = Addresses(
         step=function_address("mj_step"),
+        kinematics=function_address("mj_kinematics"),
+        com_pos=function_address("mj_comPos"),
+        cam_light=function_address("mj_camlight"),
         ray_geom=function_address("mju_rayGeom"),
         model=object_address(model),
         data=object_address(data),
@@ -205,7 +213,7 @@ def _make_solid(model: mujoco.MjModel, geom: int, is_visible: bool, is_floor: bo
 
 @implements(queries.step, MujocoCalls)
 def _step(scene):
-    call_step(scene.address.step, scene.address.model, scene.address.data)
+    call_update(scene.address.step, scene.address.model, scene.address.data)
 
 
 @implements(queries.in_bounds, MujocoCalls)
@@ -380,6 +388,14 @@ def _ray_length(scene, solid, start, normal):
     )
 
 
+@implements(queries.update_frames, MujocoCalls)
+def _update_frames(scene):
+    addresses = scene.address
+    call_update(addresses.kinematics, addresses.model, addresses.data)
+    call_update(addresses.com_pos, addresses.model, addresses.data)
+    call_update(addresses.cam_light, addresses.model, addresses.data)
+
+
 @implements(queries.save_moment, MujocoCalls)
 def _save_moment(scene, moment, powers):
     addresses = scene.address
@@ -468,16 +484,3 @@ def _cast_to_solid(scene, index, beams, start):
             lengths[ray], beams.geoms[ray] = length, index
             for axis in range(3):
                 beams.normals[3 * ray + axis] = normal[axis]
-
-
-@implements(queries.decide)
-def _decide(function, registers, memory, genes, speeds):
-    call_controller(
-        function,
-        address_of(registers),
-        address_of(memory),
-        len(memory),
-        address_of(genes),
-        len(genes),
-        address_of(speeds),
-    )

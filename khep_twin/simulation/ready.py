@@ -16,16 +16,16 @@ from khep_twin.process.machine import lock, lower_priority
 from khep_twin.robots.registry import default_model, installed_families
 
 CODE = {
-    "world": "khep_twin.simulation.compiled:advance",
-    "episodes": "khep_twin.episodes.compiled:run",
-    "plane": "khep_twin.episodes.planar.compiled:run",
+    "world": "khep_twin.simulation.compiled:advance_of",
+    "episodes": "khep_twin.episodes.compiled:run_of",
+    "plane": "khep_twin.episodes.planar.compiled:run_of",
     "vision": "khep_twin.vision.compiled:capture",
     "shadow": "khep_twin.shadow.compiled:advance",
 }
-"""Parts of khep_twin that can be compiled, and their functions; of the shadow's, one of several.
+"""Parts of khep_twin that can be compiled, and their functions; of the shadow's, one of several."""
 
-A world of other robots than those of the default family is a part of its own, see `world_part`.
-"""
+ROBOT_PARTS = "world", "episodes", "plane"
+"""Parts of each family of robots, by default of the default one; see `part_of`."""
 
 BACKGROUND_NOTICE = (
     "khep_twin: numba compiles in the background, once per version; this run goes on uncompiled meanwhile, "
@@ -93,22 +93,25 @@ def compile_lock(part: str) -> Generator[None]:
         yield
 
 
-def world_part(models: Sequence[str]) -> str:
-    """Return the part of a world with robots of these families, in the order of its groups."""
-    return "world" if [*models] == [default_model().family] else ".".join(("world", *models))
+def part_of(kind: str, models: Sequence[str]) -> str:
+    """Return the part of `ROBOT_PARTS` for robots of these families, in the order of a world's groups."""
+    return kind if [*models] == [default_model().family] else ".".join((kind, *models))
 
 
 def is_part(name: str) -> bool:
-    """Return whether a name is that of a part, also of a world with robots of installed families."""
+    """Return whether a name is that of a part, also for robots of installed families."""
     kind, *families = name.split(".")
-    return name in CODE or (kind == "world" and bool(families) and {*families} <= {*installed_families()})
+    is_single = kind == "world" or len(families) == 1
+    return name in CODE or (
+        kind in ROBOT_PARTS and bool(families) and is_single and {*families} <= {*installed_families()}
+    )
 
 
 def function_of(part: str) -> Callable[..., Any]:
     """Return the function of a part, compiled at its first call; errors as for `module_of`."""
-    name, *models = part.split(".")
-    module: Any = module_of(name)
-    return module.advance_of(*models) if models else getattr(module, CODE[part].partition(":")[2])
+    kind, *models = part.split(".")
+    function: Any = getattr(module_of(kind), CODE[kind].partition(":")[2])
+    return function(*(models or [default_model().family])) if kind in ROBOT_PARTS else function
 
 
 def module_of(part: str) -> ModuleType:
@@ -135,7 +138,7 @@ def find_missing_numba() -> MissingNumbaError | None:
 
 def functions_of(part: str) -> list[Callable[..., Any]]:
     """Return all compiled functions of a part; errors as for `module_of`."""
-    if part not in CODE:
+    if part.partition(".")[0] in ROBOT_PARTS:
         return [function_of(part)]
     module = module_of(part)
     functions = [value for value in vars(module).values() if hasattr(value, "py_func")]

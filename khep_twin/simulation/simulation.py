@@ -15,7 +15,7 @@ from khep_twin import step
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lighting
 from khep_twin.randomness import key, stream
-from khep_twin.robots.core import CORES
+from khep_twin.robots.core import CORES, marker_of
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, HiddenSector, Light, LightLaw
@@ -120,7 +120,9 @@ class Simulation:
         self.title = "the simulation"
         self.lamps: Lamps | None = None
         self.on_switch: Callable[[], None] | None = None
-        self.records: tuple[Any, ...] = tuple(as_records(group, group[0]) for group in groups)
+        self.records: tuple[Any, ...] = tuple(
+            as_records(group, group[0], marker_of(CORES[type(group[0])])) for group in groups
+        )
         self._initial_records = [records.copy() for records in self.records]
         self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
         self._keys: tuple[int, ...] = ()

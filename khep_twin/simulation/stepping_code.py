@@ -1,6 +1,6 @@
 """Choice of the code that steps a world: plain code first, compiled code when it saves time."""
 
-from khep_twin.simulation.ready import function_of, when_ready, world_part
+from khep_twin.simulation.ready import function_of, part_of, when_ready
 from khep_twin.simulation.simulation import Advance, Simulation
 
 _MIN_STEPS = 30_000
@@ -22,7 +22,7 @@ class SteppingCode:
     def __init__(self, simulation: Simulation, compiled: bool | None) -> None:
         self._simulation = simulation
         self.switch_step: int | None = None
-        self._part = world_part(simulation.models)
+        self._part = part_of("world", simulation.models)
         n_robots = sum(map(len, simulation.records))
         if compiled is None and n_robots:
             self.switch_step = _MIN_STEPS // n_robots

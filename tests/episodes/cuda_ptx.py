@@ -31,7 +31,7 @@ class GpuArray(np.ndarray):
 class Compiler:
     """Kernel that is compiled and not launched."""
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, model: str) -> None:
         self._capacity = capacity
 
     def __getitem__(self, configuration: object) -> Any:
@@ -55,7 +55,7 @@ def type_of(value: Any) -> Any:
     return typeof(value.view(np.ndarray) if isinstance(value, GpuArray) else value)
 
 
-STAMP = f"{kernel.STAMP}-{digest_of([Path(__file__)])}"
+STAMP = f"{kernel.stamp_of('khepera')}-{digest_of([Path(__file__)])}"
 
 if __name__ == "__main__":
     if sys.argv[1:] == [STAMP]:

@@ -242,14 +242,6 @@ def test_robots_of_one_model_differ_and_a_seed_repeats_them() -> None:
     assert max(first[:8]) - min(first[:8]) > 20
 
 
-def test_an_episode_of_a_khepera_iv_is_refused_by_name() -> None:
-    from khep_twin.episodes.episode_setup import EpisodeSetup
-    from khep_twin.errors import PlaypenError
-
-    with pytest.raises(PlaypenError, match="arena4: robot 1: model = 'khepera4'; expected a Khepera or"):
-        EpisodeSetup("arena4")
-
-
 def test_a_reset_sets_the_positions_to_zero_and_keeps_readings() -> None:
     world = World("arena4", seed=1)
     order(world, 300, 300)

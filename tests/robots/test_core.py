@@ -11,7 +11,7 @@ from khep_twin.robots.core import CORES, DUTIES, core_of
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.robots.registry import find_family, installed_families
-from khep_twin.simulation.ready import function_of, world_part
+from khep_twin.simulation.ready import function_of, part_of
 from khep_twin.world import World
 
 SPEEDS = ((300, -200), (-150, 500), (400, 420), (0, 0))
@@ -66,7 +66,7 @@ def test_a_world_compiles_the_modules_of_its_models_and_nothing_else() -> None:
     sources = {models: {module.__name__ for module in sources_of(*models)} for models in (("khepera",), ())}
     assert sources["khepera",] - sources[()] == {*core_of(find_family("khepera")).modules}
     assert not any("khepera4" in name for name in sources["khepera",])
-    parts = [world_part(models) for models in (["khepera"], ["khepera4"], ["khepera", "khepera4"])]
+    parts = [part_of("world", models) for models in (["khepera"], ["khepera4"], ["khepera", "khepera4"])]
     assert parts == ["world", "world.khepera4", "world.khepera.khepera4"]
     names = [function_of(part).py_func.__qualname__ for part in parts]
     assert all(one != other for one, other in pairwise(names))

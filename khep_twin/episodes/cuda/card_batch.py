@@ -72,7 +72,7 @@ class CardBatch(EpisodeBatch):
 
     def __init__(self, episodes: Sequence[Episode], driver: Driver) -> None:
         super().__init__(episodes, threads=1)
-        self._sets_speeds = isinstance(driver, Policy)
+        self._sets_speeds, self._model = isinstance(driver, Policy), episodes[0].setup.core.name
         self._start_arguments: list[tuple[int, EpisodeOptions]] = [(0, DEFAULT_OPTIONS)] * len(episodes)
         self._new_states: dict[int, State] = {}
         self._constants = SlotConstants(len(episodes))
@@ -125,7 +125,7 @@ class CardBatch(EpisodeBatch):
 
     @property
     def boards(self) -> NDArray[np.int64]:
-        """States of the boards (n, n_robots, N_REGISTERS)."""
+        """Registers of the robots (n, n_robots, n_registers)."""
         return self.registers
 
     @property
@@ -189,7 +189,7 @@ class CardBatch(EpisodeBatch):
             if self._gpu_states is None:
                 self._gpu_states = _GpuStates(self._layout, len(self._episodes))
             gpu_arrays = type(arrays)(*map(cuda.to_device, arrays))
-            kernel.kernel(self._layout.capacity)[n_blocks, min(BLOCK_SIZE, len(slots))](
+            kernel.kernel(self._layout.capacity, self._model)[n_blocks, min(BLOCK_SIZE, len(slots))](
                 kernel.Constants(**self._gpu_states.common_constants, **self._constants.on_gpu()),
                 self._gpu_states.templates,
                 self._layout.offsets,

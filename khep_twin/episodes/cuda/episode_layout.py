@@ -18,6 +18,7 @@ from khep_twin.episodes.planar import planar_world
 from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.episodes.stepping import EpisodeArguments
+from khep_twin.robots.core import core_of_fields
 
 State = NDArray[np.int64]
 """State of an episode (n_words,), or of several (n_words, n), as 64-bit words."""
@@ -25,15 +26,12 @@ State = NDArray[np.int64]
 BUFFERS = "contacts", "hidden"
 """Fields of the plane's record that are buffers."""
 
-STATE_FIELDS = {
-    "robot": ("registers", "processor", "sensor_states", "strengths", "voltage", "noise"),
-    "plane": tuple(name for name in planar_world.STATE_FIELDS if name not in BUFFERS),
-}
-"""Fields of the records of the robot and of the plane that belong to an episode's state."""
+PLANE_FIELDS = tuple(name for name in planar_world.STATE_FIELDS if name not in BUFFERS)
+"""Fields of the plane's record that belong to an episode's state; of the robot's, see `robot_fields`."""
 
-_NOT_IN_ROBOTS = frozenset({*STATE_FIELDS["robot"], "sensors.proximity.table", "sensors.proximity.surfaces"})
-_NOT_IN_PLANES = frozenset({*STATE_FIELDS["plane"], *BUFFERS})
-"""Fields that the records of constants leave out."""
+_NOT_IN_ROBOTS = "sensors.proximity.table", "sensors.proximity.surfaces"
+_NOT_IN_PLANES = frozenset({*PLANE_FIELDS, *BUFFERS})
+"""Fields that the records of constants leave out, besides the robot's state."""
 
 _MIN_WORDS = 1024
 """Smallest size of local memory in words (assumed); a power of two, so that few kernels are compiled."""
@@ -61,7 +59,7 @@ class EpisodeLayout:
         for path, array in state_arrays:
             fields_by_record.setdefault(path[0], []).append((path[-1], array.dtype, array.shape))
         state_fields = [
-            (name, np.dtype(parts, align=True)) if name in STATE_FIELDS else parts[0]
+            (name, np.dtype(parts, align=True)) if name in ("robot", "plane") else parts[0]
             for name, parts in fields_by_record.items()
         ]
         surfaces = arguments.groups[0]["sensors"]["proximity"]["surfaces"]
@@ -140,6 +138,11 @@ class EpisodeLayout:
         yield from (arguments.controllers.memory, columns, plane.fixed_by_distance, plane.bodies)
 
 
+def robot_fields(arguments: EpisodeArguments) -> tuple[str, ...]:
+    """Return the fields of the robot's record that belong to an episode's state."""
+    return *core_of_fields(arguments.groups[0].dtype.names).changing, "noise"
+
+
 def episode_constants(arguments: EpisodeArguments) -> dict[str, NDArray[Any]]:
     """Return an episode's constants by the names of `kernel.Constants`, from `tables` on."""
     controllers, robots, plane = arguments.controllers, arguments.groups[0], _plane(arguments)
@@ -154,7 +157,8 @@ def episode_constants(arguments: EpisodeArguments) -> dict[str, NDArray[Any]]:
         "bulbs": arguments.bulbs,
         "hidden": arguments.hidden,
         "powers": arguments.powers,
-        "robots": _remove_fields(robots[0], _NOT_IN_ROBOTS),
+        "paint": plane.paint,
+        "robots": _remove_fields(robots[0], frozenset({*robot_fields(arguments), *_NOT_IN_ROBOTS})),
         "planar_robots": _remove_fields(plane.robot[0], _NOT_IN_PLANES),
     }
 
@@ -174,10 +178,10 @@ def _shared_properties(arguments: EpisodeArguments) -> tuple[object, ...]:
 
 def _state_arrays(arguments: EpisodeArguments) -> Iterator[tuple[tuple[str, ...], NDArray[Any]]]:
     """Yield the state's arrays of a fixed size, each after its path in the state's record."""
-    planar_robots = _plane(arguments).robot
-    for record_name, records in (("robot", arguments.groups[0]), ("plane", planar_robots)):
-        for name in STATE_FIELDS[record_name]:
-            yield (record_name, name), records[name][0]
+    robot, plane = (arguments.groups[0], robot_fields(arguments)), (_plane(arguments).robot, PLANE_FIELDS)
+    for record_name, (records, names) in (("robot", robot), ("plane", plane)):
+        for name in names:
+            yield (record_name, name), records[name] if records[name].dtype.names else records[name][0]
     for name in ("sums", "events", "host_registers"):
         yield (name,), getattr(arguments.controllers, name)
     yield ("counters",), arguments.counters

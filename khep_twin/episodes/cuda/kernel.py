@@ -28,13 +28,15 @@ from khep_twin.episodes.planar.compiled import PLANE_SOURCES
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.process.status_line import announced
 from khep_twin.sensing.light import Light
-from khep_twin.simulation.compiled import digest_of, source_of
+from khep_twin.simulation.compiled import digest_of, source_of, sources_of
 from khep_twin.step import Reason, Simulated, StepInputs
 
-STAMP = digest_of(
-    [*map(source_of, (*PLANE_SOURCES, views)), *map(Path(__file__).with_name, ("lowering.py", "kernel.py"))]
-)
-"""Digest of all sources that are compiled."""
+
+def stamp_of(model: str) -> str:
+    """Return a digest of all sources that are compiled for robots of a family."""
+    sources = map(source_of, (*sources_of(model), *PLANE_SOURCES, views))
+    return digest_of([*sources, *map(Path(__file__).with_name, ("lowering.py", "kernel.py"))])
+
 
 ANNOUNCEMENT = "khep_twin: compiling for the GPU"
 """Start of each line of an announcement."""
@@ -67,7 +69,8 @@ class Constants(NamedTuple):
         bulbs: Lamps.
         hidden: Directions in which the lamps may be hidden.
         powers: Powers of the lamps.
-        robots: Robots, as records of `khepera_core.KheperaState`.
+        paint: Floor and paint on it.
+        robots: Robots, as records of the state of their core.
         planar_robots: Robots, as records of `PlanarRobot`.
     """
 
@@ -86,6 +89,7 @@ class Constants(NamedTuple):
     bulbs: Any
     hidden: Any
     powers: Any
+    paint: Any
     robots: Any
     planar_robots: Any
 
@@ -187,6 +191,7 @@ def make_run(capacity: int) -> Any:
                 array_at(local, offsets.near, templates.near),
                 array_at(local, offsets.bodies, templates.bodies),
                 array_at(local, offsets.obstacle_contacts, templates.obstacle_contacts),
+                constant_of(constants.paint, slot),
                 overlay(overlay(constant_of(constants.planar_robots, slot), state.plane), buffers.plane),
             )
             simulated = Simulated(
@@ -213,11 +218,14 @@ def make_run(capacity: int) -> Any:
 
 
 @cache
-def kernel(capacity: int) -> Any:
-    """Return the kernel for a number of words of local memory, compiled when it is first launched."""
+def kernel(capacity: int, model: str) -> Any:
+    """Return the kernel for a number of words of local memory, and for robots of a family.
+
+    It is compiled when it is first launched.
+    """
     run = make_run(capacity)
     # numba's cache checks only the kernel's own source, as `simulation.compiled.compiled` says.
-    run.__qualname__ = f"run_{capacity}_{STAMP}"
+    run.__qualname__ = f"run_{model}_{capacity}_{stamp_of(model)}"
     dispatcher = cuda.jit(run)
     if not SIMULATED:
         with suppress(RuntimeError):  # where no folder can be written, nothing is cached

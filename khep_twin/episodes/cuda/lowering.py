@@ -19,11 +19,10 @@ from numba.cuda.extending import core_models, intrinsic, overload, register_jita
 from numba.cuda.typing.templates import AttributeTemplate
 
 from khep_twin.compilable import FUNCTIONS, unroll
-from khep_twin.episodes import fitness
+from khep_twin.episodes import fitness, stepping
 from khep_twin.episodes.cuda import views
 from khep_twin.episodes.planar import casting
-from khep_twin.robots.core import DUTIES
-from khep_twin.robots.khepera.core import CORE
+from khep_twin.robots.core import DUTIES, core_of_fields
 from khep_twin.sensing import scene as queries
 
 _OVERLOADED = fitness.square_root, fitness.clip
@@ -145,6 +144,18 @@ def _fixed_chooser(function):
     return choose
 
 
+def _duty_chooser(duty):
+    """Return a function that selects a duty's function for the state of a robot, an overlay."""
+
+    def choose(robot, *rest):
+        while isinstance(robot, _Overlay):
+            robot = robot.record
+        core = core_of_fields(getattr(robot, "fields", ()))
+        return core and getattr(core, duty)
+
+    return choose
+
+
 def _keep_speeds(function, registers, memory, genes, speeds):
     """Leave the speeds unchanged: functions are not supported on a GPU."""
 
@@ -156,7 +167,7 @@ register_jitable(views.state_word)
 for _query in casting.QUERIES:
     overload(getattr(queries, _query.__name__), strict=False)(_fixed_chooser(_query))
 for _duty in DUTIES:
-    overload(_duty, strict=False)(_fixed_chooser(getattr(CORE, _duty.__name__)))
+    overload(_duty, strict=False)(_duty_chooser(_duty.__name__))
 for _query, _function in (
     (views.overlay, lambda record, override: _overlay(record, override)),
     (views.obstacles_at, lambda fixed, state, n_fixed: _obstacles_at(fixed, state, n_fixed)),
@@ -164,7 +175,7 @@ for _query, _function in (
     (views.record_at, lambda local, offset, template: _record_at(local, offset, template)),
     (views.constant_of, lambda table, slot: table[min(slot, len(table) - 1)]),
     (views.scene_of, lambda plane: plane),
-    (queries.decide, _keep_speeds),
+    (stepping.call_function, _keep_speeds),
     (unroll, lambda groups: groups),
     (literal_unroll, lambda groups: groups),  # what `unroll` is after compilations
     (fitness.square_root, lambda number: math.sqrt(number)),

@@ -5,6 +5,7 @@ and `obstacles_at` return a record and a table with some numbers in it, and the 
 The functions of this module run in numba's CUDA simulator; `lowering` replaces them on a GPU.
 """
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,7 @@ import numpy as np
 from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.plane import DISTANCE, N_COLUMNS, TANGENT_IMPULSE, Plane
-from khep_twin.robots.core import CORES
-from khep_twin.robots.khepera.core import CORE
+from khep_twin.robots.core import CORES, Core, core_of_fields
 
 N_STATE_COLUMNS = TANGENT_IMPULSE + 1 - DISTANCE
 """Columns of a fixed obstacle that change: its distance, and its impulses on the body."""
@@ -40,7 +40,16 @@ def constant_of(table: Any, slot: int) -> Any:
 
 def overlay(record: Any, override: Any) -> Any:
     """Return a record with some fields replaced by those of another record or of a named tuple."""
-    return _Overlay(record, override)
+    return _overlay_class(core_of_fields(record.names))(record, override)
+
+
+@cache
+def _overlay_class(core: Core | None) -> "type[_Overlay]":
+    """Return the class of overlays of a core's states, which is in `CORES`; for None, of other records."""
+    if core is None:
+        return _Overlay
+    CORES[kind := type(core.name, (_Overlay,), {})] = core
+    return kind
 
 
 def obstacles_at(fixed: Any, state: Any, n_fixed: int) -> Any:
@@ -72,6 +81,12 @@ class _Record:
         value = self._record[name]
         return _Record(value) if isinstance(value, np.void) else value
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fields."""
+        names: Any = self._record.dtype.names
+        return names
+
 
 class _Overlay:
     def __init__(self, record: Any, override: Any) -> None:
@@ -80,8 +95,10 @@ class _Overlay:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._override if hasattr(self._override, name) else self._record, name)
 
-
-CORES[_Overlay] = CORE
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fields of the record."""
+        return self._record.names
 
 
 class _Obstacles:

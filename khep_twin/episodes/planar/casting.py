@@ -18,7 +18,7 @@ from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.plane import Plane, X, Y
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import COARSE, MAX_SPEED, Triple
+from khep_twin.sensing.scene import COARSE, MAX_SPEED, Beams, Triple
 from khep_twin.sensing.seen_surfaces import Chip, add_upright
 
 
@@ -62,14 +62,28 @@ def pose(scene: Plane, index: int) -> tuple[float, float, float, float]:
 
 @compilable
 def joint_position(scene: Plane, index: int) -> float:
-    """Return the value of `scene.joint_position`."""
-    return scene.robot.joints[index]
+    """Return the value of `scene.joint_position`, with a free joint's from `planar.FREE_JOINT` on."""
+    joints = scene.robot.joints
+    if index < planar.N_JOINTS:
+        return joints[index]
+    index -= planar.FREE_JOINT  # x, y and z, then a quaternion
+    if index < 2:
+        return joints[X + index]
+    half = joints[planar.HEADING] / 2
+    return math.cos(half) if index == 3 else math.sin(half) if index == 6 else 0.0
 
 
 @compilable
 def joint_speed(scene: Plane, index: int) -> float:
-    """Return the value of `scene.joint_speed`."""
-    return scene.robot.speeds[index]
+    """Return the value of `scene.joint_speed`, with a free joint's from `planar.FREE_JOINT` on."""
+    speeds = scene.robot.speeds
+    if index < planar.N_JOINTS:
+        return speeds[index]
+    index -= planar.FREE_JOINT  # velocity in the world, then rotation
+    c, s = planar.direction(scene.robot)
+    if index < 2:
+        return speeds[0] * c - speeds[1] * s if index == 0 else speeds[0] * s + speeds[1] * c
+    return speeds[planar.HEADING] if index == 5 else 0.0
 
 
 @compilable
@@ -98,7 +112,7 @@ def position(scene: Plane, sensors: RobotSensors, channel: int) -> tuple[float, 
     c, s = last[planar.HEADING_COSINE], last[planar.HEADING_SINE]
     forward, left = mounts[channel, 0], mounts[channel, 1]
     x, y = (last[planar.CENTRE_X] + c * forward - s * left, last[planar.CENTRE_Y] + s * forward + c * left)
-    return x, y, scene.robot.sensor_height
+    return x, y, mounts[channel, planar.MOUNT_HEIGHT]
 
 
 @compilable
@@ -107,7 +121,7 @@ def chip(scene: Plane, sensors: RobotSensors, channel: int) -> Chip:
     robot, offset, reach = scene.robot, sensors.proximity.offset[channel], sensors.proximity.reach[channel]
     forward, left = robot.mounts[channel, 2], robot.mounts[channel, 3]
     x, y = robot.mounts[channel, 0] - offset * forward, robot.mounts[channel, 1] - offset * left
-    return Chip(x, y, forward, left, robot.sensor_height, reach)
+    return Chip(x, y, forward, left, robot.mounts[channel, planar.MOUNT_HEIGHT], reach)
 
 
 @compilable
@@ -184,8 +198,58 @@ def hidden_part(
     )
 
 
+@compilable
+def update_frames(scene: Plane) -> None:
+    """Move the sensors to the present pose."""
+    motion.locate(scene)
+
+
+@compilable
+def save_moment(scene: Plane, moment: int, powers: Sequence[float]) -> None:
+    """Do nothing, as episodes evaluate measurements when they are due."""
+
+
+@compilable
+def copy_moment(scene: Plane, source: int, destination: int) -> None:
+    """Do nothing, as `save_moment`."""
+
+
+@compilable
+def sensor_frame(scene: Plane, sensors: RobotSensors, channel: int) -> Sequence[float]:
+    """Return the value of `scene.sensor_frame` for a sensor that looks at the floor."""
+    return body_frame(scene, sensors)
+
+
+@compilable
+def ray(scene: Plane, sensors: RobotSensors, start: Triple, direction: Triple) -> tuple[float, float]:
+    """Return the value of `scene.ray` for a ray to the floor."""
+    length = -start[2] / direction[2]
+    x, y = start[0] + length * direction[0], start[1] + length * direction[1]
+    top, reflectance = -math.inf, 0.0
+    for row in range(len(scene.paint)):
+        if scene.paint[row, planar.TOP] > top and planar.distance_to(scene.paint, row, x, y) == 0:
+            top, reflectance = scene.paint[row, planar.TOP], scene.paint[row, planar.REFLECTANCE]
+    return (top - start[2]) / direction[2], reflectance
+
+
+@compilable
+def cast_rays(scene: Plane, sensors: RobotSensors, beams: Beams, start: Triple, reach: float) -> None:
+    """Cast rays as `scene.cast_rays` does."""
+    for index in range(len(beams.lengths)):
+        first = 3 * index
+        vector = beams.vectors[first], beams.vectors[first + 1], beams.vectors[first + 2]
+        nearest, beams.geoms[index] = reach, -1
+        for obstacle in range(len(scene.obstacles)):
+            length, x, y, z = shadows.entry_of(scene.obstacles, obstacle, start, vector)
+            if 0 <= length < nearest:
+                nearest, beams.geoms[index] = length, obstacle
+                beams.normals[first], beams.normals[first + 1], beams.normals[first + 2] = x, y, z
+        beams.lengths[index] = nearest if beams.geoms[index] >= 0 else -1.0
+
+
 _BODY_QUERIES = step, in_bounds, has_warned, pose, joint_position, joint_speed, motor_torque, set_motor
-QUERIES = *_BODY_QUERIES, body_frame, position, chip, surfaces, is_blocked, hidden_part
+_BEAM_QUERIES = update_frames, save_moment, copy_moment, sensor_frame, ray, cast_rays
+QUERIES = *_BODY_QUERIES, body_frame, position, chip, surfaces, is_blocked, hidden_part, *_BEAM_QUERIES
 """Functions that implement the queries of the same names in `sensing.scene`."""
 
 

@@ -39,14 +39,9 @@ def step(plane: Plane) -> None:
     """Advance by one step (all its substeps) at the present motor voltages."""
     robot = plane.robot
     joints, speeds, last = robot.joints, robot.speeds, robot.last_step
+    locate(plane)
     x, y, heading = joints[X], joints[Y], joints[planar.HEADING]
-    c, s = planar.direction(robot)
-    (last[CENTRE_X], last[CENTRE_Y], last[planar.HEADING_COSINE], last[planar.HEADING_SINE]) = (x, y, c, s)
-    dx, dy = x - last[planar.ANCHOR_X], y - last[planar.ANCHOR_Y]
-    last[ANCHOR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
-    if last[ANCHOR_DISTANCE] > _ANCHOR_RANGE:
-        measure_distances(plane)
-    find_near(plane)
+    c, s = last[planar.HEADING_COSINE], last[planar.HEADING_SINE]
     robot.force[0] = robot.stall_torque * robot.ctrl[0] - robot.damping * speeds[LEFT_ANGLE]
     robot.force[1] = robot.stall_torque * robot.ctrl[1] - robot.damping * speeds[RIGHT_ANGLE]
     left, right = robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE]
@@ -106,6 +101,20 @@ def step(plane: Plane) -> None:
     speeds[0], speeds[1], speeds[2] = linear, 0.0, angular * turn_per_path
     speeds[LEFT_ANGLE] = (linear - angular) / robot.left_wheel
     speeds[RIGHT_ANGLE] = (linear + angular) / robot.right_wheel
+
+
+@compilable
+def locate(plane: Plane) -> None:
+    """Set the pose of the sensors, and the obstacles around it, to the present."""
+    joints, last = plane.robot.joints, plane.robot.last_step
+    x, y = joints[X], joints[Y]
+    c, s = planar.direction(plane.robot)
+    (last[CENTRE_X], last[CENTRE_Y], last[planar.HEADING_COSINE], last[planar.HEADING_SINE]) = (x, y, c, s)
+    dx, dy = x - last[planar.ANCHOR_X], y - last[planar.ANCHOR_Y]
+    last[ANCHOR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
+    if last[ANCHOR_DISTANCE] > _ANCHOR_RANGE:
+        measure_distances(plane)
+    find_near(plane)
 
 
 @compilable

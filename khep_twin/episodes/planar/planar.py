@@ -9,6 +9,7 @@ No constant is fitted: masses, inertias, friction, motors, positions and heights
 # pyright: reportMissingTypeStubs=false
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -20,7 +21,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION
-from khep_twin.sensing.mujoco_scene import visible_geoms
+from khep_twin.sensing.mujoco_scene import is_floor, visible_geoms
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.fitted_robots import contact_pairs_of
 from khep_twin.simulation.mujoco_forms import movable_names
@@ -38,8 +39,6 @@ Floats = NDArray[np.float64]
 class PlanarScene:
     """Constants of a plane, from a scene. It is thread-safe.
 
-    `JOINTS` are the indices in `khepera_core.KheperaState`.
-
     Args:
         playpen: Playpen with one robot.
         model: Model of its scene.
@@ -50,8 +49,6 @@ class PlanarScene:
         PlaypenError: The playpen has a feature that a plane does not support.
     """
 
-    JOINTS = (planar.LEFT_ANGLE, planar.RIGHT_ANGLE, planar.LEFT_ANGLE, planar.RIGHT_ANGLE, 0, 1, planar.X)
-
     def __init__(self, playpen: Playpen, model: mujoco.MjModel, indices: RobotIndices, step_ns: int) -> None:
         _check_stability(playpen)
         robot = playpen.robots[0]
@@ -59,7 +56,17 @@ class PlanarScene:
         self._step_ns = step_ns
         shell = model.geom(f"{_PREFIX}shell")
         low, high = _height_range(model, shell.id)
-        self.sensor_height = float(model.cam_pos[indices.cameras[0], 2])
+        wheels = planar.LEFT_ANGLE, planar.RIGHT_ANGLE
+        self.indices = replace(
+            indices,
+            pose=planar.FREE_JOINT,
+            velocity=planar.FREE_JOINT,
+            wheel_qpos=wheels,
+            wheel_dofs=wheels,
+            motors=(0, 1),
+        )
+        floor = [geom for geom in np.flatnonzero(is_floor(model)) if model.geom_rgba[geom, 3] > 0]
+        self.paint = np.array([_paint_row(model, geom) for geom in floor]).reshape(-1, planar.N_COLUMNS)
         fixed = [geom for geom in visible_geoms(model) if model.geom_bodyid[geom] == 0]
         movable = [model.geom(name).id for name in movable_names(playpen)]
         upright = [*fixed, *movable]
@@ -196,10 +203,21 @@ def _obstacle_row(model: mujoco.MjModel, geom: int) -> list[float]:
     return [x, y, math.cos(angle), math.sin(angle), *half_sides, *_height_range(model, geom)]
 
 
+def _paint_row(model: mujoco.MjModel, geom: int) -> Floats:
+    """Return a row of `Plane.paint`; the floor is endless."""
+    row = np.zeros(planar.N_COLUMNS)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+        row[[planar.HALF_LENGTH, planar.HALF_WIDTH]] = math.inf, -1.0
+    else:
+        row[: planar.TOP + 1] = _obstacle_row(model, geom)
+    row[planar.REFLECTANCE] = model.geom_user[geom, 0]
+    return row
+
+
 def _mount_row(model: mujoco.MjModel, camera: int) -> list[float]:
     """Return a row of `PlanarRobot.mounts`."""
-    x, y, _ = model.cam_pos[camera].tolist()
+    x, y, z = model.cam_pos[camera].tolist()
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.cam_quat[camera])
     # A camera looks along its -z.
-    return [x, y, -float(turn[2]), -float(turn[5]), math.hypot(x, y)]
+    return [x, y, -float(turn[2]), -float(turn[5]), math.hypot(x, y), z]

@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board import kernel
-from khep_twin.board.rom import DEMO, ROMS
 from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.planar import PlanarScene
@@ -21,7 +19,7 @@ from khep_twin.playpen import Lamp, Lighting
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.process.one_thread import one_thread
 from khep_twin.randomness import stream
-from khep_twin.robots.khepera.core import KheperaState, robot_state
+from khep_twin.robots.core import core_of
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.buffers import as_records, view
@@ -67,7 +65,6 @@ class PlanarForms:
         fields: dict[str, Any] = {
             **planar_scene.robot_constants,
             "mounts": planar_scene.mounts,
-            "sensor_height": planar_scene.sensor_height,
             "sensor_range": 0.0,
             "n_coarse_points": len(points[0]),
             "points": np.concatenate(points),
@@ -95,7 +92,9 @@ class PlanarForms:
         }
         near, bodies, obstacle_contacts = view(self._near), view(self._bodies), view(self._obstacle_contacts)
         obstacles, order = view(self._obstacles), self._fixed_by_distance.data
-        self.plane = Plane(obstacles, order, near, bodies, obstacle_contacts, PlanarRobot(**views))
+        paint = view(planar_scene.paint)
+        robot = PlanarRobot(**views)
+        self.plane = Plane(obstacles, order, near, bodies, obstacle_contacts, paint, robot)
         self._set_constants(planar_scene)
 
     def plain(self) -> PlaneScene:
@@ -104,8 +103,8 @@ class PlanarForms:
 
     def compiled(self) -> tuple[Any, ...]:
         """Return the scene for compiled code: the fields of `Plane`."""
-        contacts, robots = self._obstacle_contacts, self._records
-        return self._obstacles, self._fixed_by_distance, self._near, self._bodies, contacts, robots
+        moving = self._near, self._bodies, self._obstacle_contacts
+        return self._obstacles, self._fixed_by_distance, *moving, self._planar_scene.paint, self._records
 
     def place_robot(self, start: Start | None) -> None:
         """Reset the state, with the robot at rest at `start` [mm, deg], or at its pose in the playpen."""
@@ -147,7 +146,7 @@ class PlanarForms:
         """Number of robots, 1."""
         return 1
 
-    def robot_states(self) -> list[KheperaState]:
+    def robot_states(self) -> list[Any]:
         """Return the state of the robot."""
         return [self._robot_state]
 
@@ -178,10 +177,10 @@ class PlanarForms:
 
     def _set_constants(self, scene: PlanarScene) -> None:
         """Set the constants of a plane, and the robot's sensors from the last drawn calibration."""
-        joints, drawn = PlanarScene.JOINTS, self._drawn_calibration
-        self._robot_state = robot_state(self._model, self._indices, joints, drawn, self._entry)
+        make_state, indices = core_of(self._entry.robot_model).make_state, scene.indices
+        self._robot_state = make_state(self._model, indices, self._drawn_calibration, self._entry, 0)
         proximity = self._robot_state.sensors.proximity
-        ranges = np.array(proximity.offset) + proximity.reach + scene.mounts[:, 4]
+        ranges = np.array(proximity.offset) + proximity.reach + scene.mounts[: len(proximity.reach), 4]
         record: Any = self._records[0]
         reach = max(float(ranges.max()), 2 * record["radius"])
         fields = {**scene.robot_constants, "mounts": scene.mounts, "sensor_range": reach}
@@ -229,7 +228,6 @@ class PlanarWorld:
             starts = [(robot.x_mm, robot.y_mm, robot.heading_deg)]
         simulation.reset(seed, noise=noise, vary=vary)
         self.forms.place_robot(starts[0])
-        self._switch_on_board()
         playpen = self.playpen
         if lamps is not None:
             playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
@@ -278,9 +276,3 @@ class PlanarWorld:
     def joints(self) -> Floats:
         """Copy of the joint positions (planar.N_JOINTS,)."""
         return self.forms.joints
-
-    def _switch_on_board(self) -> None:
-        entry, record = self.playpen.robots[0], self.simulation.record_of(0)
-        kernel.reset(record["registers"].data)
-        mode = ROMS[entry.rom].modes[entry.mode]
-        record["processor"][:] = 1, mode.function == DEMO

@@ -54,6 +54,12 @@ X, Y, HEADING, LEFT_ANGLE, RIGHT_ANGLE = 0, 1, 2, 3, 4
 of rotation, and of the wheels [m/s, rad/s]."""
 N_JOINTS = 5
 
+MOUNT_HEIGHT = 5
+"""Column of `PlanarRobot.mounts`."""
+
+FREE_JOINT = N_JOINTS
+"""First of the numbers of a free joint, as in MuJoCo, which `casting` computes from the others."""
+
 
 def true_pose(joints: Sequence[float]) -> tuple[float, float, float]:
     """Return x, y [m] and the heading [rad], -pi to pi, of joint positions (N_JOINTS,)."""
@@ -92,10 +98,9 @@ class PlanarRobot(NamedTuple):
         pitch_arm: Pitching moment per accelerating force: height of the mass, and inertia of the wheels [m].
         push_height: Height at which obstacles push [m].
         friction: Coefficient of friction of the body on obstacles.
-        sensor_height: Height of the sensors above the floor [m].
         sensor_range: Largest distance from the robot's centre at which a sensor detects an obstacle [m].
         mounts: Mount of each sensor: x forward, y left, cosine and sine of its direction, distance from the
-            robot's centre (8, 5) [m].
+            robot's centre, and height (n, 6) [m].
         n_coarse_points: Number of points in the coarse sampling of a bulb.
         points: Points of a bulb, those of the coarse and then of the fine sampling (n_points, 2).
         hidden: Buffer: 1 for points that are hidden (n_points,).
@@ -136,7 +141,6 @@ class PlanarRobot(NamedTuple):
     pitch_arm: float
     push_height: float
     friction: float
-    sensor_height: float
     sensor_range: float
     mounts: Matrix
     n_coarse_points: int
@@ -161,6 +165,7 @@ class Plane(NamedTuple):
             (n, N_COLUMNS).
         bodies: Movable obstacles (n_movable, N_BODY).
         obstacle_contacts: Buffer for contacts of movable obstacles (n_contacts, N_CONTACT_COLUMNS).
+        paint: Floor and paint on it, with the columns of `obstacles` (n_paint, N_COLUMNS).
         robot: Robot with its sensors.
     """
 
@@ -169,6 +174,7 @@ class Plane(NamedTuple):
     near: Matrix
     bodies: Matrix
     obstacle_contacts: Matrix
+    paint: Matrix
     robot: PlanarRobot
 
 

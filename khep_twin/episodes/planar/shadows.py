@@ -1,4 +1,4 @@
-"""Occlusion of a lamp from a sensor in a plane, by upright obstacles with heights and by the floor."""
+"""Rays in a plane: to a lamp, which upright obstacles and the floor may hide, and to upright obstacles."""
 
 import math
 
@@ -133,6 +133,43 @@ def _blocks_path(
     slab_entry, slab_leave = _slab_fractions(z, ray_z, obstacles[obstacle, BOTTOM], obstacles[obstacle, TOP])
     entry, leave = max(entry, slab_entry), min(leave, slab_leave)
     return entry <= leave and leave >= 0 and (entry if entry >= 0 else leave) < glass
+
+
+@compilable
+def entry_of(
+    obstacles: Matrix, obstacle: int, start: Vector, ray: Vector
+) -> tuple[float, float, float, float]:
+    """Return the fraction of a ray at which it enters an obstacle, and the normal there; below 0 for none."""
+    half_length, half_width = obstacles[obstacle, HALF_LENGTH], obstacles[obstacle, HALF_WIDTH]
+    dx, dy = start[0] - obstacles[obstacle, CENTRE_X], start[1] - obstacles[obstacle, CENTRE_Y]
+    normal_x = normal_y = normal_z = 0.0
+    if half_width < 0:
+        square = ray[0] * ray[0] + ray[1] * ray[1]
+        towards, square_gap = dx * ray[0] + dy * ray[1], dx * dx + dy * dy - half_length * half_length
+        discriminant = towards * towards - square * square_gap
+        if discriminant < 0 or square == 0:
+            return -1.0, 0.0, 0.0, 0.0
+        half_chord = math.sqrt(discriminant)
+        entry, leave = (-towards - half_chord) / square, (-towards + half_chord) / square
+        normal_x, normal_y = (dx + entry * ray[0]) / half_length, (dy + entry * ray[1]) / half_length
+    else:
+        c, s = obstacles[obstacle, COSINE], obstacles[obstacle, SINE]
+        ray_along, ray_across = ray[0] * c + ray[1] * s, ray[1] * c - ray[0] * s
+        entry, leave = _slab_fractions(dx * c + dy * s, ray_along, -half_length, half_length)
+        sign = -math.copysign(1.0, ray_along)
+        normal_x, normal_y = sign * c, sign * s
+        slab_entry, slab_leave = _slab_fractions(dy * c - dx * s, ray_across, -half_width, half_width)
+        leave = min(leave, slab_leave)
+        if slab_entry > entry:
+            entry, sign = slab_entry, -math.copysign(1.0, ray_across)
+            normal_x, normal_y = -sign * s, sign * c
+    bottom, top = obstacles[obstacle, BOTTOM], obstacles[obstacle, TOP]
+    slab_entry, slab_leave = _slab_fractions(start[2], ray[2], bottom, top)
+    if slab_entry > entry:
+        entry, normal_x, normal_y, normal_z = slab_entry, 0.0, 0.0, -math.copysign(1.0, ray[2])
+    if entry > min(leave, slab_leave):
+        return -1.0, 0.0, 0.0, 0.0
+    return entry, normal_x, normal_y, normal_z
 
 
 @compilable

@@ -206,7 +206,7 @@ def _run_one(
     host_metrics, twin = HostMetrics(), twin_of(robot)
     ground_truth = None if twin is None else GroundTruthMetrics(twin.world, twin.robot.index)
     # They know a Khepera's commands.
-    has_host_metrics = twin is None or Feature.EPISODES in twin.robot_model.features
+    has_host_metrics = twin is None or Feature.LINE in twin.robot_model.features
     start_time, n_cycles = robot.time, 0
 
     def end_cycle() -> None:

@@ -11,9 +11,10 @@ import numpy as np
 
 from khep_twin import units
 from khep_twin.board import battery, kernel
+from khep_twin.board.rom import DEMO, ROMS
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, register
+from khep_twin.robots.core import Core, Interface, register
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.noise import draws
@@ -26,9 +27,6 @@ from khep_twin.step import N_CONVERSIONS, STEPS, Simulated, StepInputs, powers_r
 
 SOUND, STUCK, DEAD = 0, 1, 2
 """States of a sensor; a stuck one repeats its last reading, the receiver of a dead one passes no current."""
-
-Joints = tuple[int, int, int, int, int, int, int]
-"""Indices of both wheels' positions and speeds, of both motors, and of the pose."""
 
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
@@ -79,31 +77,29 @@ class KheperaState(NamedTuple):
     noise: Vector[int]
 
 
-def robot_state(
-    model: mujoco.MjModel, indices: RobotIndices, joints: Joints, measured: Calibration, entry: RobotEntry
+def _make_state(
+    model: mujoco.MjModel, indices: RobotIndices, measured: Calibration, entry: RobotEntry, first_moment: int
 ) -> KheperaState:
-    """Return the state of a robot before its start, by its calibration and its entry of the playpen."""
+    registers = np.zeros(kernel.N_REGISTERS, np.int64)
+    kernel.reset(registers.data)
+    is_demo = ROMS[entry.rom].modes[entry.mode].function == DEMO
     return KheperaState(
-        *joints,
+        *indices.wheel_qpos,
+        *indices.wheel_dofs,
+        *indices.motors,
+        indices.pose,
         radius=entry.body.radius,
         motor_constant=measured.motors.constant,
         idle_current=entry.body.idle_current,
         used_min=battery.CHARGER if entry.battery_used_min is None else entry.battery_used_min,
         sensors=robot_sensors(model, indices, measured),
-        registers=cast(Any, np.zeros(kernel.N_REGISTERS, np.int64)),
-        processor=np.zeros(kernel.N_PROCESSOR, np.int64),
+        registers=cast(Any, registers),
+        processor=np.array([1, is_demo], np.int64),
         sensor_states=np.zeros(units.N_SENSORS, np.int64),
         strengths=np.ones(2),
         voltage=np.zeros(1),
         noise=np.zeros(2, np.int64),
     )
-
-
-def _make_state(
-    model: mujoco.MjModel, indices: RobotIndices, measured: Calibration, entry: RobotEntry, first_moment: int
-) -> KheperaState:
-    joints = *indices.wheel_qpos, *indices.wheel_dofs, *indices.motors, indices.pose
-    return robot_state(model, indices, joints, measured, entry)
 
 
 @compilable
@@ -225,6 +221,27 @@ def _control(scene: Scene, robot: KheperaState) -> None:
     set_motor(scene, robot.right_motor, right_voltage)
 
 
+@compilable
+def _set_speeds(robot: KheperaState, left: int, right: int) -> None:
+    """Set the speeds as command D does [pulses/10 ms]."""
+    kernel.set_speed(robot.registers, kernel.LEFT, left)
+    kernel.set_speed(robot.registers, kernel.RIGHT, right)
+
+
+@compilable
+def _is_powered(robot: KheperaState) -> bool:
+    """Return whether the processor runs."""
+    return robot.processor[kernel.POWERED] != 0
+
+
+@compilable
+def _wander(robot: KheperaState, registers: kernel.Registers) -> None:
+    """Set the setpoints of the ROM's demonstration."""
+    kernel.wander(registers)
+
+
+_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
+
 CORE = register(
     Core(
         name="khepera",
@@ -237,5 +254,23 @@ CORE = register(
         measure_supply=_measure_supply,
         start=_start,
         scan=_scan,
+        interface=Interface(
+            kernel.N_REGISTERS,
+            _PROXIMITY,
+            units.N_SENSORS,
+            _AMBIENT,
+            units.N_SENSORS,
+            _LEFT_SETPOINT,
+            _RIGHT_SETPOINT,
+            left_side=_PROXIMITY + int(units.Sensor.LEFT_90),
+            right_side=_PROXIMITY + int(units.Sensor.RIGHT_90),
+            rest_counts=0,
+            counts_limit=units.COUNTS_LIMIT,
+            top_speed=20.0,
+            speed_limit=127,
+        ),
+        set_speeds=_set_speeds,
+        is_powered=_is_powered,
+        wander=_wander,
     )
 )

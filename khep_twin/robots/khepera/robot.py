@@ -17,7 +17,8 @@ from khep_twin.board.kernel import (
 from khep_twin.board.turrets import find_turrets
 from khep_twin.firmware import Firmware
 from khep_twin.robots.khepera import core
-from khep_twin.robots.robot import Robot, RobotSetup, SampledRegisters
+from khep_twin.robots.model import SampledRegisters
+from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.robot_arrays import Layout, Part
 from khep_twin.simulation.turret_place import WorldTurretContext

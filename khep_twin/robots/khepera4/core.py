@@ -11,6 +11,7 @@ its readings are read. The functions are `compilable`, see `robots.core`.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import mujoco
@@ -18,21 +19,24 @@ import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, register
+from khep_twin.robots.core import Core, Interface, register
 from khep_twin.robots.khepera4 import dspic, gauge, inertial, infrared, ultrasonic
-from khep_twin.robots.khepera4.dspic import N_ULTRASONIC, DspicState
-from khep_twin.robots.khepera4.inertial import InertialState
+from khep_twin.robots.khepera4.channels import AROUND, CHANNELS
+from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, DspicState
+from khep_twin.robots.khepera4.inertial import PACKET_SIZE, InertialState
 from khep_twin.robots.khepera4.infrared import Ground
 from khep_twin.robots.khepera4.model import BODY
-from khep_twin.robots.khepera4.motor_control import N_MOTOR, PWM_LIMIT, Motor
-from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.motor_control import N_MOTOR, PWM_LIMIT, Motor, stop
+from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.server import N_VEHICLE, WANDERING
 from khep_twin.robots.khepera4.ultrasonic import Sonar
+from khep_twin.robots.model import consecutive_registers
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import (
+    Beams,
     BeamScene,
     Scene,
     copy_moment,
@@ -41,9 +45,11 @@ from khep_twin.sensing.scene import (
     motor_torque,
     save_moment,
     set_motor,
+    update_frames,
 )
 from khep_twin.sensors import robot_sensors
 from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
+from khep_twin.units import COUNTS_LIMIT
 
 PULSES_PER_TURN = BODY.pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""
@@ -56,6 +62,16 @@ N_MOMENTS = ECHO + N_ULTRASONIC
 NONE = -1
 """No time of a moment; no ultrasonic sensor."""
 
+SAMPLED = consecutive_registers(CHANNELS)
+"""Channels of a log, consecutive in the robot's registers."""
+
+TOP_SPEED_PULSES = 600
+"""Speed that counts as 1 in tasks and metrics [pulses/10 ms]: 407 mm/s, half of the top speed (assumed)."""
+
+_FIRST = {channel.name: channel.registers[0] for channel in SAMPLED}
+_DUTY = _FIRST["duty"]
+_CONTROL, _SPEED_CONTROL = int(DspicRegister.CONTROL), int(Control.SPEED)
+_SPEED_ORDER = int(DspicRegister.SPEED_ORDER_LEFT)
 _ENABLED = int(DspicRegister.ULTRASONIC_ENABLED)
 _LEFT_PWM, _RIGHT_PWM = int(Motor.PWM), N_MOTOR + int(Motor.PWM)
 
@@ -78,6 +94,7 @@ class Khepera4State(NamedTuple):
         sensors: Infrared sensors.
         ground: Those that look at the floor.
         sonar: Rays of the ultrasonic sensors.
+        beams: Buffers for them.
         dspic: State of the microcontroller.
         inertial: State of accelerometer and gyroscope.
         gauge: State of the battery and its gauge (N_GAUGE,).
@@ -85,6 +102,7 @@ class Khepera4State(NamedTuple):
         burst: Sensor of the last burst, or NONE (1,).
         distances: Last reading of each ultrasonic sensor (N_ULTRASONIC,) [cm].
         times: Time of each moment, NONE if there is nothing to evaluate (N_MOMENTS,) [ns].
+        registers: Registers as in logs, in the order of `CHANNELS` (n_registers,).
         vehicle: State of the server's Braitenberg vehicle (N_VEHICLE,).
         noise: Key of the robot's random draws, as two words (2,).
     """
@@ -103,6 +121,7 @@ class Khepera4State(NamedTuple):
     sensors: RobotSensors
     ground: Ground
     sonar: Sonar
+    beams: Beams
     dspic: DspicState
     inertial: InertialState
     gauge: Vector[float]
@@ -110,6 +129,7 @@ class Khepera4State(NamedTuple):
     burst: Vector[int]
     distances: Vector[int]
     times: Vector[int]
+    registers: Vector[int]
     vehicle: Vector[int]
     noise: Vector[int]
 
@@ -139,7 +159,8 @@ def _make_state(
             ground.spot_mm * 1e-3,
             int(measured.ambient.rises_with_light),
         ),
-        sonar=ultrasonic.make_sonar(),
+        sonar=(sonar := ultrasonic.make_sonar()),
+        beams=Beams.of(len(sonar.gains)),
         dspic=dspic.power_up(),
         inertial=inertial.at_rest(),
         gauge=cast(Vector[float], battery),
@@ -147,6 +168,7 @@ def _make_state(
         burst=np.full(1, NONE),
         distances=np.full(N_ULTRASONIC, ultrasonic.NO_ECHO),
         times=np.full(N_MOMENTS, NONE),
+        registers=np.zeros(SAMPLED[-1].registers[-1] + 1, np.int64),
         vehicle=np.zeros(N_VEHICLE, np.int64),
         noise=np.zeros(2, np.int64),
     )
@@ -285,20 +307,108 @@ def _evaluate(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, pa
     """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
     scene, tables, noise, powers = simulated.scene, inputs.tables, robot.noise, inputs.powers[0]
     if part == INFRARED:
-        light, memory, time_ns = simulated.light, robot.dspic.memory, robot.times[INFRARED]
-        infrared.measure(scene, robot.sensors, robot.ground, light, powers, tables, noise, time_ns, memory)
+        _evaluate_infrared(robot, simulated, inputs, powers)
     else:
         sensor, time_ns = part - ECHO, robot.times[part]
         robot.distances[sensor] = ultrasonic.measure(
-            scene, robot.sensors, _centre(scene, robot.pose), robot.sonar, tables, noise, time_ns, sensor
+            scene,
+            robot.sensors,
+            _centre(scene, robot.pose),
+            robot.sonar,
+            robot.beams,
+            tables,
+            noise,
+            time_ns,
+            sensor,
         )
-    robot.times[part] = NONE
+        robot.times[part] = NONE
+
+
+@compilable
+def _evaluate_infrared(
+    robot: Khepera4State, simulated: Simulated, inputs: StepInputs, powers: Sequence[float]
+) -> None:
+    """Measure with the infrared sensors in a scene at their moment."""
+    scene, light, memory, time_ns = (
+        simulated.scene,
+        simulated.light,
+        robot.dspic.memory,
+        robot.times[INFRARED],
+    )
+    tables, noise = inputs.tables, robot.noise
+    infrared.measure(scene, robot.sensors, robot.ground, light, powers, tables, noise, time_ns, memory)
+    robot.times[INFRARED] = NONE
 
 
 @compilable
 def _centre(scene: BeamScene, pose: int) -> tuple[float, float, float]:
     """Return the position of a robot."""
     return joint_position(scene, pose), joint_position(scene, pose + 1), joint_position(scene, pose + 2)
+
+
+_WORDS = (
+    (int(DspicRegister.PROXIMITY), 2, 0, 2, N_INFRARED),
+    (int(DspicRegister.AMBIENT), 2, 0, 2, N_INFRARED),
+    (int(DspicRegister.ULTRASONIC), 2, 0, 2, N_ULTRASONIC),
+    (int(DspicRegister.SPEED_LEFT), 2, 1, 2, 2),
+    (int(DspicRegister.SPEED_ORDER_LEFT), 2, 1, 2, 2),
+    (int(DspicRegister.POSITION_LEFT), 4, 1, 4, 2),
+    (int(DspicRegister.POSITION_ORDER_LEFT), 4, 1, 4, 2),
+    (0, 1, 0, 0, 2),  # places of both PWM, which are not in the memory
+    (int(DspicRegister.LEDS), 1, 0, 1, 9),
+    (int(DspicRegister.ACCELEROMETER), 2, 1, 2 * PACKET_SIZE, 3),
+    (int(DspicRegister.GYROSCOPE), 2, 1, 2 * PACKET_SIZE, 3),
+    (int(DspicRegister.BATTERY) + 10, 2, 0, 2, 1),  # voltage
+    (int(DspicRegister.BATTERY) + 4, 2, 1, 2, 1),  # current
+    (int(DspicRegister.BATTERY) + 1, 2, 0, 2, 1),  # charge
+    (int(DspicRegister.BATTERY) + 8, 2, 1, 2, 1),  # temperature
+    (int(DspicRegister.CONTROL), 1, 0, 1, 1),
+    (int(DspicRegister.ON_TARGET), 1, 0, 1, 1),
+    (int(DspicRegister.ULTRASONIC_ENABLED), 1, 0, 1, 1),
+    (int(DspicRegister.STATUS_LED), 1, 0, 1, 1),
+)
+"""Numbers of the dsPIC's memory in the order of `CHANNELS`: first byte, size, 1 if signed, distance from one
+to the next [bytes], and their number."""
+
+
+@compilable
+def fill_registers(robot: Khepera4State) -> None:
+    """Set the registers to the numbers of the dsPIC."""
+    index, registers, memory = 0, robot.registers, robot.dspic.memory
+    for first, size, is_signed, stride, count in _WORDS:
+        for number in range(count):
+            value = dspic.read_signed(memory, first + number * stride, size)
+            registers[index] = value if is_signed or value >= 0 else value + (1 << 8 * size)
+            index += 1
+    registers[_DUTY] = robot.dspic.motors[_LEFT_PWM]
+    registers[_DUTY + 1] = robot.dspic.motors[_RIGHT_PWM]
+
+
+@compilable
+def _update_registers(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> None:
+    """Evaluate the infrared sensors, whose moment is the present, and set the registers."""
+    if robot.times[INFRARED] != NONE:
+        update_frames(simulated.scene)
+        _evaluate_infrared(robot, simulated, inputs, inputs.powers[powers_row(simulated, inputs)])
+    fill_registers(robot)
+
+
+@compilable
+def _set_speeds(robot: Khepera4State, left: int, right: int) -> None:
+    """Set the speeds as the server's command D does [pulses/10 ms]."""
+    memory, motors = robot.dspic.memory, robot.dspic.motors
+    if memory[_CONTROL] != _SPEED_CONTROL:
+        memory[_CONTROL] = _SPEED_CONTROL
+        stop(motors, 0)
+        stop(motors, N_MOTOR)
+    dspic.write_number(memory, _SPEED_ORDER, 2, left)
+    dspic.write_number(memory, _SPEED_ORDER + 2, 2, right)
+
+
+@compilable
+def _is_powered(robot: Khepera4State) -> bool:
+    """Return whether the supply suffices."""
+    return robot.dspic.powered[0] != 0
 
 
 _PARTS = "motor_control", "dspic", "inertial", "gauge", "infrared", "ultrasonic", "core"
@@ -308,7 +418,18 @@ CORE = register(
         name="khepera4",
         state=Khepera4State,
         make_state=_make_state,
-        changing=(*("dspic", "inertial", "gauge", "zeros", "burst", "distances", "times", "vehicle"),),
+        changing=(
+            "dspic",
+            "inertial",
+            "gauge",
+            "zeros",
+            "burst",
+            "distances",
+            "times",
+            "vehicle",
+            "beams",
+            "registers",
+        ),
         n_moments=N_MOMENTS,
         modules=("khep_twin.board.kernel", *(f"khep_twin.robots.khepera4.{part}" for part in _PARTS)),
         sense=_sense,
@@ -316,5 +437,23 @@ CORE = register(
         start=_start,
         evaluate=_evaluate,
         scan=_scan,
+        interface=Interface(
+            SAMPLED[-1].registers[-1] + 1,
+            proximity=_FIRST["proximity"],
+            n_proximity=infrared.N_AROUND,
+            ambient=_FIRST["ambient"],
+            n_ambient=infrared.N_AROUND,
+            left_setpoint=_FIRST["speed"] + 2,
+            right_setpoint=_FIRST["speed"] + 3,
+            left_side=_FIRST["proximity"] + AROUND.index("left"),
+            right_side=_FIRST["proximity"] + AROUND.index("right"),
+            rest_counts=100,
+            counts_limit=COUNTS_LIMIT,
+            top_speed=TOP_SPEED_PULSES,
+            speed_limit=2**15 - 1,
+        ),
+        update_registers=_update_registers,
+        set_speeds=_set_speeds,
+        is_powered=_is_powered,
     )
 )

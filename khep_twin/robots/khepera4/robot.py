@@ -9,27 +9,26 @@ from numpy.typing import NDArray
 
 from khep_twin import step
 from khep_twin.robots.khepera4 import gauge, ultrasonic
-from khep_twin.robots.khepera4.channels import CHANNELS, ULTRASONIC_CODES
+from khep_twin.robots.khepera4.channels import ULTRASONIC_CODES
 from khep_twin.robots.khepera4.core import (
     BURST,
     ECHO,
     INFRARED,
     NONE,
+    SAMPLED,
     Khepera4State,
+    fill_registers,
     wheel_pulses,
 )
-from khep_twin.robots.khepera4.dspic import N_INFRARED, N_MEMORY, N_ULTRASONIC, Dspic
+from khep_twin.robots.khepera4.dspic import N_MEMORY, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS, PACKET_SIZE
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
-from khep_twin.robots.khepera4.registers import BATTERY_BYTES, DspicRegister
+from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
-from khep_twin.robots.robot import Robot, RobotSetup, consecutive_registers
+from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.simulation.number_reader import LARGEST
 from khep_twin.simulation.robot_arrays import Layout, Part, read
 from khep_twin.simulation.world_state import RobotSnapshot
-
-SAMPLED = consecutive_registers(CHANNELS)
-"""Channels of a log, consecutive in the robot's registers."""
 
 _MOTOR = (
     Part("motor's position", 1, -(2**31), 2**31 - 1),
@@ -99,7 +98,7 @@ class Khepera4Robot(Robot):
         firmware = Kh4Server(self.dspic, self._state.vehicle)
         super().__init__(setup, firmware)
         self.dspic.before_read = self._evaluate_pending
-        self.registers = np.zeros(SAMPLED[-1].registers[-1] + 1, np.int64)
+        self.registers = self._record["registers"]
 
     def act_after(self, reason: int) -> None:
         """Update faults before a control period, and act after it if the stepping core has asked for it."""
@@ -114,25 +113,7 @@ class Khepera4Robot(Robot):
     def refresh(self) -> None:
         """Update `registers` to the present."""
         self.finish_measurements()
-        dspic, values = self.dspic, self.registers
-        motor_values = [number for numbers in dspic.motor_numbers for number in numbers]
-        battery = dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)  # voltage, current, charge, temperature
-        gauge_values = [
-            int.from_bytes(battery[i : i + 2], "little", signed=i in (4, 8)) for i in (10, 4, 1, 8)
-        ]
-        control = dspic.read(DspicRegister.CONTROL, 1)[0], dspic.read(DspicRegister.ON_TARGET, 1)[0]
-        values[:] = [
-            *dspic.words(DspicRegister.PROXIMITY, N_INFRARED),
-            *dspic.words(DspicRegister.AMBIENT, N_INFRARED),
-            *dspic.words(DspicRegister.ULTRASONIC, N_ULTRASONIC),
-            *motor_values,
-            *dspic.leds,
-            *dspic.newest_inertial,
-            *gauge_values,
-            *control,
-            dspic.ultrasonic_enabled,
-            dspic.read(DspicRegister.STATUS_LED, 1)[0],
-        ]
+        fill_registers(self._state)
 
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""

@@ -25,7 +25,7 @@ from khep_twin.robots.khepera4.model import SONAR
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.noise import Tables, draws
 from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import BeamScene, body_frame, cast_rays
+from khep_twin.sensing.scene import Beams, BeamScene, body_frame, cast_rays
 
 PERIOD_NS = 20_000_000
 """Time from one burst to the next [ns]: enabled sensors alternate (manual)."""
@@ -50,25 +50,17 @@ _AZIMUTHS, _ELEVATIONS = np.radians(np.arange(-42, 43, 3)), np.radians(np.arange
 
 
 class Sonar(NamedTuple):
-    """Rays of the sensors, and buffers for those of one of them in the world frame.
+    """Rays of the sensors.
 
     Attributes:
         positions: Positions of the sensors (3 * N_ULTRASONIC,) [m].
         rays: Unit vectors of their rays in the robot's frame (3 * n * N_ULTRASONIC,).
         gains: Gains of the rays of a sensor, D(theta)^2 (n,).
-        vectors: Buffer for the rays (3 * n,).
-        lengths: Buffer for their lengths [m], below 0 without an obstacle (n,).
-        normals: Buffer for the normals of the obstacles (3 * n,).
-        geoms: Buffer for the obstacles (n,).
     """
 
     positions: Sequence[float]
     rays: Sequence[float]
     gains: Sequence[float]
-    vectors: Vector[float]
-    lengths: Vector[float]
-    normals: Vector[float]
-    geoms: Vector[int]
 
 
 @compilable
@@ -77,6 +69,7 @@ def measure(
     sensors: RobotSensors,
     centre: tuple[float, float, float],
     sonar: Sonar,
+    beams: Beams,
     tables: Tables,
     key: Vector[int],
     time_ns: int,
@@ -88,7 +81,8 @@ def measure(
         scene: BeamScene at the time of the burst.
         sensors: Infrared sensors of the robot.
         centre: Position of the robot [m].
-        sonar: Rays, and buffers.
+        sonar: Rays of the sensors.
+        beams: Buffers for the rays of this one, in the world frame.
         tables: Quantiles of random draws.
         key: Words of the key of the robot's random draws (2,).
         time_ns: Time of the burst [ns].
@@ -99,11 +93,11 @@ def measure(
     origin = centre[0] + offset[0], centre[1] + offset[1], centre[2] + offset[2]
     for index in range(n_rays):
         x, y, z = _rotate(frame, sonar.rays, channel * n_rays + index)
-        sonar.vectors[3 * index] = x
-        sonar.vectors[3 * index + 1] = y
-        sonar.vectors[3 * index + 2] = z
-    cast_rays(scene, sensors, sonar, origin, 1.1 * RANGE)
-    nearest = _nearest_echo(sonar)
+        beams.vectors[3 * index] = x
+        beams.vectors[3 * index + 1] = y
+        beams.vectors[3 * index + 2] = z
+    cast_rays(scene, sensors, beams, origin, 1.1 * RANGE)
+    nearest = _nearest_echo(sonar, beams)
     if nearest == math.inf:
         return NO_ECHO
     if nearest < NEAREST:
@@ -114,11 +108,11 @@ def measure(
 
 
 @compilable
-def _nearest_echo(sonar: Sonar) -> float:
+def _nearest_echo(sonar: Sonar, beams: Beams) -> float:
     """Return the distance of the nearest audible obstacle [m]; infinity for none."""
-    nearest, vectors, normals = math.inf, sonar.vectors, sonar.normals
+    nearest, vectors, normals = math.inf, beams.vectors, beams.normals
     for index in range(len(sonar.gains)):
-        distance, gain = sonar.lengths[index], sonar.gains[index]
+        distance, gain = beams.lengths[index], sonar.gains[index]
         if not 0 < distance < nearest:
             continue
         ratio = RANGE / distance
@@ -154,6 +148,4 @@ def make_sonar() -> Sonar:
         positions += SONAR.radius * cos(heading), SONAR.radius * sin(heading), SONAR.height
         for el, az in angles:
             rays += cos(el) * cos(heading + az), cos(el) * sin(heading + az), sin(el)
-    gains, n_rays = [(cos(el) * cos(az)) ** (2 * _BEAM_EXPONENT) for el, az in angles], len(angles)
-    buffers = np.zeros(3 * n_rays), np.zeros(n_rays), np.zeros(3 * n_rays)
-    return Sonar(positions, rays, gains, *buffers, np.zeros(n_rays, np.int64))
+    return Sonar(positions, rays, [(cos(el) * cos(az)) ** (2 * _BEAM_EXPONENT) for el, az in angles])

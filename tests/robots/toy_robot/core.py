@@ -9,14 +9,14 @@ import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, register
+from khep_twin.robots.core import Core, Interface, register
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import body_frame, cast_rays, joint_position, joint_speed, set_motor
+from khep_twin.sensing.scene import Beams, body_frame, cast_rays, joint_position, joint_speed, set_motor
 from khep_twin.sensors import robot_sensors
 from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
 from toy_robot.model import BODY
@@ -31,15 +31,6 @@ _X, _Y, _Z = 0.031 * math.cos(_HEADING), 0.031 * math.sin(_HEADING), 0.03
 _DX, _DY = math.cos(_HEADING), math.sin(_HEADING)
 
 
-class Beam(NamedTuple):
-    """Ray of the ultrasonic sensor, as `cast_rays` needs it."""
-
-    vectors: Vector[float]
-    lengths: Vector[float]
-    normals: Vector[float]
-    geoms: Vector[int]
-
-
 class ToyState(NamedTuple):
     """State of one robot: indices in the scene, sensors, registers, and the key of its random draws."""
 
@@ -50,7 +41,7 @@ class ToyState(NamedTuple):
     radius: float
     motor_constant: float
     sensors: RobotSensors
-    beam: Beam
+    beam: Beams
     registers: Vector[int]
     noise: Vector[int]
 
@@ -66,7 +57,7 @@ def _make_state(
         radius=entry.body.radius,
         motor_constant=measured.motors.constant,
         sensors=robot_sensors(model, indices, measured),
-        beam=Beam(np.zeros(3), np.zeros(1), np.zeros(3), np.zeros(1, np.int64)),
+        beam=Beams.of(1),
         registers=np.zeros(N_REGISTERS, np.int64),
         noise=np.zeros(2, np.int64),
     )
@@ -112,5 +103,29 @@ def _tick(robot: ToyState, simulated: Simulated, inputs: StepInputs, time_ns: in
 
 
 CORE = register(
-    Core("toy", ToyState, _make_state, ("registers",), ("toy_robot.core",), _sense, _tick, scan=_measure)
+    Core(
+        name="toy",
+        state=ToyState,
+        make_state=_make_state,
+        changing=("registers", "beam"),
+        modules=("toy_robot.core",),
+        sense=_sense,
+        tick=_tick,
+        scan=_measure,
+        interface=Interface(
+            n_registers=N_REGISTERS,
+            proximity=PROXIMITY,
+            n_proximity=N_INFRARED,
+            ambient=AMBIENT,
+            n_ambient=N_INFRARED,
+            left_setpoint=SETPOINT,
+            right_setpoint=SETPOINT + 1,
+            left_side=PROXIMITY + 1,
+            right_side=PROXIMITY + 2,
+            rest_counts=0,
+            counts_limit=1023,
+            top_speed=200.0,
+            speed_limit=500,
+        ),
+    )
 )

@@ -7,7 +7,8 @@ its wheels [mm/s], R reads all registers.
 from typing import Any
 
 from khep_twin.robots.line_server import LineServer
-from khep_twin.robots.robot import Robot, RobotSetup, consecutive_registers
+from khep_twin.robots.model import consecutive_registers
+from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.simulation.robot_arrays import Layout, Part
 from toy_robot.core import N_REGISTERS, SETPOINT
 from toy_robot.model import BAUD, LABELS
