@@ -61,6 +61,7 @@ def add_robot(
     cameras: list[Any] = list(child.cameras)
     for camera, heading_deg in zip(cameras, measured.heading_deg, strict=False):
         heading = units.radians(heading_deg)
+        camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
     turret_geoms: list[str] = []
     kinds = find_turrets(robot.turrets)

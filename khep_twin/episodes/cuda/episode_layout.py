@@ -57,7 +57,8 @@ class EpisodeLayout:
         controllers, plane = arguments.controllers, _plane(arguments)
         state_arrays, fields_by_record = list(_state_arrays(arguments)), dict[str, list[Any]]()
         for path, array in state_arrays:
-            fields_by_record.setdefault(path[0], []).append((path[-1], array.dtype, array.shape))
+            shape = () if array.dtype.names else array.shape
+            fields_by_record.setdefault(path[0], []).append((path[-1], array.dtype, shape))
         state_fields = [
             (name, np.dtype(parts, align=True)) if name in ("robot", "plane") else parts[0]
             for name, parts in fields_by_record.items()
@@ -83,7 +84,7 @@ class EpisodeLayout:
         self.offsets = LocalMemory(0, *ends[:-1])
         self.n_state = self.offsets.buffers
         self.capacity = max(_MIN_WORDS, 1 << (ends[-1] - 1).bit_length())
-        starts = np.cumsum([0, *(array.size for _, array in state_arrays)]).tolist()
+        starts = np.cumsum([0, *(array.nbytes // 8 for _, array in state_arrays)]).tolist()
         words = {path: range(*pair) for (path, _), pair in zip(state_arrays, pairwise(starts), strict=True)}
         self.outputs = {
             "joints": words["plane", "joints"],
@@ -112,7 +113,7 @@ class EpisodeLayout:
         """Set an episode's arrays to its state (n_state,)."""
         obstacles, columns = arguments.scene[0], self.templates.obstacles.copy()
         parts = list(self._parts(arguments, columns))
-        ends = np.cumsum([part.size for part in parts])[:-1]
+        ends = np.cumsum([part.nbytes // 8 for part in parts])[:-1]
         for part, words in zip(parts, np.split(state, ends), strict=True):
             part[...] = words.view(part.dtype).reshape(part.shape)
         n_words = self._n_fixed * N_STATE_COLUMNS
