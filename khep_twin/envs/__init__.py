@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from khep_twin.envs.tasks import Task as Task
     from khep_twin.envs.tasks import batched as batched
     from khep_twin.envs.tasks import with_parts as with_parts
-    from khep_twin.robots.khepera4.environments import KheperaIVEnvironment as KheperaIVEnvironment
 else:
     from khep_twin import lazy
 

@@ -6,7 +6,7 @@
         step = environment.step([0.5, 0.4])
         print(step.observation["proximity"], step.reward, environment.physics.pose())
 
-Observations are the observation terms by name (`tasks.TERMS`). An action is the speeds of both wheels;
+Observations are the observation terms by name (`tasks.terms_of`). An action is the speeds of both wheels;
 1 is 20 pulses/10 ms, 160 mm/s. Both are normalized to -1 to 1, or in the robot's units with
 `normalize=False`. One step is one control period, 50 ms by default. An episode ends with discount 1 at its
 time limit, with 0 when the charge has run out.
@@ -31,7 +31,7 @@ from khep_twin.envs.arguments import check_mapping, check_switch
 from khep_twin.envs.reset_options import validate_seed
 from khep_twin.envs.task_episode import StepResult, TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
-from khep_twin.envs.tasks import TERMS, Task
+from khep_twin.envs.tasks import Task
 from khep_twin.episodes import version_check
 from khep_twin.errors import KhepTwinError, value_text
 from khep_twin.process.one_thread import one_thread
@@ -148,7 +148,7 @@ class TrialTask(control.Task):
 
     def __init__(self, setup: TaskSetup, seed: int) -> None:
         self._setup = setup
-        self._terms = {name: TERMS[name] for name in setup.task.observation_terms}
+        self._terms = {name: setup.task.terms[name] for name in setup.task.observation_terms}
         self._rng = stream(seed, "trials")
         self.seed = 0
         self.bounds = setup.task.bounds(setup.normalize)

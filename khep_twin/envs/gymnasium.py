@@ -12,7 +12,7 @@
 program with `gymnasium.make` also imports `khep_twin`, or names it:
 `gymnasium.make("khep_twin:khep_twin/ObstacleAvoidance-v0")` (`registration`).
 
-Observation: the task's terms, each number normalized to -1 to 1 (`tasks.TERMS` defines order and ranges).
+Observation: the task's terms, each number normalized to -1 to 1 (`tasks.terms_of` defines order and ranges).
 Action: speeds of left and right wheel, -1 to 1; 1 is 20 pulses/10 ms, 160 mm/s.
 With `normalize=False` both are in the robot's units, counts and pulses/10 ms.
 With `planar=True` a 2-D model replaces MuJoCo, and runs many times faster.

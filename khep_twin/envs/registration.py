@@ -35,7 +35,12 @@ def register() -> None:
     from khep_twin.robots.registry import installed_models, shipped_models
 
     registry: Any = module
-    for task in TASKS:
+    try:
+        models = installed_models()
+    except RobotModelError as error:  # an import of Gymnasium must not end in it
+        warnings.warn(str(error), stacklevel=2)
+        models = shipped_models()
+    for task in (*TASKS, *(name for model in models.values() for name in model.tasks)):
         if (name := f"khep_twin/{task}-v0") not in registry.registry:
             registry.register(
                 name,
@@ -43,15 +48,6 @@ def register() -> None:
                 vector_entry_point="khep_twin.envs.gymnasium_vector:KheperaVectorEnvironment",
                 kwargs={"task": task},
             )
-    try:
-        models = installed_models()
-    except RobotModelError as error:  # an import of Gymnasium must not end in it
-        warnings.warn(str(error), stacklevel=2)
-        models = shipped_models()
-    for model in models.values():
-        for task, environment in model.environments.items():
-            if (name := f"khep_twin/{task}-v0") not in registry.registry:
-                registry.register(name, entry_point=environment, kwargs={"task": task})
 
 
 class TimeLimitedSpec:

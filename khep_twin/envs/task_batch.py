@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import to_ns
 from khep_twin.copies import NotCopied
 from khep_twin.envs.reset_options import ResetOptions
@@ -29,8 +28,6 @@ from khep_twin.episodes.device import Device
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.process.one_thread import one_thread
-
-_ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 
 
 class TaskBatch(NotCopied):
@@ -78,6 +75,7 @@ class TaskBatch(NotCopied):
         self.terminated = np.zeros(shape, np.bool_)
         self.periods = np.full(count, setup.n_steps)
         self.seeds = np.zeros(count, np.int64)
+        self._positions = [setup.interface.left_position, setup.interface.right_position]
         self._pulses = np.zeros((*shape, 2), np.int64)
         self._full_charge_ns = to_ns(setup.task.charge_s)
         self._charges_ns = np.zeros(shape, np.int64)
@@ -118,7 +116,7 @@ class TaskBatch(NotCopied):
         for error in self._batch.switch_on().values():
             raise error
         self.periods[rows], self._charges_ns[rows], self.returns[rows] = 0, self._full_charge_ns, 0.0
-        self._pulses[rows] = self._batch.registers[rows][..., _ENCODERS]
+        self._pulses[rows] = self._batch.registers[rows][..., self._positions]
         self.rewards[rows], self.terminated[rows] = 0.0, False
         self._observe(rows, self._state(rows))
 
@@ -129,7 +127,7 @@ class TaskBatch(NotCopied):
         Args:
             rows: Indices of the episodes (n_rows,).
             actions: Speeds of each robot's wheels (n_rows, n_robots, 2), as fractions of the top speed, or
-                in pulses/10 ms if not normalized; clipped, and rounded to whole pulses.
+                in the unit of the robot's register if not normalized; clipped, and rounded.
 
         Raises:
             DivergedError: A speed is NaN, or the physics has diverged.
@@ -216,8 +214,9 @@ class TaskBatch(NotCopied):
         """Return the state of all robots of some episodes; update their encoders and charges."""
         setup = self.setup
         registers = self._batch.registers[rows]
-        pulses = registers[..., _ENCODERS]
+        pulses = registers[..., self._positions]
         speeds = (pulses - self._pulses[rows]) / (setup.period_ns // units.TICK_NS)
+        speeds *= setup.interface.speed_per_pulse
         self._pulses[rows] = pulses
         at_goal, charge = np.zeros(pulses.shape[:2], np.bool_), np.ones(pulses.shape[:2])
         if setup.task.goal:
@@ -232,7 +231,8 @@ class TaskBatch(NotCopied):
         boards = registers.reshape(-1, registers.shape[2]).T
         limits = self._ambient_limits if len(rows) == len(self._setups) else self._ambient_limits[:, rows]
         dark, floor = limits.reshape(2, -1)
-        return State(boards, left, right, dark, floor, at_goal.reshape(-1), charge.reshape(-1))
+        at_goal, charge = at_goal.reshape(-1), charge.reshape(-1)
+        return State(boards, left, right, dark, floor, at_goal, charge, setup.task.model)
 
     def _observe(self, rows: NDArray[np.int64], state: State) -> None:
         """Set the observations of some episodes; arrays of earlier observations do not change."""

@@ -6,7 +6,7 @@ units: pulses/10 ms, and counts.
 
 import inspect
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -19,7 +19,7 @@ from khep_twin.copies import CopiedByArguments
 from khep_twin.envs.arguments import check_period, check_switch, count_periods
 from khep_twin.envs.randomization import Randomization, place_robots, starts_of
 from khep_twin.envs.reset_options import ResetOptions, is_nested, validate_lamps, validate_playpen
-from khep_twin.envs.tasks import Task, action_limit, find_task, speeds_of
+from khep_twin.envs.tasks import Task, find_task, speeds_of
 from khep_twin.episodes.controllers import Policy
 from khep_twin.episodes.device import Device, choose_device
 from khep_twin.episodes.episode import Episode
@@ -76,8 +76,8 @@ class TaskSetup(CopiedByArguments):
         seconds: Time limit of an episode [s]; by default the task's.
         planar: Whether a 2-D model replaces MuJoCo (`EpisodeSetup`).
         compiled: Whether to run JIT-compiled; None for yes if numba is installed.
-        normalize: Whether actions and observations are normalized to -1 to 1; otherwise actions are in
-            pulses/10 ms, and observations in the units of `tasks.TERMS`.
+        normalize: Whether actions and observations are normalized to -1 to 1; otherwise actions are in the
+            unit of the robot's register, and observations in the units of `tasks.terms_of` its model.
         details: Whether `info` has parts of the reward and contacts, and at the end metrics and return.
         max_episode_steps: Time limit of an episode in control periods, if it is shorter than `seconds`.
         line: Line between policy and robot, as a baud rate or a `MeasuredCycle`; None for exchanges without
@@ -86,6 +86,7 @@ class TaskSetup(CopiedByArguments):
 
     Attributes:
         action_limit: Upper bound of an action, and the lower one with its sign changed.
+        interface: Registers of the robots.
 
     Raises:
         KhepTwinError: The task or an option is unknown, or the playpen lacks the goal, or room at the start.
@@ -123,9 +124,10 @@ class TaskSetup(CopiedByArguments):
         switches = dict(noise=noise, vary=vary, planar=planar, normalize=normalize, details=details)
         for name, value in (switches | ({} if compiled is None else {"compiled": compiled})).items():
             check_switch(name, value)
-        self.task = find_task(task)
-        playpen_source = self.task.playpen if playpen is None else playpen
+        task = find_task(task)
+        playpen_source = task.playpen if playpen is None else playpen
         self.playpen = with_robots(Playpen.load(validate_playpen(playpen_source)), robots)
+        self.task = replace(task, model=self.playpen.robots[0].robot_model.family)
         if robots > 1 and self.task.starts == "playpen" and not self.playpen.robots[0].spots:
             problem = f"{self.playpen.name}: robot 1 has no spots"
             raise PlaypenError(f"{problem}; expected spots, at which {robots} robots start")
@@ -141,7 +143,7 @@ class TaskSetup(CopiedByArguments):
         self._requests = "".join(TERM_REQUESTS.get(term, "") for term in self.task.observation_terms)
         if self.randomize and self.randomize.delay:
             _check_delay(self.randomize.delay, line, period_ns)
-        self.action_limit = action_limit(normalize)
+        self.action_limit = 1.0 if normalize else self.task.top_speed
         self.seconds = self.task.seconds if seconds is None else seconds
         self.n_steps = count_periods(self.seconds, period_ns)
         if max_episode_steps is not None:
@@ -158,6 +160,7 @@ class TaskSetup(CopiedByArguments):
         self._compiled = compiled
         at_line = line is not None or (self.randomize is not None and self.randomize.delay is not None)
         self._setup = EpisodeSetup(self.playpen, period_ns=period_ns, planar=planar, at_line=at_line)
+        self.interface = self._setup.interface
         self.steps_per_period = self._setup.steps_per_period
         ambient = calibration.read(self.playpen.robots[0].calibration)[0].ambient
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
@@ -167,7 +170,7 @@ class TaskSetup(CopiedByArguments):
 
     def episode(self, device: Device = "cpu") -> Episode:
         """Return an episode whose speeds the caller sets; for a GPU, one that is only prepared."""
-        driver = Policy(requests=self._requests)
+        driver = Policy(requests=self._requests, terms=self.task.observation_terms)
         if device == "cuda":
             from khep_twin.episodes.cuda.card_batch import PreparedEpisode
 
@@ -186,7 +189,7 @@ class TaskSetup(CopiedByArguments):
 
     def speeds(self, action: object) -> NDArray[np.float64]:
         """Return an action, or several, as speeds: see `tasks.speeds_of`."""
-        return speeds_of(action, self.normalize)
+        return speeds_of(action, self.task.top_speed, self.normalize)
 
     started = renamed_attribute("started", "start_playpen")
 

@@ -10,23 +10,27 @@ A reward is that of one control period, 0 to 1. Published rewards are those of `
 with speeds counted by the wheels' encoders instead of setpoints. To define a task, create a `Task`, e.g. by
 `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
 
+Models of robots may add tasks and observation terms (`RobotModel.tasks`, `robots.core.Term`). A task runs
+with any model that has its terms: that of its playpen's robot.
+
 A reward is a function of the `State` of one robot or, if it is marked by `batched`, of a state with arrays of
 all robots. Observations are computed for all robots together.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.envs.arguments import check_choice, is_number
 from khep_twin.episodes import fitness
 from khep_twin.episodes.fitness import Number
-from khep_twin.errors import KhepTwinError, choices, value_text
-from khep_twin.units import COUNTS_LIMIT, Sensor
+from khep_twin.errors import KhepTwinError, RobotModelError, choices, value_text
+from khep_twin.robots.core import Interface, core_of, find_interface
+from khep_twin.robots.registry import default_model, find_family, installed_models
 
 Starts = Literal["anywhere", "playpen"]
 Observation = NDArray[np.float32]
@@ -37,13 +41,15 @@ class State:
     """One robot at the end of a control period, or n robots: then each number is an array (n,).
 
     Attributes:
-        registers: Registers of its board (N_REGISTERS,), or of each robot's (N_REGISTERS, n).
-        left: Speed of the left wheel over the period, as counted by its encoder [pulses/10 ms].
-        right: Speed of the right wheel over the period, as counted by its encoder [pulses/10 ms].
+        registers: Registers of the robot (n_registers,), or of each (n_registers, n).
+        left: Speed of the left wheel over the period, as counted by its encoder, in the unit of the robot's
+            register; a Khepera's is pulses/10 ms.
+        right: Speed of the right wheel.
         dark: Ambient reading in the dark [counts].
         floor: Ambient reading in the brightest light [counts].
         at_goal: Whether the robot is at the goal.
         charge: Charge left, 1 to 0.
+        model: Family of the robot.
     """
 
     registers: NDArray[np.int64]
@@ -53,23 +59,42 @@ class State:
     floor: Number
     at_goal: Any
     charge: Number
+    model: str = default_model().family
+
+    @property
+    def interface(self) -> Interface:
+        """Registers of the robot."""
+        return find_interface(self.model)
+
+    def read(self, term: str) -> Any:
+        """Return the readings of an observation term (n,), or of n_robots (n, n_robots)."""
+        return terms_of(self.model)[term].read(self)
+
+    @property
+    def fitness_speeds(self) -> tuple[Number, Number]:
+        """Speeds of both wheels as `khep_twin.episodes.fitness` needs them."""
+        scale = fitness.TOP_SPEED_PULSES / self.interface.top_speed
+        return self.left * scale, self.right * scale
 
     @property
     def nearest(self) -> Number:
         """Largest proximity reading, 0 to 1."""
-        return self.registers[PROXIMITY].max(axis=0) / COUNTS_LIMIT
+        interface = self.interface
+        counts = np.maximum(self.registers[interface.proximity_slice].max(axis=0) - interface.rest_counts, 0)
+        return counts / (interface.counts_limit - interface.rest_counts)
 
     @property
     def brightness(self) -> Number:
         """Light at the brightest receiver, 0 to 1."""
-        return fitness.light_seeking(self.registers[AMBIENT].min(axis=0), self.dark, self.floor)
+        lowest = self.registers[self.interface.ambient_slice].min(axis=0)
+        return fitness.light_seeking(lowest, self.dark, self.floor)
 
     def of_robot(self, index: int) -> "State":
         """Return the state of one of n robots."""
         numbers = (self.left, self.right, self.dark, self.floor, self.charge)
         left, right, dark, floor, charge = (float(number[index]) for number in numbers)
         registers, at_goal = self.registers[:, index].copy(), bool(self.at_goal[index])
-        return State(registers, left, right, dark, floor, at_goal, charge)
+        return State(registers, left, right, dark, floor, at_goal, charge, self.model)
 
 
 Reward = Callable[[State], Number]
@@ -133,33 +158,54 @@ class ObservationTerm:
         return np.minimum(np.maximum(numbers, low), high)
 
 
-TOP_SPEED = float(fitness.TOP_SPEED_PULSES)
-"""Top speed of a wheel in an action, forwards and backwards [pulses/10 ms]: 160 mm/s."""
+@cache
+def terms_of(family: str) -> Mapping[str, ObservationTerm]:
+    """Return the observation terms of a family of robots, by name.
 
-_SENSORS = tuple(sensor.key for sensor in Sensor)
+    Raises:
+        RobotModelError: The family is unknown, or runs in no episodes.
+    """
+    interface, model = find_interface(family), find_family(family)
+    sensors, limit, top_speed = model.body.cameras, float(interface.counts_limit), interface.top_speed
+    terms = {
+        "proximity": ObservationTerm(
+            lambda state: state.registers[interface.proximity_slice],
+            sensors[: interface.n_proximity],
+            0.0,
+            limit,
+            "counts",
+        ),
+        "light": ObservationTerm(
+            lambda state: state.registers[interface.ambient_slice],
+            sensors[: interface.n_ambient],
+            0.0,
+            limit,
+            "counts, low in the light",
+            lambda state: (state.dark, state.floor),
+        ),
+        "speed": ObservationTerm(
+            lambda state: (state.left, state.right),
+            ("left", "right"),
+            -top_speed,
+            top_speed,
+            f"{model.channels['speed'][0][1]}, counted over the period",
+        ),
+        "charge": ObservationTerm(
+            lambda state: (state.charge,), ("charge",), 0.0, 1.0, "part of a full charge"
+        ),
+    }
+    for name, registers, names, low, high, unit in core_of(model).terms:
+        read = partial(_read_registers, list(registers))
+        terms[name] = ObservationTerm(read, names, low, high, unit)
+    return terms
 
-TERMS = {
-    "proximity": ObservationTerm(
-        lambda state: state.registers[PROXIMITY], _SENSORS, 0.0, float(COUNTS_LIMIT), "counts of command N"
-    ),
-    "light": ObservationTerm(
-        lambda state: state.registers[AMBIENT],
-        _SENSORS,
-        0.0,
-        float(COUNTS_LIMIT),
-        "counts of command O, low in the light",
-        lambda state: (state.dark, state.floor),
-    ),
-    "speed": ObservationTerm(
-        lambda state: (state.left, state.right),
-        ("left", "right"),
-        -TOP_SPEED,
-        TOP_SPEED,
-        "pulses/10 ms, counted over the period",
-    ),
-    "charge": ObservationTerm(lambda state: (state.charge,), ("charge",), 0.0, 1.0, "part of a full charge"),
-}
-"""All observation terms."""
+
+def _read_registers(registers: list[int], state: State) -> NDArray[np.int64]:
+    return state.registers[registers]
+
+
+TERMS = terms_of(default_model().family)
+"""Observation terms of a Khepera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +215,7 @@ class Task:
     Attributes:
         name: Name of the task, one word.
         playpen: Name or path of the playpen.
-        observation_terms: Names of the observation's parts, keys of `TERMS`.
+        observation_terms: Names of the observation's parts, keys of `terms_of` the model.
         reward: Reward of a control period, 0 to 1.
         seconds: Time limit of an episode [s].
         starts: "anywhere" for any free position, or "playpen" for the robot's pose or one of its spots.
@@ -177,6 +223,7 @@ class Task:
         reach_mm: Largest distance of the robot's centre from the goal's centre at the goal [mm].
         charge_s: Duration of a charge [s], recharged at the goal; the episode is terminated when it is empty.
             0 for no limit.
+        model: Family of the robot; an environment sets it to that of its playpen.
     """
 
     name: str
@@ -188,6 +235,7 @@ class Task:
     goal: str = ""
     reach_mm: float = 0.0
     charge_s: float = 0.0
+    model: str = default_model().family
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -212,24 +260,35 @@ class Task:
             text = value_text(self.observation_terms)
             raise KhepTwinError(f"task {self.name}: observation_terms = {text}; expected a tuple of texts")
         for term in self.observation_terms:
-            check_choice(f"task {self.name}: observation term", term, TERMS)
+            check_choice(f"task {self.name}: observation term", term, self.terms)
         if not self.observation_terms:
-            raise KhepTwinError(f"task {self.name}: no observation terms; {choices('', TERMS)}")
+            raise KhepTwinError(f"task {self.name}: no observation terms; {choices('', self.terms)}")
+
+    @property
+    def terms(self) -> Mapping[str, ObservationTerm]:
+        """Observation terms of the model."""
+        return terms_of(self.model)
+
+    @property
+    def top_speed(self) -> float:
+        """Top speed of a wheel in an action, forwards and backwards [register]."""
+        return find_interface(self.model).top_speed
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of an observation's numbers (n,), e.g. "proximity left_90"."""
-        return tuple(f"{term} {name}" for term in self.observation_terms for name in TERMS[term].names)
+        return tuple(f"{term} {name}" for term in self.observation_terms for name in self.terms[term].names)
 
     def bounds(self, normalize: bool = True) -> tuple[Observation, Observation]:
         """Return the lower and upper bounds of an observation (n,), (n,)."""
-        bounds = [TERMS[name].bounds(normalize) for name in self.observation_terms for _ in TERMS[name].names]
+        terms = [self.terms[name] for name in self.observation_terms]
+        bounds = [term.bounds(normalize) for term in terms for _ in term.names]
         low, high = np.array(bounds, np.float32).T
         return low, high
 
     def observe(self, state: State, normalize: bool = True) -> Observation:
         """Return the observation (n,), in the order of `labels`, or that of each robot (n_robots, n)."""
-        parts = [TERMS[name].observe(state, normalize) for name in self.observation_terms]
+        parts = [self.terms[name].observe(state, normalize) for name in self.observation_terms]
         return np.concatenate(parts).T.astype(np.float32, order="C")
 
     def rewards(self, state: State) -> NDArray[np.float64]:
@@ -247,7 +306,8 @@ class Task:
 
 
 def _parts_of_avoiding_either_way(state: State) -> dict[str, Number]:
-    left, right = (np.clip(speed / TOP_SPEED, -1, 1) for speed in (state.left, state.right))
+    top_speed = state.interface.top_speed
+    left, right = (np.clip(speed / top_speed, -1, 1) for speed in (state.left, state.right))
     return {
         "speed": (abs(left) + abs(right)) / 2,
         "straightness": 1 - np.sqrt(abs(left - right) / 2),
@@ -278,7 +338,7 @@ def avoiding(state: State) -> Number:
 @batched
 def avoiding_either_way(state: State) -> Number:
     """Return V (1 - sqrt(dV)) (1 - i) as published: see `fitness.obstacle_avoidance`."""
-    return fitness.obstacle_avoidance(state.left, state.right, state.nearest)
+    return fitness.obstacle_avoidance(*state.fitness_speeds, state.nearest)
 
 
 @with_parts(lambda state: {"brightness": state.brightness})
@@ -292,7 +352,7 @@ def seeking_light(state: State) -> Number:
 @batched
 def homing(state: State) -> Number:
     """Return V (1 - i) away from home, 0 at home."""
-    return fitness.homing(state.left, state.right, state.nearest) * np.logical_not(state.at_goal)
+    return fitness.homing(*state.fitness_speeds, state.nearest) * np.logical_not(state.at_goal)
 
 
 @with_parts(lambda state: {"at_goal": state.at_goal})
@@ -332,22 +392,18 @@ TASKS = {
 """Built-in tasks, by name."""
 
 
-def action_limit(normalize: bool = True) -> float:
-    """Return the upper bound of an action, and the lower one with its sign changed."""
-    return 1.0 if normalize else TOP_SPEED
-
-
-def speeds_of(action: object, normalize: bool = True) -> NDArray[np.float64]:
-    """Return an action, or several, as speeds of the same shape, clipped to the top speed [pulses/10 ms].
+def speeds_of(action: object, top_speed: float, normalize: bool = True) -> NDArray[np.float64]:
+    """Return an action, or several, as speeds of the same shape, clipped to the top speed [register].
 
     Args:
         action: Speeds of the left and right wheel (..., 2).
+        top_speed: Top speed [register].
         normalize: Whether they are fractions of the top speed, -1 to 1.
 
     Raises:
         ValueError: The action is not two numbers.
     """
-    limit = action_limit(normalize)
+    limit = 1.0 if normalize else top_speed
     try:
         speeds = np.asarray(action, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -356,16 +412,26 @@ def speeds_of(action: object, normalize: bool = True) -> NDArray[np.float64]:
         raise ValueError(
             f"action {value_text(action)}; expected two speeds, left and right, from {-limit:g} to {limit:g}"
         )
-    return np.minimum(np.maximum(speeds, -limit), limit) * (TOP_SPEED / limit)
+    return np.minimum(np.maximum(speeds, -limit), limit) * (top_speed / limit)
+
+
+def task_names() -> list[str]:
+    """Return the names of all tasks, built-in ones and those of models."""
+    return [*TASKS, *(name for model in installed_models().values() for name in model.tasks)]
 
 
 def find_task(task: Task | str) -> Task:
     """Return a task by name.
 
     Raises:
-        KhepTwinError: The name is unknown.
+        KhepTwinError: The name is unknown, or the task of a model cannot be loaded.
     """
     if isinstance(task, Task):
         return task
-    check_choice("task", task, TASKS)
-    return TASKS[task]
+    if isinstance(task, str) and task in TASKS:
+        return TASKS[task]
+    check_choice("task", task, task_names())
+    (model,) = (model for model in installed_models().values() if task in model.tasks)
+    if not isinstance(model_task := model.load_task(task), Task):
+        raise RobotModelError(f"model {model.name}: task {task} is {model_task!r}; expected a Task")
+    return model_task

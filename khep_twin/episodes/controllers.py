@@ -18,8 +18,8 @@ from khep_twin.episodes.line import LineTimes, initial_events, line_times
 from khep_twin.episodes.metrics import initial_sums
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
-from khep_twin.robots.core import Interface, Registers, wander_nowhere
-from khep_twin.robots.registry import default_model
+from khep_twin.robots.core import Interface, Registers, find_interface, wander_nowhere
+from khep_twin.robots.registry import default_model, find_family
 from khep_twin.units import SCAN_NS
 
 Floats = NDArray[np.float64]
@@ -65,7 +65,7 @@ class Network:
         ambient: Whether ambient light (0 dark to 1 bright) is an input behind proximity (0 to 1).
         top_speed: Speed for an output of 1, in units of the robot's register; by default that of the metrics.
             A Khepera's is in pulses/10 ms.
-        model: Family of the robot, e.g. "khepera4".
+        model: Model of the robot, or its family, e.g. "khepera4".
         genes: Genome (n_genes,) for episodes whose options have none; empty for none.
         period_ns: Control period of training [ns], used by a host and by a rollout without a setup.
         light: Ambient counts that are inputs of 0 and 1 on a host (2,); a rollout uses those of its robot.
@@ -85,9 +85,10 @@ class Network:
     seed: int | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        """Store the genes as a tuple, which is comparable and immutable, and the default of the speed."""
+        """Store the genes as a tuple, which is comparable and immutable, and defaults of its model."""
         if self.top_speed is None:
-            object.__setattr__(self, "top_speed", network_file.interface_of(self.model).top_speed)
+            object.__setattr__(self, "top_speed", find_interface(self.model).top_speed)
+        object.__setattr__(self, "model", find_family(self.model).family)
         object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
 
     @classmethod
@@ -179,10 +180,12 @@ class Policy:
             with a row for each robot. It returns speeds (n, 2) [register]; a row must not depend on other
             episodes. By default there is none: the caller of the `Episode` sets the speeds.
         requests: Requests of a cycle; "N" for a policy that needs no light saves time on a line.
+        terms: Names of further readings (`robots.core.Term`) that are measured.
     """
 
     decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], ArrayLike] = _no_function
     requests: str = "NO"
+    terms: tuple[str, ...] = ()
 
 
 Driver = ConstantSpeed | Braitenberg | Network | Function | Policy

@@ -25,12 +25,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from khep_twin import units
 from khep_twin.episodes import networks
-from khep_twin.errors import ControllerError, choices
+from khep_twin.errors import ControllerError, RobotModelError, choices
 from khep_twin.files.atomic import open_regular, write_atomic
 from khep_twin.files.npz_file import SIZE_LIMIT, npz_bytes, read_arrays
 from khep_twin.randomness import SEED_LIMIT
-from khep_twin.robots.core import Interface, core_of
-from khep_twin.robots.registry import default_model, find_family, installed_families
+from khep_twin.robots.core import Interface, find_interface
+from khep_twin.robots.registry import default_model, find_family
 
 SUFFIX = ".npz"
 """Suffix of network files."""
@@ -78,23 +78,9 @@ class NetworkContent(NamedTuple):
     model: str
 
 
-def interface_of(family: str) -> Interface:
-    """Return the registers of a family of robots that run in episodes.
-
-    Raises:
-        ControllerError: The family is unknown, or runs in no episodes.
-    """
-    families = installed_families()
-    if family not in families:
-        raise ControllerError(f"model = {family[:40]!r}: unknown; {choices(family, families)}")
-    if (interface := core_of(find_family(family)).interface) is None:
-        raise ControllerError(f"model = {family!r} gives no interface; expected one for an episode")
-    return interface
-
-
 def sizes(hidden: Sequence[int], ambient: bool, family: str) -> tuple[int, ...]:
     """Return a network's numbers of inputs, neurons of each layer and outputs (left and right)."""
-    interface = interface_of(family)
+    interface = find_interface(family)
     return (interface.n_proximity + ambient * interface.n_ambient, *hidden, 2)
 
 
@@ -167,7 +153,7 @@ def _describe_inputs(
     ambient: bool, light: tuple[float, float], family: str
 ) -> tuple[list[str], list[float], list[float]]:
     """Return the names of the inputs, and the counts that are 0 and 1."""
-    interface, cameras = interface_of(family), find_family(family).body.cameras
+    interface, cameras = find_interface(family), find_family(family).body.cameras
     terms = [("proximity", interface.n_proximity, (0.0, float(interface.counts_limit)))]
     if ambient:
         terms.append(("light", interface.n_ambient, light))
@@ -209,8 +195,8 @@ def _content(
     seed = int(arrays["seed"]) if "seed" in arrays else None
     family = str(arrays["model"]) if "model" in arrays else default_model().family
     try:
-        interface = interface_of(family)
-    except ControllerError as error:
+        interface = find_interface(family)
+    except RobotModelError as error:
         raise ControllerError(str(error), file=path) from error
     if not all(1 <= size <= 1000 for size in hidden) or len(hidden) > 100:
         raise refusal(f"hidden = {list(hidden)[:100]}", "1 to 1000 neurons in each of at most 100 layers")

@@ -109,7 +109,7 @@ class RobotModel:
         features: Uses that it supports.
         plots: Titles of further plots, by channel.
         rgb_leds: Names of LEDs whose red, green and blue are in the channel "leds", 0 to 63.
-        environments: Gymnasium's tasks, and the environment of each as "module:class".
+        tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
     """
 
@@ -126,7 +126,7 @@ class RobotModel:
     features: frozenset[Feature] = frozenset()
     plots: Mapping[str, str] = field(default_factory=dict[str, str])
     rgb_leds: tuple[str, ...] = ()
-    environments: Mapping[str, str] = field(default_factory=dict[str, str])
+    tasks: Mapping[str, str] = field(default_factory=dict[str, str])
     commands: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def load(self, part: str, kind: type[Base]) -> Base:
@@ -157,6 +157,14 @@ class RobotModel:
             RobotModelError: It cannot be loaded.
         """
         return cast(Callable[..., None], self._load(self.commands[name]))
+
+    def load_task(self, name: str) -> object:
+        """Return a task.
+
+        Raises:
+            RobotModelError: It cannot be loaded.
+        """
+        return self._load(self.tasks[name])
 
     def _load_part(self, part: str) -> object:
         """Import a part."""

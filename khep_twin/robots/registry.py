@@ -58,7 +58,8 @@ def find_family(name: str) -> RobotModel:
     Raises:
         RobotModelError: No installed package has it.
     """
-    return installed_families().get(name) or find_model(name)
+    shipped = _families_of(shipped_models())
+    return shipped.get(name) or installed_families().get(name) or find_model(name)
 
 
 def find_other_family(dialect: Dialect, versions_reply: str) -> RobotModel | None:
@@ -82,8 +83,12 @@ def default_model() -> RobotModel:
 
 def installed_families() -> Mapping[str, RobotModel]:
     """Return the first model of each family."""
+    return _families_of(installed_models())
+
+
+def _families_of(models: Mapping[str, RobotModel]) -> Mapping[str, RobotModel]:
     families: dict[str, RobotModel] = {}
-    for model in installed_models().values():
+    for model in models.values():
         families.setdefault(model.family, model)
     return families
 

@@ -95,6 +95,7 @@ class Simulation:
 
     Attributes:
         title: Subject of error messages.
+        terms: Names of further readings that are measured without a request, see `robots.core.Core`.
         lamps: Lamps of the scene; none at first.
         on_switch: Function that is called when the next one of lamps that are on one at a time is on.
         records: Groups of robots as records of their states: their current state.
@@ -118,6 +119,7 @@ class Simulation:
         }
         groups = self._group(states)
         self.title = "the simulation"
+        self.terms: tuple[str, ...] = ()
         self.lamps: Lamps | None = None
         self.on_switch: Callable[[], None] | None = None
         self.records: tuple[Any, ...] = tuple(
@@ -217,6 +219,8 @@ class Simulation:
         ):
             for name in CORES[type(group[0])].changing:
                 records[name] = initial[name]
+            for record in records:
+                CORES[type(group[0])].request_terms(record, self.terms)
         self.counters[:] = 0
         self._set_keys(self._make_keys(seed) if self._noise else ())
 

@@ -12,7 +12,6 @@ pytest.importorskip("pettingzoo", reason="pettingzoo, the extra [rl], is not ins
 
 from khep_twin.envs import (
     KheperaEnvironment,
-    KheperaIVEnvironment,
     KheperaVectorEnvironment,
     ParallelEnvironment,
     Randomization,
@@ -114,12 +113,6 @@ def test_an_option_of_dm_env_is_accepted_or_refused_in_one_line(option: str) -> 
     check(lambda value: load("ObstacleAvoidance", **{**SHORT, option: value}))
 
 
-@pytest.mark.parametrize("option", "task playpen start noise vary period_ns seconds render_mode".split())
-def test_an_option_of_a_khepera_iv_is_accepted_or_refused_in_one_line(option: str) -> None:
-    values = VALUES if option != "start" else tuple(value for value in VALUES if value is not None)
-    check(lambda value: KheperaIVEnvironment(**{option: value}), values)
-
-
 @pytest.mark.parametrize("name", "starts lamps robots noise delay blocks_mm playpens seed".split())
 def test_an_attribute_of_a_randomization_is_accepted_or_refused_in_one_line(name: str) -> None:
     check(lambda value: Randomization(**{name: value}))
@@ -135,7 +128,7 @@ def test_an_attribute_of_a_task_is_accepted_or_refused_in_one_line(name: str) ->
 
 def test_options_seeds_and_actions_are_accepted_or_refused_in_one_line() -> None:
     single, vector = KheperaEnvironment(**PLANE), KheperaVectorEnvironment(2, **PLANE)
-    for environment in (single, vector, ParallelEnvironment(**SHORT), KheperaIVEnvironment(seconds=0.1)):
+    for environment in (single, vector, ParallelEnvironment(**SHORT)):
         environment.reset(seed=0)
         check(lambda value, environment=environment: environment.reset(options=value))
         check(lambda value, environment=environment: (environment.reset(seed=0), environment.step(value)))

@@ -9,7 +9,7 @@ from khep_twin import Braitenberg, ConstantSpeed, Episode, Function, Network, Wo
 from khep_twin.episodes.controllers import Driver
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.errors import ControllerError, PlaypenError
+from khep_twin.errors import ControllerError, PlaypenError, RobotModelError
 from khep_twin.playpen import Playpen, parse
 from khep_twin.robots.khepera4.core import SAMPLED
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
@@ -97,7 +97,7 @@ def test_a_controller_of_another_model_is_refused() -> None:
     ):
         with pytest.raises(ControllerError, match=message):
             rollout("arena4", driver, [0], 1.0, compiled=False)
-    with pytest.raises(ControllerError, match="model = 'kepler': unknown; did you mean 'khepera'"):
+    with pytest.raises(RobotModelError, match="model = 'kepler': unknown; did you mean 'khepera'"):
         Network(model="kepler")
 
 

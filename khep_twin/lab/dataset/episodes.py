@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.clock import n_steps, to_ns
-from khep_twin.envs.tasks import TOP_SPEED, Observation, State, Task
+from khep_twin.envs.tasks import Observation, State, Task
 from khep_twin.errors import LogError
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset import replies, samples
@@ -121,7 +121,7 @@ def _episode(
     infos = {"time": periods.times_ns[borders] / 1e9}
     if periods.poses is not None:
         infos |= dict(zip(("x", "y", "heading"), periods.poses[borders].T, strict=True))
-    actions = np.clip(periods.commanded[steps] / TOP_SPEED, -1, 1).astype(np.float32)
+    actions = np.clip(periods.commanded[steps] / task.top_speed, -1, 1).astype(np.float32)
     return OfflineEpisode(
         np.stack(observations),
         actions,

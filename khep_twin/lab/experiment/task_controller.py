@@ -21,7 +21,7 @@ from khep_twin import units
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.clock import to_ns
 from khep_twin.envs.task_setup import PERIOD_NS, TERM_REQUESTS
-from khep_twin.envs.tasks import Observation, State, Task, action_limit, find_task, speeds_of
+from khep_twin.envs.tasks import Observation, State, Task, find_task, speeds_of
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
@@ -88,7 +88,7 @@ class TaskController(PeriodicController):
         self._name = type(policy).__name__
         if inspect.isfunction(policy):
             self.defined_by, self._name = policy, source_file(policy)
-        limit = action_limit(normalize)
+        limit = 1.0 if normalize else self._task.top_speed
         self._check_space("observation", *self._task.bounds(normalize))
         self._check_space("action", np.full(2, -limit), np.full(2, limit))
         default = Playpen.load(self._task.playpen).robots[0].calibration
@@ -113,7 +113,7 @@ class TaskController(PeriodicController):
                 left, right = self._speed(robot.position(), start_ns)
         state = State(registers, left, right, self._dark, self._floor, at_goal=False, charge=1.0)
         action = self._action(self._task.observe(state, self._normalize))
-        left, right = speeds_of(action, self._normalize).tolist()
+        left, right = speeds_of(action, self._task.top_speed, self._normalize).tolist()
         return left, right
 
     def _speed(self, positions: Positions, start_ns: int) -> tuple[float, float]:
@@ -138,7 +138,7 @@ class TaskController(PeriodicController):
         except (TypeError, ValueError):
             speeds = np.zeros(0)
         if speeds.shape != (2,) or not np.isfinite(speeds).all():
-            limit = action_limit(self._normalize)
+            limit = 1.0 if self._normalize else self._task.top_speed
             expected = f"two finite numbers, left and right, from {-limit:g} to {limit:g}"
             raise ControllerError(f"{self._name}: the policy returned {action!r:.200}; expected {expected}")
         return speeds

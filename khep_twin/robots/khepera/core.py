@@ -268,6 +268,8 @@ CORE = register(
             counts_limit=units.COUNTS_LIMIT,
             top_speed=20.0,
             speed_limit=127,
+            left_position=_LEFT_ENCODER,
+            right_position=_RIGHT_ENCODER,
         ),
         set_speeds=_set_speeds,
         is_powered=_is_powered,

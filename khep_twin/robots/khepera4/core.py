@@ -11,17 +11,17 @@ its readings are read. The functions are `compilable`, see `robots.core`.
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple, cast
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple, cast
 
 import mujoco
 import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, Interface, register
+from khep_twin.robots.core import Core, Interface, Term, register
 from khep_twin.robots.khepera4 import dspic, gauge, inertial, infrared, ultrasonic
-from khep_twin.robots.khepera4.channels import AROUND, CHANNELS
+from khep_twin.robots.khepera4.channels import AROUND, CHANNELS, GROUND, ULTRASONIC
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, DspicState
 from khep_twin.robots.khepera4.inertial import PACKET_SIZE, InertialState
 from khep_twin.robots.khepera4.infrared import Ground
@@ -68,10 +68,14 @@ SAMPLED = consecutive_registers(CHANNELS)
 TOP_SPEED_PULSES = 600
 """Speed that counts as 1 in tasks and metrics [pulses/10 ms]: 407 mm/s, half of the top speed (assumed)."""
 
+TOP_RATE = 8_000
+"""Rate of turn that counts as 1 in tasks [gyroscope counts]: 528 deg/s (assumed)."""
+
 _FIRST = {channel.name: channel.registers[0] for channel in SAMPLED}
 _DUTY = _FIRST["duty"]
+_ULTRASONIC = tuple(range(_FIRST["ultrasonic"], _FIRST["ultrasonic"] + N_ULTRASONIC))
 _CONTROL, _SPEED_CONTROL = int(DspicRegister.CONTROL), int(Control.SPEED)
-_SPEED_ORDER = int(DspicRegister.SPEED_ORDER_LEFT)
+_SPEED_ORDER, _ULTRASONIC_WORDS = int(DspicRegister.SPEED_ORDER_LEFT), int(DspicRegister.ULTRASONIC)
 _ENABLED = int(DspicRegister.ULTRASONIC_ENABLED)
 _LEFT_PWM, _RIGHT_PWM = int(Motor.PWM), N_MOTOR + int(Motor.PWM)
 
@@ -101,6 +105,8 @@ class Khepera4State(NamedTuple):
         zeros: Pulses of the wheels at which the encoders count zero (2,).
         burst: Sensor of the last burst, or NONE (1,).
         distances: Last reading of each ultrasonic sensor (N_ULTRASONIC,) [cm].
+        is_eager: 1 if a burst is evaluated at once, which needs no moment of it (1,).
+        burst_distance: Then the distance by the last burst (1,) [cm].
         times: Time of each moment, NONE if there is nothing to evaluate (N_MOMENTS,) [ns].
         registers: Registers as in logs, in the order of `CHANNELS` (n_registers,).
         vehicle: State of the server's Braitenberg vehicle (N_VEHICLE,).
@@ -128,6 +134,8 @@ class Khepera4State(NamedTuple):
     zeros: Vector[int]
     burst: Vector[int]
     distances: Vector[int]
+    is_eager: Vector[int]
+    burst_distance: Vector[int]
     times: Vector[int]
     registers: Vector[int]
     vehicle: Vector[int]
@@ -167,6 +175,8 @@ def _make_state(
         zeros=np.zeros(2, np.int64),
         burst=np.full(1, NONE),
         distances=np.full(N_ULTRASONIC, ultrasonic.NO_ECHO),
+        is_eager=np.zeros(1, np.int64),
+        burst_distance=np.zeros(1, np.int64),
         times=np.full(N_MOMENTS, NONE),
         registers=np.zeros(SAMPLED[-1].registers[-1] + 1, np.int64),
         vehicle=np.zeros(N_VEHICLE, np.int64),
@@ -192,13 +202,20 @@ def _record(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time
     if time_ns % ultrasonic.PERIOD_NS:
         return
     last = robot.burst[0]
-    if last != NONE:
+    if robot.is_eager[0] and last != NONE:
+        robot.distances[last] = robot.burst_distance[0]
+    elif last != NONE:
         copy_moment(scene, first + BURST, first + ECHO + last)
         times[ECHO + last] = times[BURST]
     robot.burst[0] = _next_sensor(last, robot.dspic.memory[_ENABLED])
-    if robot.burst[0] != NONE:
+    if robot.burst[0] == NONE:
+        return
+    if robot.is_eager[0]:
+        update_frames(scene)
+        robot.burst_distance[0] = _measure_distance(robot, scene, inputs, robot.burst[0], time_ns)
+    else:
         save_moment(scene, first + BURST, powers)
-        times[BURST] = time_ns
+    times[BURST] = time_ns
 
 
 @compilable
@@ -305,23 +322,23 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
 @compilable
 def _evaluate(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, part: int) -> None:
     """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
-    scene, tables, noise, powers = simulated.scene, inputs.tables, robot.noise, inputs.powers[0]
     if part == INFRARED:
-        _evaluate_infrared(robot, simulated, inputs, powers)
+        _evaluate_infrared(robot, simulated, inputs, inputs.powers[0])
     else:
-        sensor, time_ns = part - ECHO, robot.times[part]
-        robot.distances[sensor] = ultrasonic.measure(
-            scene,
-            robot.sensors,
-            _centre(scene, robot.pose),
-            robot.sonar,
-            robot.beams,
-            tables,
-            noise,
-            time_ns,
-            sensor,
-        )
+        sensor, scene, time_ns = part - ECHO, simulated.scene, robot.times[part]
+        robot.distances[sensor] = _measure_distance(robot, scene, inputs, sensor, time_ns)
         robot.times[part] = NONE
+
+
+@compilable
+def _measure_distance(
+    robot: Khepera4State, scene: BeamScene, inputs: StepInputs, sensor: int, time_ns: int
+) -> int:
+    """Return the reading of an ultrasonic sensor in a scene at its burst."""
+    centre, beams, tables = _centre(scene, robot.pose), robot.beams, inputs.tables
+    return ultrasonic.measure(
+        scene, robot.sensors, centre, robot.sonar, beams, tables, robot.noise, time_ns, sensor
+    )
 
 
 @compilable
@@ -390,7 +407,16 @@ def _update_registers(robot: Khepera4State, simulated: Simulated, inputs: StepIn
     if robot.times[INFRARED] != NONE:
         update_frames(simulated.scene)
         _evaluate_infrared(robot, simulated, inputs, inputs.powers[powers_row(simulated, inputs)])
+    for sensor in range(N_ULTRASONIC):
+        is_enabled = robot.dspic.memory[_ENABLED] >> sensor & 1 and robot.is_eager[0]
+        distance = robot.distances[sensor] if is_enabled else ultrasonic.DISABLED
+        dspic.write_number(robot.dspic.memory, _ULTRASONIC_WORDS + 2 * sensor, 2, distance)
     fill_registers(robot)
+
+
+def _request_terms(record: Any, names: Collection[str]) -> None:
+    """Evaluate each burst at once if the ultrasonic sensors are among the terms."""
+    record["is_eager"] = "ultrasonic" in names
 
 
 @compilable
@@ -419,16 +445,8 @@ CORE = register(
         state=Khepera4State,
         make_state=_make_state,
         changing=(
-            "dspic",
-            "inertial",
-            "gauge",
-            "zeros",
-            "burst",
-            "distances",
-            "times",
-            "vehicle",
-            "beams",
-            "registers",
+            *("dspic", "inertial", "gauge", "zeros", "burst", "distances", "burst_distance"),
+            *("times", "vehicle", "beams", "registers"),
         ),
         n_moments=N_MOMENTS,
         modules=("khep_twin.board.kernel", *(f"khep_twin.robots.khepera4.{part}" for part in _PARTS)),
@@ -451,7 +469,15 @@ CORE = register(
             counts_limit=COUNTS_LIMIT,
             top_speed=TOP_SPEED_PULSES,
             speed_limit=2**15 - 1,
+            left_position=_FIRST["position"],
+            right_position=_FIRST["position"] + 1,
         ),
+        terms=(
+            Term("ground", tuple(range(infrared.N_AROUND, N_INFRARED)), GROUND, 0, COUNTS_LIMIT, "counts"),
+            Term("ultrasonic", _ULTRASONIC, ULTRASONIC, 0, 100 * ultrasonic.RANGE, "cm"),
+            Term("gyroscope", (_FIRST["gyroscope"] + 2,), ("turn",), -TOP_RATE, TOP_RATE, "0.066 deg/s"),
+        ),
+        request_terms=_request_terms,
         update_registers=_update_registers,
         set_speeds=_set_speeds,
         is_powered=_is_powered,

@@ -85,8 +85,8 @@ KHEPERA_4 = RobotModel(
     },
     rgb_leds=LEDS,
     commands={"exec": "khep_twin.robots.khepera4.command:execute"},
-    environments=dict.fromkeys(
-        ("KheperaIVObstacleAvoidance", "KheperaIVLineFollowing"),
-        "khep_twin.robots.khepera4.environments:KheperaIVEnvironment",
-    ),
+    tasks={
+        "KheperaIVObstacleAvoidance": "khep_twin.robots.khepera4.tasks:OBSTACLE_AVOIDANCE",
+        "KheperaIVLineFollowing": "khep_twin.robots.khepera4.tasks:LINE_FOLLOWING",
+    },
 )

@@ -126,6 +126,9 @@ CORE = register(
             counts_limit=1023,
             top_speed=200.0,
             speed_limit=500,
+            left_position=POSITION,
+            right_position=POSITION + 1,
+            speed_per_pulse=BODY.pulse_length * 1e5,
         ),
     )
 )
