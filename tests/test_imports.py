@@ -15,7 +15,7 @@ ORDER = [
     ["randomness", "process"],
     ["files"],
     ["board"],
-    ["robots"],
+    ["observers", "robots"],
     ["robots.khepera.model", "robots.khepera4.channels"],
     ["robots.khepera4.model"],
     ["playpen"],

@@ -18,7 +18,7 @@ from khep_twin.robots.model import SampledRegisters
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.robot_arrays import Layout
-from khep_twin.simulation.turret_place import TurretWorld
+from khep_twin.simulation.turret_place import TurretWorld, WorldTurretContext
 from khep_twin.simulation.wired_board import BoardFirmware, LineWorld, WiredBoard
 from khep_twin.simulation.world_state import BoardState, RobotSnapshot
 from khep_twin.units import TICK_NS
@@ -31,9 +31,6 @@ class WorldContext(TurretWorld, LineWorld, Protocol):
     def moments(self) -> Moments:
         """Moments that robots have recorded."""
         ...
-
-    def on_event(self, robot: int | None, text: str) -> None:
-        """Log an event."""
 
 
 class RobotSettings(NamedTuple):
@@ -83,7 +80,8 @@ class Robot(WiredBoard, ABC):
         firmware: Command interpreter.
         uart: Serial line.
         faults: Its faults.
-        registers: State of the board, as in logs.
+        registers: State of the board, as in logs; a robot that evaluates measurements only when they are read
+            updates it by a function in `Observers.before_sample`.
         sampled: Channels of the board's registers.
         turret_bodies: Bodies of its turrets, by their names.
     """
@@ -108,7 +106,7 @@ class Robot(WiredBoard, ABC):
             context,
             index,
             firmware,
-            Injector(settings.faults, partial(make_rng, "fault"), partial(context.on_event, index)),
+            Injector(settings.faults, partial(make_rng, "fault"), partial(context.observers.on_event, index)),
             settings.unpaced,
             make_rng("line") if settings.strict_line else None,
         )
@@ -117,7 +115,7 @@ class Robot(WiredBoard, ABC):
         self._context = context
         self._record = context.simulation.record_of(index)
         self._has_stopped = False
-        self.turret_bodies: dict[str, TurretBody] = {}
+        self.fit_turrets()
         model: mujoco.MjModel = context.model
         positions = [model.body_pos[light] for light in indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
@@ -137,7 +135,6 @@ class Robot(WiredBoard, ABC):
 
     def readings(self) -> dict[str, list[int]]:
         """Return the present values of its channels, by name."""
-        self.refresh()
         return {name: self.registers[list(registers)].tolist() for name, _, registers in self.sampled}
 
     @property
@@ -148,19 +145,15 @@ class Robot(WiredBoard, ABC):
                 return turret.registers[kind.image]
         return None
 
-    @property
-    def next_faults_ns(self) -> list[int]:
-        """Times at which scheduled faults start or end [ns]."""
-        return self.faults.next_changes_ns
-
-    def refresh(self) -> None:
-        """Update the registers to the present, for an observer."""
-
-    def finish_measurements(self) -> None:
-        """Evaluate recorded measurements."""
-
     def fit_turrets(self) -> None:
         """Create the bodies of its turrets in the present scene; their state is in the registers."""
+        self.turret_bodies: dict[str, TurretBody] = {
+            kind.name: kind.fit(
+                WorldTurretContext(self._context, self.index, kind, turret.registers, self._record)
+            )
+            for kind, turret in self.firmware.turrets.items()
+            if kind.fit is not None
+        }
 
     def reseed(self, make_rng: Callable[..., np.random.Generator]) -> None:
         """Replace the random streams."""
@@ -188,10 +181,6 @@ class Robot(WiredBoard, ABC):
         self._has_stopped = state.is_stopped
         self._set_led_lights(state.leds)
 
-    def move_measurements(self, state: RobotSnapshot, qpos: NDArray[np.float64]) -> RobotSnapshot:
-        """Return a state whose measurements in progress have the positions `qpos` of another scene."""
-        return state
-
     def act_after(self, reason: int) -> None:
         """React to the reason for which the stepping core has returned, a `step.Reason`.
 
@@ -203,16 +192,9 @@ class Robot(WiredBoard, ABC):
             if any(fault.kind == "brown-out" for fault in changed_faults):
                 self.reset_processor()
 
-    def apply_faults(self) -> None:
-        """Apply the active faults to the robot; without faults, restore it."""
-
     @abstractmethod
     def reset_motion(self) -> None:
         """Reset counters, setpoints and controllers, and cut the motors' voltage."""
-
-    @abstractmethod
-    def zero_encoders(self) -> None:
-        """Set the encoders to the wheels' current angles."""
 
     @property
     def lit_leds(self) -> list[int]:

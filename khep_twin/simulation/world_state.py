@@ -1,7 +1,9 @@
 """State of a world and its robots, as stored in a snapshot."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Base64UrlBytes, Field
 
 from khep_twin.board.fault_injection import InjectorState
@@ -12,6 +14,9 @@ from khep_twin.randomness import StreamState
 from khep_twin.sensing.lamps import LampsState
 from khep_twin.simulation.physics_state import PhysicsState
 from khep_twin.simulation.simulation import SimulationState
+
+POSITIONS = "positions"
+"""Array of a robot with the positions of all joints at a recorded moment; empty without one."""
 
 
 class HostState(NamedTuple):
@@ -68,6 +73,11 @@ class RobotSnapshot(NamedTuple):
     leds: tuple[int, ...]
     faults: InjectorState
     line_noise: StreamState | None
+
+    def in_scene(self, qpos: NDArray[np.float64]) -> Self:
+        """Return the state with the positions of another scene at a recorded moment."""
+        has_moment = bool(self.arrays.get(POSITIONS))
+        return self._replace(arrays={**self.arrays, POSITIONS: qpos.tobytes()}) if has_moment else self
 
 
 class WorldState(NamedTuple):

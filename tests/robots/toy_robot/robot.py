@@ -50,6 +50,3 @@ class ToyRobot(Robot):
     def reset_motion(self) -> None:
         """Stop the wheels."""
         self.registers[SETPOINT : SETPOINT + 2] = 0
-
-    def zero_encoders(self) -> None:
-        """Do nothing: its positions are those of the wheels."""
