@@ -249,8 +249,7 @@ def playpens_of(*, kheperas: bool) -> list[str]:
     return [
         name
         for name in names("playpens")
-        if all(Feature.LINE in robot.robot_model.features for robot in Playpen.load(name).robots)
-        == kheperas
+        if all(Feature.LINE in robot.robot_model.features for robot in Playpen.load(name).robots) == kheperas
     ]
 
 

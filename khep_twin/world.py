@@ -27,7 +27,7 @@ from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.process.one_thread import one_thread, second_thread_error
 from khep_twin.randomness import position, resume, stream
 from khep_twin.renamed import renamed_arguments
-from khep_twin.robots.robot import Robot, RobotSettings, RobotSetup
+from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
@@ -102,7 +102,9 @@ class World(NotCopied):
         self.model: mujoco.MjModel = scene_model.model
         self.data = mujoco.MjData(self.model)
         self._forms = MujocoForms(scene_model, self.data, shared)
-        self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
+        self._make_setup = partial(
+            RobotSetup, self, unpaced=unpaced, strict_line=strict_line, faults=tuple(faults)
+        )
         self.simulation = Simulation(self._forms, self.timing)
         self.code = SteppingCode(self.simulation, compiled)
         has_turrets = any(entry.turrets for entry in self._base_playpen.robots)
@@ -178,7 +180,7 @@ class World(NotCopied):
         model = self._base_playpen.robots[index].robot_model
         make = cast(Callable[[RobotSetup], Robot], model.load_class("robot", Robot))
         rng = partial(stream, seed, "robot", index)
-        return make(RobotSetup(self, index, self._forms.indices[index], rng, self._robot_settings))
+        return make(self._make_setup(index=index, indices=self._forms.indices[index], make_rng=rng))
 
     @property
     def time_ns(self) -> int:

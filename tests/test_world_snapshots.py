@@ -12,7 +12,7 @@ from checks.branches import LAMPS, PUSHED, ROBOTS, arena, drive
 from khep_twin.board.fault_injection import Fault, parse_fault
 from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.playpen import Lighting, Playpen
-from khep_twin.simulation.simulation import SimulationState
+from khep_twin.simulation.world_state import SimulationState
 from khep_twin.world import World
 
 

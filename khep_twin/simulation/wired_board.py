@@ -14,7 +14,7 @@ from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import FirmwareState
 from khep_twin.observers import Observers
 from khep_twin.randomness import position, resume
-from khep_twin.simulation.world_state import BoardState, HostState
+from khep_twin.simulation.world_state import HostState, RobotSnapshot
 
 REPLY_LIMIT = 256
 """Bytes of queued replies above which the firmware accepts no further command (assumed)."""
@@ -234,20 +234,20 @@ class WiredBoard:
         self.firmware.forget()
         self.uart.tx.flush(self._world.time_ns)
 
-    def board_state(self, since_ns: int = -1) -> BoardState:
-        """Return the state, with the replies that arrive at the host after a time [ns]."""
+    def board_state(self, since_ns: int = -1) -> dict[str, Any]:
+        """Return the fields of its state in a `RobotSnapshot`, with the replies after a time [ns]."""
         settings = None if self._host is None else (self._host.baud, self._host.stop_bits)
-        return BoardState(
-            self.firmware.state(),
-            self._baud,
-            self.uart.rx.state(),
-            self.uart.tx.state(since_ns),
-            HostState(settings, tuple(sorted(self._warned))),
-            self.faults.state(),
-            None if self._line_noise is None else position(self._line_noise),
-        )
+        return {
+            "firmware": self.firmware.state(),
+            "baud": self._baud,
+            "rx": self.uart.rx.state(),
+            "tx": self.uart.tx.state(since_ns),
+            "host": HostState(settings, tuple(sorted(self._warned))),
+            "faults": self.faults.state(),
+            "line_noise": None if self._line_noise is None else position(self._line_noise),
+        }
 
-    def set_board_state(self, state: BoardState) -> None:
+    def set_board_state(self, state: RobotSnapshot) -> None:
         """Restore a state.
 
         Raises:

@@ -37,7 +37,6 @@ SAMPLED = (
 """Channels of the board's registers."""
 
 LAYOUT = Layout(
-    "khepera",
     1,
     {
         "registers": [Part("register", kernel.N_REGISTERS)],
@@ -67,14 +66,14 @@ class KheperaRobot(Robot):
 
     def __init__(self, setup: RobotSetup) -> None:
         context, index = setup.context, setup.index
-        entry, record = context.playpen.robots[index], context.simulation.record_of(index)
+        entry, record = context.playpen.robots[index], context.simulation.robots.record_of(index)
         turrets = {kind: kind.make() for kind in find_turrets(entry.turrets)}
         firmware = Firmware(entry.firmware, entry.mode, turrets, record["registers"], record["processor"])
         super().__init__(setup, firmware)
         self.registers = firmware.registers
         self._register_view = firmware.register_view
         self._wheels = None
-        if any(fault.device == WHEEL for fault in setup.settings.faults):
+        if any(fault.device == WHEEL for fault in setup.faults):
             self._wheels = FaultyWheels(context.model, context.data, setup.indices)
 
     def set_state(self, state: RobotSnapshot) -> None:

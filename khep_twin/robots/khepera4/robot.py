@@ -42,7 +42,6 @@ _MOTOR = (
 )
 
 LAYOUT = Layout(
-    "khepera4",
     1,
     {
         "dspic.memory": [Part("byte of the registers", N_MEMORY, 0, 255)],
@@ -90,7 +89,7 @@ class Khepera4Robot(Robot):
     layout = LAYOUT
 
     def __init__(self, setup: RobotSetup) -> None:
-        self._state: Khepera4State = setup.context.simulation.state_of(setup.index)
+        self._state: Khepera4State = setup.context.simulation.robots.state_of(setup.index)
         self.dspic = Dspic(self._state.dspic)
         firmware = Kh4Server(self.dspic, self._state.vehicle)
         super().__init__(setup, firmware)
