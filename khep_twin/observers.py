@@ -48,24 +48,28 @@ class Observers(list[Observer]):
 
     Attributes:
         early_events: Events at time 0, for observers that are added later: robot and text.
-        before_sample: Functions that are called before a sample: robots evaluate what they have recorded.
+        evaluations: Functions by which robots evaluate what they have recorded.
     """
 
     def __init__(self, world: ObservedWorld) -> None:
         super().__init__()
         self._world = world
         self.early_events: list[tuple[int | None, str]] = []
-        self.before_sample: list[Callable[[], None]] = []
+        self.evaluations: list[Callable[[], None]] = []
 
     def sample(self, *observers: Observer) -> None:
         """Let some observers sample the world, by default all."""
         if self:
             # After a step, the positions of bodies are those at its start; observers sample those at its end.
             mujoco.mj_kinematics(self._world.model, self._world.data)
-            for function in self.before_sample:
-                function()
+            self.evaluate()
             for observer in observers or self:
                 observer.sample(self._world)
+
+    def evaluate(self) -> None:
+        """Let robots evaluate what they have recorded, also before a change of lamps or random streams."""
+        for function in self.evaluations:
+            function()
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Send bytes that crossed a robot's line, the last of them at `time_ns`."""

@@ -170,11 +170,6 @@ class World(NotCopied):
             self.simulation.refresh_scene()
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
-    def _finish_measurements(self) -> None:
-        """Evaluate what the robots have measured, before a change of lamps or random streams."""
-        for function in self.observers.before_sample:
-            function()
-
     def _make_robot(self, index: int, seed: int) -> Robot:
         """Return a robot."""
         model = self._base_playpen.robots[index].robot_model
@@ -352,7 +347,7 @@ class World(NotCopied):
 
     def reseed(self, seed: int) -> None:
         """Switch to the random streams of another seed."""
-        self._finish_measurements()
+        self.observers.evaluate()
         self.simulation.reseed(seed)
         self.lamps.make_rng = cache(partial(stream, seed, "lamps"))
         for index, robot in enumerate(self.robots):
@@ -369,7 +364,7 @@ class World(NotCopied):
             lighting: New lighting; None for the current one.
             keep_switched: True to keep the switching state of the current lamps.
         """
-        self._finish_measurements()
+        self.observers.evaluate()
         changes = {"lamps": tuple(lamps), "lighting": lighting or self.playpen.lighting}
         self.playpen, previous = self.playpen.model_copy(update=changes), self.lamps
         self.lamps = Lamps(self.playpen, previous.make_rng, self.time_ns, previous.flicker_phase)

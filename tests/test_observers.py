@@ -39,7 +39,7 @@ def test_robots_are_updated_once_before_the_observers_sample_in_their_order() ->
             calls.append(self.name)
 
     world = observed_world()
-    world.observers.before_sample.append(lambda: calls.append("update"))
+    world.observers.evaluations.append(lambda: calls.append("update"))
     world.observers.sample()
     assert not calls
     world.observers.extend([first := Sampler("first"), Sampler("second")])

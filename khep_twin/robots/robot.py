@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -72,7 +72,7 @@ class Robot(WiredBoard, ABC):
         uart: Serial line.
         faults: Its faults.
         registers: State of the board, as in logs; a robot that evaluates measurements only when they are read
-            updates it by a function in `Observers.before_sample`.
+            updates it by a function in `Observers.evaluations`.
         sampled: Channels of the board's registers.
         turret_bodies: Bodies of its turrets, by their names.
     """

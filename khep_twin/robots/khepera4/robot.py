@@ -95,7 +95,7 @@ class Khepera4Robot(Robot):
         super().__init__(setup, firmware)
         self.dspic.before_read = self._evaluate_pending
         self.registers = self._record["registers"]
-        setup.context.observers.before_sample.append(self.refresh)
+        setup.context.observers.evaluations.append(self.refresh)
 
     def act_after(self, reason: int) -> None:
         """Update faults before a control period, and act after it if the stepping core has asked for it."""
