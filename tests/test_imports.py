@@ -22,7 +22,7 @@ ORDER = [
     ["sensing"],
     ["firmware", "sensors", "robots.to_mjcf"],
     ["robots.line_server"],
-    ["playpen_to_mjcf"],
+    ["playpen_to_mjcf", "robots.core"],
     ["step"],
     ["robots.khepera.core"],
     ["simulation"],
