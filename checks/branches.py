@@ -29,11 +29,12 @@ from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.host_events import read_events
 from khep_twin.log.recorded import BranchPoint, read_recorded_run
 from khep_twin.log.snapshots import read_states
+from khep_twin.observers import SAMPLE_NS
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.robots.model import Feature
 from khep_twin.units import STEP_NS
-from khep_twin.world import SAMPLE_NS, World
+from khep_twin.world import World
 from tools.command_table import command_line
 
 WORDS4 = "D,90,40 N O D,-30,80 K,9,0,0,0,9,0,0,0,9 R F,9000,5000 B G E L,600,-400 U,5 S T V,0 Z A,0".split()

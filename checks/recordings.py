@@ -24,11 +24,11 @@ from khep_twin.lab.conformance.recording.conform import conform_recording
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recorded import read_recorded_run
+from khep_twin.observers import Observer
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.robots.model import Feature
 from khep_twin.units import BITS_PER_BYTE, STEP_NS
-from khep_twin.world import Observer
 from tools.command_table import command_line
 
 MS = 1_000_000

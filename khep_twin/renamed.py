@@ -9,13 +9,10 @@ Target = TypeVar("Target", bound=Callable[..., object])
 
 
 def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
-    """Return a decorator by which a function or class also accepts old names of arguments (old=new)."""
+    """Return a decorator by which a function also accepts old names of arguments (old=new)."""
 
     def decorate(target: Target) -> Target:
-        owner: Any = target
-        function: Callable[..., object] = owner.__init__ if isinstance(target, type) else target
-
-        @functools.wraps(function)
+        @functools.wraps(target)
         def call(*args: object, **kwargs: object) -> object:
             for old in filter(kwargs.__contains__, new_names):
                 new = new_names[old]
@@ -23,11 +20,9 @@ def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
                 if new in kwargs:
                     raise TypeError(f"{old!r} and {new!r} are one argument; expected {new!r} alone")
                 kwargs[new] = kwargs.pop(old)
-            return function(*args, **kwargs)
+            return target(*args, **kwargs)
 
-        if isinstance(target, type):
-            owner.__init__ = call
-        return cast(Target, owner if isinstance(target, type) else call)
+        return cast(Target, call)
 
     return decorate
 

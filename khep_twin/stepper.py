@@ -1,67 +1,44 @@
 """Steps of a world: bytes on its lines, the stepping core, and actions of robots and observers in between."""
 
 from collections.abc import Callable, Sequence
-from threading import RLock
-from typing import Protocol
 
 from khep_twin import step
 from khep_twin.clock import NEVER_NS
 from khep_twin.errors import DivergedError
-from khep_twin.process.one_thread import second_thread_error
+from khep_twin.observers import Observers
 from khep_twin.robots.robot import Robot
 from khep_twin.simulation.simulation import Simulation
 from khep_twin.simulation.stepping_code import SteppingCode
 from khep_twin.simulation.world_state import WorldState
 
 
-class SteppedWorld(Protocol):
-    """Interface of the world for its stepper."""
-
-    time_ns: int
-    guard: RLock
-
-    @property
-    def observers(self) -> Sequence[object]:
-        """Observers of the world."""
-        ...
-
-    def sample(self) -> None:
-        """Let the observers sample the world."""
-
-    def on_event(self, robot: int | None, text: str) -> None:
-        """Send an event to the observers."""
-
-
 class Stepper:
-    """Steps of a world, which set its clock.
+    """Steps of a world, and its clock; `rewind` starts a run.
 
     Args:
-        world: World.
         simulation: State of the stepping core.
         code: Code that runs it, plain or compiled.
         stops: Sum of `step.Stop` values at which robots act within a run: TICKED for turrets.
         shows_leds: True if the scene shows the robots' LEDs.
 
     Attributes:
-        robots: Robots of the world.
+        time_ns: Current time [ns].
+        robots: Robots of the world, once they are switched on.
         failure: Error that ended the run; None for none.
     """
 
-    def __init__(
-        self, world: SteppedWorld, simulation: Simulation, code: SteppingCode, *, stops: int, shows_leds: bool
-    ) -> None:
-        self._world = world
+    def __init__(self, simulation: Simulation, code: SteppingCode, *, stops: int, shows_leds: bool) -> None:
         self._simulation = simulation
         self._code = code
         self._stops = stops
         self._shows_leds = shows_leds
         self._step_ns = simulation.plain.timing.step_ns
         self._steps_per_sample = simulation.plain.timing.steps_per_supply
-        self.rewind()
 
-    def rewind(self) -> None:
-        """Return to time 0, without robots."""
-        self._world.time_ns = 0
+    def rewind(self, observers: Observers) -> None:
+        """Return to time 0, without robots, for a run with these observers."""
+        self._observers = observers
+        self.time_ns = 0
         self.robots: Sequence[Robot] = ()
         self.failure: DivergedError | None = None
         self._fault_ns = NEVER_NS
@@ -79,13 +56,17 @@ class Stepper:
 
     def advance_to(self, time_ns: int) -> None:
         """Advance to a time [ns]: see `World.advance_to`."""
-        # Like `one_thread`, but faster, as each read and write of a host calls it.
-        if not self._world.guard.acquire(False):
-            raise second_thread_error(self._world, "advance_to")
-        try:
-            self._advance_to(time_ns)
-        finally:
-            self._world.guard.release()
+        if self.failure is not None:
+            raise self.failure
+        if time_ns < self.time_ns:
+            raise ValueError(f"time cannot go back from {self.time_ns} to {time_ns} ns")
+        steps, end_step = self._simulation.steps, time_ns // self._step_ns
+        while steps < end_step:
+            steps = self._step_to(steps, end_step, self._exchange((steps + 1) * self._step_ns))
+        self._exchange(time_ns)
+        self.time_ns = time_ns
+        if self._code.switch_step is not None and self._simulation.steps >= self._code.switch_step:
+            self._code.switch_if_ready()
 
     def finish_steps(self, reason: int, end_step: int) -> None:
         """Handle a return of the stepping core, which another object has called, and run up to a step.
@@ -99,9 +80,11 @@ class Stepper:
 
     @property
     def is_self_contained(self) -> bool:
-        """True if no turret, LED, fault or observer acts within a run of the stepping core."""
-        has_actors = self._shows_leds or self._stops or self._world.observers
-        return not has_actors and self._fault_ns == NEVER_NS
+        """True if no turret, LED, fault or observer acts within a run of the stepping core.
+
+        A world with observers shows the LEDs.
+        """
+        return not (self._shows_leds or self._stops) and self._fault_ns == NEVER_NS
 
     def set_state(self, state: WorldState) -> None:
         """Restore the state of stepping core and robots; the caller restores physics and lamps afterwards.
@@ -116,7 +99,7 @@ class Stepper:
         if state.simulation.phase != step.Phase.DONE and not state.failure:
             raise ValueError(f"phase {state.simulation.phase} of a step; expected {int(step.Phase.DONE)}")
         self._simulation.set_state(state.simulation)
-        self._world.time_ns = state.time_ns
+        self.time_ns = state.time_ns
         self.failure = DivergedError(state.failure) if state.failure else None
         for robot, robot_state in zip(self.robots, state.robots, strict=True):
             try:
@@ -125,22 +108,9 @@ class Stepper:
                 raise ValueError(f"robot {robot.index}: {error}") from None
         self._update_fault_time()
 
-    def _advance_to(self, time_ns: int) -> None:
-        if self.failure is not None:
-            raise self.failure
-        if time_ns < self._world.time_ns:
-            raise ValueError(f"time cannot go back from {self._world.time_ns} to {time_ns} ns")
-        steps, end_step = self._simulation.steps, time_ns // self._step_ns
-        while steps < end_step:
-            steps = self._step_to(steps, end_step, self._exchange((steps + 1) * self._step_ns))
-        self._exchange(time_ns)
-        self._world.time_ns = time_ns
-        if self._code.switch_step is not None and self._simulation.steps >= self._code.switch_step:
-            self._code.switch_if_ready()
-
     def _update_fault_time(self) -> None:
         """Set the time of the next scheduled start or end of a fault."""
-        fault_changes_ns = [fault_ns for robot in self.robots for fault_ns in robot.next_faults_ns]
+        fault_changes_ns = [fault_ns for robot in self.robots for fault_ns in robot.faults.next_changes_ns]
         self._fault_ns = min(fault_changes_ns, default=NEVER_NS)
 
     def _exchange(self, time_ns: int) -> int:
@@ -167,7 +137,7 @@ class Stepper:
         end_step = min(last_step, (min(event_ns, self._fault_ns) - 1) // step_ns)
         next_sample_step = (steps // steps_per_sample + 1) * steps_per_sample
         if end_step > next_sample_step and self._shows_leds:
-            if self._world.observers or any(robot.leds_differ for robot in self.robots):
+            if self._observers or any(robot.leds_differ for robot in self.robots):
                 end_step = next_sample_step
         end_step = max(end_step, steps + 1)
         stops = self._stops
@@ -180,7 +150,7 @@ class Stepper:
                 if self._shows_leds and robot.leds_differ:
                     robot.show_leds()
             if end_step % steps_per_sample == 0:
-                self._world.sample()
+                self._observers.sample()
         return end_step
 
     def _run(self, run_core: Callable[..., int], *arguments: int) -> int:
@@ -190,7 +160,7 @@ class Stepper:
         except DivergedError as error:
             self._update_time()
             self.failure = error
-            self._world.on_event(None, str(error))
+            self._observers.on_event(None, str(error))
             raise
         self._update_time()
         if reason != step.Reason.DONE:
@@ -203,7 +173,7 @@ class Stepper:
         """Log which lamp is on, for lamps that are on one at a time."""
         self._update_time()
         if (lamps := self._simulation.lamps) is not None:
-            self._world.on_event(None, f"{lamps.names[lamps.lit_index or 0]} is on")
+            self._observers.on_event(None, f"{lamps.names[lamps.lit_index or 0]} is on")
 
     def _update_time(self) -> None:
-        self._world.time_ns = self._simulation.steps * self._step_ns
+        self.time_ns = self._simulation.steps * self._step_ns

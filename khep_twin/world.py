@@ -8,25 +8,26 @@ import copy
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from threading import RLock
-from typing import Protocol, cast
+from typing import cast
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import step, units
+from khep_twin import step
 from khep_twin.board.fault_injection import WHEEL, Fault
 from khep_twin.board.turrets import TurretBody
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import to_ns
 from khep_twin.copies import NotCopied
 from khep_twin.errors import DivergedError, SnapshotError
+from khep_twin.observers import Observer, Observers
 from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
-from khep_twin.process.one_thread import one_thread
+from khep_twin.process.one_thread import one_thread, second_thread_error
 from khep_twin.randomness import position, resume, stream
 from khep_twin.renamed import renamed_arguments
-from khep_twin.robots.robot import Robot, RobotSettings, RobotSetup
+from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
@@ -36,25 +37,6 @@ from khep_twin.simulation.snapshot_format import pack, unpack
 from khep_twin.simulation.stepping_code import SteppingCode
 from khep_twin.simulation.world_state import WorldState
 from khep_twin.stepper import Stepper
-
-SAMPLE_NS = units.SCAN_NS
-"""Sampling period of the observers [ns]."""
-
-
-class Observer(Protocol):
-    """Observer of a world, for example a recorder; methods that a subclass does not define do nothing."""
-
-    def sample(self, world: "World") -> None:
-        """Observe the world; called every SAMPLE_NS and at its start."""
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Observe bytes that crossed a robot's line, the last of them at `time_ns`."""
-
-    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Observe an action of a robot's host on the line."""
-
-    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Observe a logged event."""
 
 
 class World(NotCopied):
@@ -79,7 +61,6 @@ class World(NotCopied):
 
     Attributes:
         playpen: Playpen with the robots' starts.
-        time_ns: Current time [ns].
         timing: Durations in steps.
         simulation: State of the stepping core.
         code: Code that runs it, plain or compiled.
@@ -109,7 +90,6 @@ class World(NotCopied):
         # Prevents MuJoCo from writing warnings into a file; `Stepper` checks for them.
         mujoco.set_mju_user_warning(lambda warning: None)
         scene_model, self.guard = playpen, RLock()
-        self.time_ns = 0
         if not isinstance(scene_model, SceneModel):
             scene_model = SceneModel.of(at_spots(Playpen.load(scene_model), seed))
         self._base_playpen = scene_model.playpen
@@ -122,12 +102,14 @@ class World(NotCopied):
         self.model: mujoco.MjModel = scene_model.model
         self.data = mujoco.MjData(self.model)
         self._forms = MujocoForms(scene_model, self.data, shared)
-        self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
+        self._make_setup = partial(
+            RobotSetup, self, unpaced=unpaced, strict_line=strict_line, faults=tuple(faults)
+        )
         self.simulation = Simulation(self._forms, self.timing)
         self.code = SteppingCode(self.simulation, compiled)
         has_turrets = any(entry.turrets for entry in self._base_playpen.robots)
         stops = int(step.Stop.TICKED) if has_turrets else 0
-        self._stepper = Stepper(self, self.simulation, self.code, stops=stops, shows_leds=not shared)
+        self._stepper = Stepper(self.simulation, self.code, stops=stops, shows_leds=not shared)
         self._rewind(seed, noise, vary, starts=None, lamps=None)
         if not shared:
             self._stepper.begin(self.robots)
@@ -168,9 +150,8 @@ class World(NotCopied):
     ) -> None:
         """Return to time 0, with the robots switched off; arguments are those of `reset`."""
         forms, simulation = self._forms, self.simulation
-        self.observers: list[Observer] = []
-        self._early_events: list[tuple[int | None, str]] = []
-        self._stepper.rewind()
+        self.observers = Observers(self)
+        self._stepper.rewind(self.observers)
         forms.restore_model()
         simulation.reset(seed, noise=noise, vary=vary)
         self.model = forms.model
@@ -189,17 +170,17 @@ class World(NotCopied):
             self.simulation.refresh_scene()
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
-    def _finish_measurements(self) -> None:
-        """Evaluate what the robots have measured, before a change of lamps or random streams."""
-        for robot in self.robots:
-            robot.finish_measurements()
-
     def _make_robot(self, index: int, seed: int) -> Robot:
         """Return a robot."""
         model = self._base_playpen.robots[index].robot_model
         make = cast(Callable[[RobotSetup], Robot], model.load_class("robot", Robot))
         rng = partial(stream, seed, "robot", index)
-        return make(RobotSetup(self, index, self._forms.indices[index], rng, self._robot_settings))
+        return make(self._make_setup(index=index, indices=self._forms.indices[index], make_rng=rng))
+
+    @property
+    def time_ns(self) -> int:
+        """Current time [ns]."""
+        return self._stepper.time_ns
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:
@@ -234,14 +215,10 @@ class World(NotCopied):
         if self._shares_model:
             raise ValueError("the world shares its model; expected one of its own, as of an observed Episode")
         self.observers.append(observer)
-        if not sample_now:
-            return
-        for index, text in self._early_events:
-            observer.on_event(self.time_ns, index, text)
-        mujoco.mj_kinematics(self.model, self.data)
-        for robot in self.robots:
-            robot.refresh()
-        observer.sample(self)
+        if sample_now:
+            for robot, text in self.observers.early_events:
+                observer.on_event(self.time_ns, robot, text)
+            self.observers.sample(observer)
 
     def advance_to(self, time_ns: int) -> None:
         """Advance the world to `time_ns` [ns].
@@ -258,7 +235,13 @@ class World(NotCopied):
             ValueError: `time_ns` is in the past.
             DivergedError: The physics left its bounds, in this call or an earlier one.
         """
-        self._stepper.advance_to(time_ns)
+        # Like `one_thread`, but faster, as each read and write of a host calls it.
+        if not self.guard.acquire(False):
+            raise second_thread_error(self, "advance_to")
+        try:
+            self._stepper.advance_to(time_ns)
+        finally:
+            self.guard.release()
 
     def advance(self, seconds: float) -> None:
         """Advance the world by a time [s], to the nearest ns; errors are those of `advance_to`."""
@@ -337,7 +320,7 @@ class World(NotCopied):
             self.playpen.lighting,
             self.lamps.state(),
             position(self.lamps.make_rng()),
-            tuple(self._early_events),
+            tuple(self.observers.early_events),
             "" if self._stepper.failure is None else str(self._stepper.failure),
         )
 
@@ -360,11 +343,11 @@ class World(NotCopied):
             self._stepper.failure = DivergedError(f"the world could not be restored: {error}")
             raise SnapshotError(f"the snapshot does not fit the world: {error}") from None
         self._apply_lamps()
-        self._early_events = list(state.pending_events)
+        self.observers.early_events = list(state.pending_events)
 
     def reseed(self, seed: int) -> None:
         """Switch to the random streams of another seed."""
-        self._finish_measurements()
+        self.observers.evaluate()
         self.simulation.reseed(seed)
         self.lamps.make_rng = cache(partial(stream, seed, "lamps"))
         for index, robot in enumerate(self.robots):
@@ -381,7 +364,7 @@ class World(NotCopied):
             lighting: New lighting; None for the current one.
             keep_switched: True to keep the switching state of the current lamps.
         """
-        self._finish_measurements()
+        self.observers.evaluate()
         changes = {"lamps": tuple(lamps), "lighting": lighting or self.playpen.lighting}
         self.playpen, previous = self.playpen.model_copy(update=changes), self.lamps
         self.lamps = Lamps(self.playpen, previous.make_rng, self.time_ns, previous.flicker_phase)
@@ -409,33 +392,5 @@ class World(NotCopied):
             text: Description of the event.
         """
         data = bytes([robot is None]) + text.encode("utf-8")
-        self.on_host_event(robot or 0, HostEvent(HostEventKind.NOTE, self.time_ns, None, data))
-        self.on_event(robot, text)
-
-    def on_event(self, robot: int | None, text: str) -> None:
-        """Send an event that follows from the state to the observers."""
-        if self.time_ns == 0 and not self.observers:
-            # Observers can only be added later.
-            self._early_events.append((robot, text))
-        for observer in self.observers:
-            observer.on_event(self.time_ns, robot, text)
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Send bytes that crossed a robot's line to the observers."""
-        for observer in self.observers:
-            observer.on_bytes(time_ns, robot, to_robot, data)
-
-    def on_host_event(self, robot: int, event: HostEvent) -> None:
-        """Send a host's action to the observers."""
-        for observer in self.observers:
-            observer.on_host_event(self.time_ns, robot, event)
-
-    def sample(self) -> None:
-        """Let the observers sample the world."""
-        if self.observers:
-            # After a step, the positions of bodies are those at its start; observers sample those at its end.
-            mujoco.mj_kinematics(self.model, self.data)
-            for robot in self.robots:
-                robot.refresh()
-            for observer in self.observers:
-                observer.sample(self)
+        self.observers.on_host_event(robot or 0, HostEvent(HostEventKind.NOTE, self.time_ns, None, data))
+        self.observers.on_event(robot, text)

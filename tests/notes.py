@@ -1,7 +1,8 @@
 """Observers that store the events and samples of a world."""
 
 from khep_twin.board.uart import HostEvent
-from khep_twin.world import Observer, World
+from khep_twin.observers import Observer
+from khep_twin.world import World
 
 
 class Notes(Observer):

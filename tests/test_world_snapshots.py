@@ -12,7 +12,7 @@ from checks.branches import LAMPS, PUSHED, ROBOTS, arena, drive
 from khep_twin.board.fault_injection import Fault, parse_fault
 from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.playpen import Lighting, Playpen
-from khep_twin.simulation.simulation import SimulationState
+from khep_twin.simulation.world_state import SimulationState
 from khep_twin.world import World
 
 
@@ -78,7 +78,7 @@ def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
     for restored in [*worlds, worlds[0]]:
         restored.restore(snapshot)
         assert restored.snapshot() == snapshot
-        restored.observers = [events := Events()]
+        restored.observers[:] = [events := Events()]
         drive(restored, seed, end_ns)
         outcomes.append((events.samples, restored.snapshot()))
     assert outcomes[0] == outcomes[1] == outcomes[2]

@@ -11,7 +11,8 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.log.decoding import read_array, read_line
 from khep_twin.log.host_events import read_events
 from khep_twin.log.snapshots import board_registers
-from khep_twin.world import Observer, World
+from khep_twin.observers import Observer
+from khep_twin.world import World
 
 LOCK_STEP_LOSS_NS = 5 * NS_PER_S
 """Simulated time that a log may lack after a kill (docs/logs.md) [ns]."""

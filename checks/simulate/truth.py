@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from checks.simulate.simulation import Simulation
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, Mode, Wheel
 from khep_twin.board.uart import HostEvent, HostEventKind
+from khep_twin.observers import Observer
 from khep_twin.ports.twin import Twin
 from khep_twin.robots.robot import Robot
 from khep_twin.units import PULSES_PER_TURN, wheel_pulses
-from khep_twin.world import Observer
 
 _MOVES = re.compile(r"[CDP](,-?[0-9]+){2}")
 """Commands that move the robot; one that lost a byte on the line is refused."""

@@ -21,7 +21,8 @@ import numpy as np
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError
-from khep_twin.world import Observer, World
+from khep_twin.observers import Observer
+from khep_twin.world import World
 
 FRAME_NS = NS_PER_S // 30
 """Shortest wall time between two frames [ns]."""

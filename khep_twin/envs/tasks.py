@@ -10,7 +10,7 @@ A reward is that of one control period, 0 to 1. Published rewards are those of `
 with speeds counted by the wheels' encoders instead of setpoints. To define a task, create a `Task`, e.g. by
 `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
 
-Models of robots may add tasks and observation terms (`RobotModel.tasks`, `robots.core.Term`). A task runs
+Models of robots may add tasks and observation terms (`RobotModel.tasks`, `robots.model.Term`). A task runs
 with any model that has its terms: that of its playpen's robot.
 
 A reward is a function of the `State` of one robot or, if it is marked by `batched`, of a state with arrays of
@@ -29,7 +29,7 @@ from khep_twin.envs.arguments import check_choice, is_number
 from khep_twin.episodes import fitness
 from khep_twin.episodes.fitness import Number
 from khep_twin.errors import KhepTwinError, RobotModelError, choices, value_text
-from khep_twin.robots.core import Interface, core_of, find_interface
+from khep_twin.robots.model import Interface
 from khep_twin.robots.registry import default_model, find_family, installed_models
 
 Starts = Literal["anywhere", "playpen"]
@@ -64,7 +64,7 @@ class State:
     @property
     def interface(self) -> Interface:
         """Registers of the robot."""
-        return find_interface(self.model)
+        return find_family(self.model).episode_interface
 
     def read(self, term: str) -> Any:
         """Return the readings of an observation term (n,), or of n_robots (n, n_robots)."""
@@ -165,7 +165,8 @@ def terms_of(family: str) -> Mapping[str, ObservationTerm]:
     Raises:
         RobotModelError: The family is unknown, or runs in no episodes.
     """
-    interface, model = find_interface(family), find_family(family)
+    model = find_family(family)
+    interface = model.episode_interface
     sensors, limit, top_speed = model.body.cameras, float(interface.counts_limit), interface.top_speed
     terms = {
         "proximity": ObservationTerm(
@@ -194,13 +195,13 @@ def terms_of(family: str) -> Mapping[str, ObservationTerm]:
             lambda state: (state.charge,), ("charge",), 0.0, 1.0, "part of a full charge"
         ),
     }
-    for name, registers, names, low, high, unit in core_of(model).terms:
-        read = partial(_read_registers, list(registers))
+    for name, first, names, low, high, unit in model.terms:
+        read = partial(_read_registers, slice(first, first + len(names)))
         terms[name] = ObservationTerm(read, names, low, high, unit)
     return terms
 
 
-def _read_registers(registers: list[int], state: State) -> NDArray[np.int64]:
+def _read_registers(registers: slice, state: State) -> NDArray[np.int64]:
     return state.registers[registers]
 
 
@@ -272,7 +273,7 @@ class Task:
     @property
     def top_speed(self) -> float:
         """Top speed of a wheel in an action, forwards and backwards [register]."""
-        return find_interface(self.model).top_speed
+        return find_family(self.model).episode_interface.top_speed
 
     @property
     def labels(self) -> tuple[str, ...]:

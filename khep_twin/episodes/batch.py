@@ -35,7 +35,7 @@ from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, PlaypenLike
 from khep_twin.playpen.starts import Start
 from khep_twin.process.machine import n_cores
-from khep_twin.robots.core import Interface
+from khep_twin.robots.model import Interface
 from khep_twin.simulation.mujoco_forms import movable_names
 from khep_twin.units import SCAN_NS
 

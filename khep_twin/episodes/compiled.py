@@ -15,7 +15,7 @@ from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 from khep_twin.episodes import fitness, line, metrics, networks, stepping
 from khep_twin.errors import ControllerError
-from khep_twin.robots.core import Interface
+from khep_twin.robots.model import Interface
 from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import compiled, named, sources_of
 from khep_twin.simulation.foreign import address_of, call_controller, implements, relocate

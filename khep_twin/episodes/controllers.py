@@ -18,7 +18,8 @@ from khep_twin.episodes.line import LineTimes, initial_events, line_times
 from khep_twin.episodes.metrics import initial_sums
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
-from khep_twin.robots.core import Interface, Registers, find_interface, wander_nowhere
+from khep_twin.robots.core import Registers, wander_nowhere
+from khep_twin.robots.model import Interface
 from khep_twin.robots.registry import default_model, find_family
 from khep_twin.units import SCAN_NS
 
@@ -87,7 +88,7 @@ class Network:
     def __post_init__(self) -> None:
         """Store the genes as a tuple, which is comparable and immutable, and defaults of its model."""
         if self.top_speed is None:
-            object.__setattr__(self, "top_speed", find_interface(self.model).top_speed)
+            object.__setattr__(self, "top_speed", find_family(self.model).episode_interface.top_speed)
         object.__setattr__(self, "model", find_family(self.model).family)
         object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
 

@@ -111,7 +111,7 @@ class Episode(NotCopied):
         self.guard = self._world.guard
         self._simulation = self._world.simulation
         self._simulation.step_with(self._advance, self._compiled)
-        self.boards: NDArray[np.int64] = self._simulation.records[0]["registers"]
+        self.boards: NDArray[np.int64] = self._simulation.robots.records[0]["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
         self._has_started = False
         self._lamps = DEFAULT_OPTIONS.lamps
@@ -216,7 +216,7 @@ class Episode(NotCopied):
         if self.is_at_line:
             return np.asarray(self._controllers.host_registers[robot])
         simulation = self._simulation
-        update_registers(simulation.state_of(robot), simulation.plain, simulation.inputs)
+        update_registers(simulation.robots.state_of(robot), simulation.plain, simulation.inputs)
         return self.boards[robot]
 
     def run(self, seconds: float) -> None:
@@ -249,7 +249,7 @@ class Episode(NotCopied):
         if self._awaits_speeds:
             is_finite = stepping.drive_by_line(self._simulation.plain, self._controllers, robot, left, right)
         else:
-            is_finite = stepping.drive(self._simulation.state_of(robot), left, right)
+            is_finite = stepping.drive(self._simulation.robots.state_of(robot), left, right)
         if not is_finite:
             raise DivergedError(
                 f"{self._simulation.title} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: "

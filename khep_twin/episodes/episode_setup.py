@@ -9,7 +9,7 @@ from khep_twin import units
 from khep_twin.board.fault_injection import Fault
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.planar.planar import PlanarScene
-from khep_twin.errors import PlaypenError
+from khep_twin.errors import PlaypenError, RobotModelError
 from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.robots.core import core_of
@@ -69,11 +69,10 @@ class EpisodeSetup:
         if len(families) > 1:
             raise PlaypenError(f"{name}: robots of {len(families)} models; expected one model in an episode")
         self.core = core_of(robots[0].robot_model)
-        if (interface := self.core.interface) is None:
-            raise PlaypenError(
-                f"{name}: robot 1: model = {families[0]!r} gives no interface; expected one for an episode"
-            )
-        self.interface = interface
+        try:
+            self.interface = robots[0].robot_model.episode_interface
+        except RobotModelError as error:
+            raise PlaypenError(f"{name}: robot 1: {error}") from error
         if planar and (playpen.arena.table or any(block.ramp for block in playpen.blocks)):
             raise PlaypenError(f"{name}: a table or a ramp; expected level floor and walls in the plane")
         if planar and len(robots) > 1:

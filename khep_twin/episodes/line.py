@@ -22,7 +22,8 @@ from khep_twin.board import kernel
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.compilable import compilable
 from khep_twin.errors import value_text
-from khep_twin.robots.core import Interface, Registers
+from khep_twin.robots.core import Registers
+from khep_twin.robots.model import Interface
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import BITS_PER_BYTE, N_SENSORS
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from khep_twin.compilable import compilable
 from khep_twin.episodes import fitness
-from khep_twin.robots.core import Interface, Registers
+from khep_twin.robots.core import Registers
+from khep_twin.robots.model import Interface
 from khep_twin.sensing.buffers import Vector
 
 

@@ -29,7 +29,7 @@ from khep_twin.errors import ControllerError, RobotModelError, choices
 from khep_twin.files.atomic import open_regular, write_atomic
 from khep_twin.files.npz_file import SIZE_LIMIT, npz_bytes, read_arrays
 from khep_twin.randomness import SEED_LIMIT
-from khep_twin.robots.core import Interface, find_interface
+from khep_twin.robots.model import Interface
 from khep_twin.robots.registry import default_model, find_family
 
 SUFFIX = ".npz"
@@ -80,7 +80,7 @@ class NetworkContent(NamedTuple):
 
 def sizes(hidden: Sequence[int], ambient: bool, family: str) -> tuple[int, ...]:
     """Return a network's numbers of inputs, neurons of each layer and outputs (left and right)."""
-    interface = find_interface(family)
+    interface = find_family(family).episode_interface
     return (interface.n_proximity + ambient * interface.n_ambient, *hidden, 2)
 
 
@@ -153,7 +153,7 @@ def _describe_inputs(
     ambient: bool, light: tuple[float, float], family: str
 ) -> tuple[list[str], list[float], list[float]]:
     """Return the names of the inputs, and the counts that are 0 and 1."""
-    interface, cameras = find_interface(family), find_family(family).body.cameras
+    interface, cameras = find_family(family).episode_interface, find_family(family).body.cameras
     terms = [("proximity", interface.n_proximity, (0.0, float(interface.counts_limit)))]
     if ambient:
         terms.append(("light", interface.n_ambient, light))
@@ -195,7 +195,7 @@ def _content(
     seed = int(arrays["seed"]) if "seed" in arrays else None
     family = str(arrays["model"]) if "model" in arrays else default_model().family
     try:
-        interface = find_interface(family)
+        interface = find_family(family).episode_interface
     except RobotModelError as error:
         raise ControllerError(str(error), file=path) from error
     if not all(1 <= size <= 1000 for size in hidden) or len(hidden) > 100:

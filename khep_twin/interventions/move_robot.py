@@ -43,7 +43,7 @@ def place_robot(
     if reason := find_obstruction(current_playpen(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
     event_data = _POSE.pack(x_mm, y_mm, heading_deg) + (_RESET if reset else b"")
-    world.on_host_event(index, HostEvent(HostEventKind.MOVE_ROBOT, world.time_ns, None, event_data))
+    world.observers.on_host_event(index, HostEvent(HostEventKind.MOVE_ROBOT, world.time_ns, None, event_data))
     model, data = world.model, world.data
     robot, half = world.robots[index].indices, math.radians(heading_deg) / 2
     start = robot.pose
@@ -54,7 +54,7 @@ def place_robot(
     mujoco.mj_kinematics(model, data)
     if reset:
         world.robots[index].reset_motion()
-    world.on_event(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
+    world.observers.on_event(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
 
 
 def repeat_move(world: World, index: int, event: HostEvent) -> None:
@@ -65,7 +65,7 @@ def repeat_move(world: World, index: int, event: HostEvent) -> None:
 
 def scan(world: World) -> None:
     """Convert all sensors now, so that the boards hold current readings after something was moved."""
-    world.on_host_event(0, HostEvent(HostEventKind.SCAN, world.time_ns))
+    world.observers.on_host_event(0, HostEvent(HostEventKind.SCAN, world.time_ns))
     world.scan()
 
 

@@ -29,9 +29,10 @@ def switch(world: World, lamp: int, on: bool) -> None:
     if not 0 <= lamp < len(names):
         message = f"lamp = {lamp}: there is none"
         raise PlaypenError(message, key="lamp", value=lamp, expected=range(len(names)))
-    world.on_host_event(0, HostEvent(HostEventKind.SWITCH_LAMP, world.time_ns, None, _SWITCH.pack(lamp, on)))
+    event = HostEvent(HostEventKind.SWITCH_LAMP, world.time_ns, None, _SWITCH.pack(lamp, on))
+    world.observers.on_host_event(0, event)
     world.lamps.switch(lamp, on, world.time_ns)
-    world.on_event(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
+    world.observers.on_event(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
 
 
 def repeat_switch(world: World, event: HostEvent) -> None:
@@ -57,12 +58,12 @@ def set_lamps(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
     current = world.playpen
     arena_data = {"version": current.version, "name": current.name, "arena": current.arena.model_dump()}
     checked = check(Playpen, freeze(arena_data | lamp_values), current.name, PlaypenError)
-    world.on_host_event(
+    world.observers.on_host_event(
         0, HostEvent(HostEventKind.SET_LAMPS, world.time_ns, None, json.dumps(lamp_values).encode("utf-8"))
     )
     world.set_lamps(checked.lamps, checked.lighting)
     lamps_text = ", ".join(f"{lamp.power_w:g} W at ({lamp.x_mm:g}, {lamp.y_mm:g})" for lamp in checked.lamps)
-    world.on_event(None, f"the lamps are {lamps_text or 'gone'}; on: {lighting.mode}")
+    world.observers.on_event(None, f"the lamps are {lamps_text or 'gone'}; on: {lighting.mode}")
 
 
 def repeat_set_lamps(world: World, event: HostEvent) -> None:

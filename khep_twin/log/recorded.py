@@ -19,7 +19,7 @@ from khep_twin.log.entries import Entry, Label
 from khep_twin.log.host_events import FLUSHING_KINDS, read_events
 from khep_twin.log.reader import read_raw, read_since
 from khep_twin.log.snapshots import SNAPSHOT_TOPIC, read_states
-from khep_twin.world import SAMPLE_NS
+from khep_twin.observers import SAMPLE_NS
 
 RecordedEvent = tuple[int, int, HostEvent]
 """World time [ns], robot index and host event."""

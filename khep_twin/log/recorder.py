@@ -30,7 +30,8 @@ from khep_twin.log.snapshots import (
     states_message,
 )
 from khep_twin.log.transcript import Transcript
-from khep_twin.world import SAMPLE_NS, World
+from khep_twin.observers import SAMPLE_NS
+from khep_twin.world import World
 
 FLUSH_NS = 5 * NS_PER_S
 """Simulated time between two flushes to the file system [ns]."""

@@ -23,6 +23,7 @@ from khep_twin.log.recorded import BranchPoint, order_events, read_changes, requ
 from khep_twin.log.recorder import WorldRecorder
 from khep_twin.log.run_description import LogPrefix
 from khep_twin.log.snapshots import SNAPSHOT_TOPIC, LoggedState, read_snapshot, read_states
+from khep_twin.observers import SAMPLE_NS
 from khep_twin.playpen import Block, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.changes import changed_tables, copy_poses, find_new_problem, set_values
 from khep_twin.ports.replay import RecordedHosts, Setup
@@ -30,7 +31,7 @@ from khep_twin.ports.twin import Twin
 from khep_twin.simulation.physics_state import physics_state
 from khep_twin.simulation.scene_transfer import place_body, transfer_state
 from khep_twin.units import metres
-from khep_twin.world import SAMPLE_NS, World
+from khep_twin.world import World
 
 
 @dataclass(slots=True)
@@ -88,7 +89,7 @@ class ResumedRun:
                 self.twin.world.set_state(old_twin.world.state())
             else:
                 transfer_world(self.twin.world, old_twin.world, self.setup.playpen(self.changes[:-1]), change)
-            self.twin.world.observers = old_twin.world.observers
+            self.twin.world.observers[:] = old_twin.world.observers
             self.twin.recorder = old_twin.recorder
             for observer in self.twin.world.observers:
                 if isinstance(observer, WorldRecorder):
@@ -97,7 +98,7 @@ class ResumedRun:
         if change.seed is not None:
             self.twin.world.reseed(change.seed)
         if change.text:
-            self.twin.world.on_event(None, f"branched off, with {change.text}")
+            self.twin.world.observers.on_event(None, f"branched off, with {change.text}")
 
 
 def resume_run(
@@ -193,10 +194,9 @@ def transfer_world(new: World, old: World, old_playpen: Playpen, change: BranchP
     for body, (x_mm, y_mm, heading_deg) in new_poses.items():
         place_body(scene, body, metres(x_mm), metres(y_mm), math.radians(heading_deg))
     state = old.state()
-    robot_states = zip(old.robots, state.robots, strict=True)
     state = state._replace(
         physics=physics_state(*scene),
-        robots=tuple(robot.move_measurements(saved, new.data.qpos) for robot, saved in robot_states),
+        robots=tuple(robot.in_scene(new.data.qpos) for robot in state.robots),
     )
     changed_playpen = set_values(old_playpen, change.edits)
     new.set_state(state)

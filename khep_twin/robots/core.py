@@ -9,9 +9,7 @@ from collections.abc import Callable, Collection, Container
 from typing import Any, NamedTuple
 
 from khep_twin.compilable import compilable
-from khep_twin.errors import RobotModelError
-from khep_twin.robots.model import RobotModel
-from khep_twin.robots.registry import find_family
+from khep_twin.robots.model import Interface, RobotModel
 from khep_twin.sensing.buffers import Vector
 
 Registers = Vector[int]
@@ -63,76 +61,6 @@ def _measure_all(record: Any, names: Collection[str]) -> None:
     """Do nothing, as all terms are measured."""
 
 
-class Interface(NamedTuple):
-    """Registers that controllers of episodes read and set.
-
-    Attributes:
-        n_registers: Number of registers.
-        proximity: First register of proximity, which rises towards an obstacle.
-        n_proximity: Number of them.
-        ambient: First register of ambient light.
-        n_ambient: Number of them.
-        left_setpoint: Register of the left wheel's speed setpoint.
-        right_setpoint: Register of the right wheel's speed setpoint.
-        left_side: Register of proximity to the left.
-        right_side: Register of proximity to the right.
-        rest_counts: Proximity without obstacles, which is 0 for metrics [counts].
-        counts_limit: Proximity that is 1 for networks and metrics [counts].
-        top_speed: Speed that is 1 for metrics, and for actions and observations of tasks [register].
-        speed_limit: Largest setpoint [register].
-        left_position: Register of the left wheel's position [pulses].
-        right_position: Register of the right wheel's position [pulses].
-        speed_per_pulse: Speed of one pulse per 10 ms [register].
-    """
-
-    n_registers: int
-    proximity: int
-    n_proximity: int
-    ambient: int
-    n_ambient: int
-    left_setpoint: int
-    right_setpoint: int
-    left_side: int
-    right_side: int
-    rest_counts: int
-    counts_limit: int
-    top_speed: float
-    speed_limit: int
-    left_position: int
-    right_position: int
-    speed_per_pulse: float = 1.0
-
-    @property
-    def proximity_slice(self) -> slice:
-        """Registers of proximity."""
-        return slice(self.proximity, self.proximity + self.n_proximity)
-
-    @property
-    def ambient_slice(self) -> slice:
-        """Registers of ambient light."""
-        return slice(self.ambient, self.ambient + self.n_ambient)
-
-
-class Term(NamedTuple):
-    """Further readings that tasks observe, by registers.
-
-    Attributes:
-        name: Name.
-        registers: Registers.
-        names: Names of the readings.
-        low: Lowest value that counts.
-        high: Highest value that counts.
-        unit: Unit of the readings.
-    """
-
-    name: str
-    registers: tuple[int, ...]
-    names: tuple[str, ...]
-    low: float
-    high: float
-    unit: str
-
-
 class Core(NamedTuple):
     """Core of a model.
 
@@ -155,8 +83,7 @@ class Core(NamedTuple):
         measure_supply: Measures the supply; by default it is constant.
         evaluate: Evaluates a recorded measurement.
         n_moments: Number of moments that the robot records for later measurements, see `scene.save_moment`.
-        interface: Registers for controllers of episodes; None if the model runs in no episodes.
-        terms: Further readings that tasks observe.
+        interface: That of its models.
         request_terms: Lets a record measure the terms of these names in episodes; by default it always does.
         update_registers: Measures, and updates the registers; by default they are always up to date.
         set_speeds: Sets the speeds; by default the setpoints in the registers.
@@ -177,7 +104,6 @@ class Core(NamedTuple):
     evaluate: Callable[..., None] = _evaluate_nothing
     n_moments: int = 0
     interface: Interface | None = None
-    terms: tuple[Term, ...] = ()
     request_terms: Callable[[Any, Collection[str]], None] = _measure_all
     update_registers: Callable[..., None] = _keep_registers
     set_speeds: Callable[..., None] = _set_setpoints
@@ -204,17 +130,6 @@ def register(core: Core) -> Core:
 def core_of(model: RobotModel) -> Core:
     """Return the core of a model."""
     return model.load("core", Core)
-
-
-def find_interface(family: str) -> Interface:
-    """Return the registers of a family of robots for controllers of episodes.
-
-    Raises:
-        RobotModelError: The family is unknown, or runs in no episodes.
-    """
-    if (interface := core_of(find_family(family)).interface) is None:
-        raise RobotModelError(f"model = {family!r} gives no interface; expected one for an episode")
-    return interface
 
 
 def sense(robot: Any, simulated: Any, inputs: Any, start: int) -> None:

@@ -72,6 +72,76 @@ class Dialect(NamedTuple):
         return request not in self.stop_requests and request.lstrip().startswith(self.moving)
 
 
+class Interface(NamedTuple):
+    """Registers that controllers of episodes read and set.
+
+    Attributes:
+        n_registers: Number of registers.
+        proximity: First register of proximity, which rises towards an obstacle.
+        n_proximity: Number of them.
+        ambient: First register of ambient light.
+        n_ambient: Number of them.
+        left_setpoint: Register of the left wheel's speed setpoint.
+        right_setpoint: Register of the right wheel's speed setpoint.
+        left_side: Register of proximity to the left.
+        right_side: Register of proximity to the right.
+        rest_counts: Proximity without obstacles, which is 0 for metrics [counts].
+        counts_limit: Proximity that is 1 for networks and metrics [counts].
+        top_speed: Speed that is 1 for metrics, and for actions and observations of tasks [register].
+        speed_limit: Largest setpoint [register].
+        left_position: Register of the left wheel's position [pulses].
+        right_position: Register of the right wheel's position [pulses].
+        speed_per_pulse: Speed of one pulse per 10 ms [register].
+    """
+
+    n_registers: int
+    proximity: int
+    n_proximity: int
+    ambient: int
+    n_ambient: int
+    left_setpoint: int
+    right_setpoint: int
+    left_side: int
+    right_side: int
+    rest_counts: int
+    counts_limit: int
+    top_speed: float
+    speed_limit: int
+    left_position: int
+    right_position: int
+    speed_per_pulse: float = 1.0
+
+    @property
+    def proximity_slice(self) -> slice:
+        """Registers of proximity."""
+        return slice(self.proximity, self.proximity + self.n_proximity)
+
+    @property
+    def ambient_slice(self) -> slice:
+        """Registers of ambient light."""
+        return slice(self.ambient, self.ambient + self.n_ambient)
+
+
+class Term(NamedTuple):
+    """Further readings that tasks observe, by registers.
+
+    Attributes:
+        name: Name.
+        register: Register of the first reading; the others follow.
+        names: Names of the readings.
+        low: Lowest value that counts.
+        high: Highest value that counts.
+        unit: Unit of the readings.
+    """
+
+    name: str
+    register: int
+    names: tuple[str, ...]
+    low: float
+    high: float
+    unit: str
+
+
 @dataclass(frozen=True, slots=True)
 class Bar:
     """Kind of bar of a panel.
@@ -109,6 +179,8 @@ class RobotModel:
         features: Uses that it supports.
         plots: Titles of further plots, by channel.
         rgb_leds: Names of LEDs whose red, green and blue are in the channel "leds", 0 to 63.
+        interface: Registers for controllers of episodes; None if it runs in no episodes.
+        terms: Further readings that tasks observe.
         tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
     """
@@ -126,6 +198,8 @@ class RobotModel:
     features: frozenset[Feature] = frozenset()
     plots: Mapping[str, str] = field(default_factory=dict[str, str])
     rgb_leds: tuple[str, ...] = ()
+    interface: Interface | None = None
+    terms: tuple[Term, ...] = ()
     tasks: Mapping[str, str] = field(default_factory=dict[str, str])
     commands: Mapping[str, str] = field(default_factory=dict[str, str])
 
@@ -157,6 +231,17 @@ class RobotModel:
             RobotModelError: It cannot be loaded.
         """
         return cast(Callable[..., None], self._load(self.commands[name]))
+
+    @property
+    def episode_interface(self) -> Interface:
+        """Registers for controllers of episodes.
+
+        Raises:
+            RobotModelError: It runs in no episodes.
+        """
+        if self.interface is None:
+            raise RobotModelError(f"model = {self.name!r} gives no interface; expected one for an episode")
+        return self.interface
 
     def load_task(self, name: str) -> object:
         """Return a task.

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -18,9 +18,9 @@ from khep_twin.robots.model import SampledRegisters
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.robot_arrays import Layout
-from khep_twin.simulation.turret_place import TurretWorld
+from khep_twin.simulation.turret_place import TurretWorld, WorldTurretContext
 from khep_twin.simulation.wired_board import BoardFirmware, LineWorld, WiredBoard
-from khep_twin.simulation.world_state import BoardState, RobotSnapshot
+from khep_twin.simulation.world_state import RobotSnapshot
 from khep_twin.units import TICK_NS
 
 
@@ -32,23 +32,6 @@ class WorldContext(TurretWorld, LineWorld, Protocol):
         """Moments that robots have recorded."""
         ...
 
-    def on_event(self, robot: int | None, text: str) -> None:
-        """Log an event."""
-
-
-class RobotSettings(NamedTuple):
-    """Settings of a world's robots.
-
-    Attributes:
-        unpaced: True for lines without delay.
-        strict_line: True to garble bytes if the baud rates of robot and host differ.
-        faults: Faults of the robots.
-    """
-
-    unpaced: bool
-    strict_line: bool
-    faults: tuple[Fault, ...]
-
 
 @dataclass(frozen=True, slots=True)
 class RobotSetup:
@@ -59,14 +42,18 @@ class RobotSetup:
         index: Index among the playpen's robots.
         indices: Indices in the scene.
         make_rng: Function that returns a random stream of the robot by its name.
-        settings: Settings of the world's robots.
+        unpaced: True for a line without delay.
+        strict_line: True to garble bytes if the baud rates of robot and host differ.
+        faults: Faults of all robots.
     """
 
     context: WorldContext
     index: int
     indices: RobotIndices
     make_rng: Callable[..., np.random.Generator]
-    settings: RobotSettings
+    unpaced: bool
+    strict_line: bool
+    faults: tuple[Fault, ...]
 
 
 class Robot(WiredBoard, ABC):
@@ -79,11 +66,13 @@ class Robot(WiredBoard, ABC):
     Attributes:
         index: Index among the playpen's robots.
         name: Name in the scene, e.g. "khepera0".
+        family: Family of its model.
         indices: Indices in the scene.
         firmware: Command interpreter.
         uart: Serial line.
         faults: Its faults.
-        registers: State of the board, as in logs.
+        registers: State of the board, as in logs; a robot that evaluates measurements only when they are read
+            updates it by a function in `Observers.evaluations`.
         sampled: Channels of the board's registers.
         turret_bodies: Bodies of its turrets, by their names.
     """
@@ -97,31 +86,33 @@ class Robot(WiredBoard, ABC):
 
     def __init__(self, setup: RobotSetup, firmware: BoardFirmware) -> None:
         context, index, indices = setup.context, setup.index, setup.indices
-        make_rng, settings = setup.make_rng, setup.settings
-        title = context.playpen.robots[index].robot_model.title
-        for fault in settings.faults:
+        model = context.playpen.robots[index].robot_model
+        for fault in setup.faults:
             if fault.device in (SENSOR, MOTOR, WHEEL) and fault.device not in self.fault_devices:
                 raise FaultError(
-                    f"fault {fault.text!r}: robot {index} is a {title}; expected a fault of its line"
+                    f"fault {fault.text!r}: robot {index} is a {model.title}; expected a fault of its line"
                 )
         super().__init__(
             context,
             index,
             firmware,
-            Injector(settings.faults, partial(make_rng, "fault"), partial(context.on_event, index)),
-            settings.unpaced,
-            make_rng("line") if settings.strict_line else None,
+            Injector(
+                setup.faults, partial(setup.make_rng, "fault"), partial(context.observers.on_event, index)
+            ),
+            setup.unpaced,
+            setup.make_rng("line") if setup.strict_line else None,
         )
         self.name = f"khepera{index}"
+        self.family = model.family
         self.indices = indices
         self._context = context
-        self._record = context.simulation.record_of(index)
+        self._record = context.simulation.robots.record_of(index)
         self._has_stopped = False
-        self.turret_bodies: dict[str, TurretBody] = {}
-        model: mujoco.MjModel = context.model
-        positions = [model.body_pos[light] for light in indices.led_lights]
+        self.fit_turrets()
+        scene: mujoco.MjModel = context.model
+        positions = [scene.body_pos[light] for light in indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
-        self._led_lights = list(zip(positions, hidden, model.site_pos[list(indices.leds)], strict=True))
+        self._led_lights = list(zip(positions, hidden, scene.site_pos[list(indices.leds)], strict=True))
         self._shown_leds = [0] * len(indices.leds)
 
     @property
@@ -137,7 +128,6 @@ class Robot(WiredBoard, ABC):
 
     def readings(self) -> dict[str, list[int]]:
         """Return the present values of its channels, by name."""
-        self.refresh()
         return {name: self.registers[list(registers)].tolist() for name, _, registers in self.sampled}
 
     @property
@@ -148,19 +138,15 @@ class Robot(WiredBoard, ABC):
                 return turret.registers[kind.image]
         return None
 
-    @property
-    def next_faults_ns(self) -> list[int]:
-        """Times at which scheduled faults start or end [ns]."""
-        return self.faults.next_changes_ns
-
-    def refresh(self) -> None:
-        """Update the registers to the present, for an observer."""
-
-    def finish_measurements(self) -> None:
-        """Evaluate recorded measurements."""
-
     def fit_turrets(self) -> None:
         """Create the bodies of its turrets in the present scene; their state is in the registers."""
+        self.turret_bodies: dict[str, TurretBody] = {
+            kind.name: kind.fit(
+                WorldTurretContext(self._context, self.index, kind, turret.registers, self._record)
+            )
+            for kind, turret in self.firmware.turrets.items()
+            if kind.fit is not None
+        }
 
     def reseed(self, make_rng: Callable[..., np.random.Generator]) -> None:
         """Replace the random streams."""
@@ -169,8 +155,8 @@ class Robot(WiredBoard, ABC):
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""
         return RobotSnapshot(
-            **self.board_state(since_ns)._asdict(),
-            model=self.layout.model,
+            **self.board_state(since_ns),
+            model=self.family,
             version=self.layout.version,
             arrays=self.layout.pack(self._record),
             is_stopped=self._has_stopped,
@@ -183,14 +169,13 @@ class Robot(WiredBoard, ABC):
         Raises:
             ValueError: The state is of another robot model or another line.
         """
-        self.layout.unpack(self._record, state.model, state.version, state.arrays)
-        self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
+        if (state.model, state.version) != (self.family, self.layout.version):
+            expected = f"{self.family!r}, version {self.layout.version}"
+            raise ValueError(f"state of model {state.model!r}, version {state.version}; expected {expected}")
+        self.layout.unpack(self._record, state.arrays)
+        self.set_board_state(state)
         self._has_stopped = state.is_stopped
         self._set_led_lights(state.leds)
-
-    def move_measurements(self, state: RobotSnapshot, qpos: NDArray[np.float64]) -> RobotSnapshot:
-        """Return a state whose measurements in progress have the positions `qpos` of another scene."""
-        return state
 
     def act_after(self, reason: int) -> None:
         """React to the reason for which the stepping core has returned, a `step.Reason`.
@@ -203,16 +188,9 @@ class Robot(WiredBoard, ABC):
             if any(fault.kind == "brown-out" for fault in changed_faults):
                 self.reset_processor()
 
-    def apply_faults(self) -> None:
-        """Apply the active faults to the robot; without faults, restore it."""
-
     @abstractmethod
     def reset_motion(self) -> None:
         """Reset counters, setpoints and controllers, and cut the motors' voltage."""
-
-    @abstractmethod
-    def zero_encoders(self) -> None:
-        """Set the encoders to the wheels' current angles."""
 
     @property
     def lit_leds(self) -> list[int]:

@@ -161,11 +161,6 @@ class MujocoForms:
             ]
         self._calibrated.set_calibrations(None if make_rng is None else self._run_calibrations, self._data)
 
-    @property
-    def n_robots(self) -> int:
-        """Number of robots in the playpen."""
-        return len(self.indices)
-
     def robot_states(self) -> list[Any]:
         """Return the state of each robot before a start."""
         states: list[Any] = []

@@ -28,12 +28,10 @@ class Layout(NamedTuple):
     """Layout of a model's state.
 
     Attributes:
-        model: Name of the model's core.
         version: Version, incremented when the arrays change.
         arrays: Parts of each array, by its path in the record of a robot's state, such as "dspic.memory".
     """
 
-    model: str
     version: int
     arrays: Mapping[str, Sequence[Part]]
 
@@ -41,15 +39,12 @@ class Layout(NamedTuple):
         """Return the arrays of a record."""
         return {path: _field(record, path).tobytes() for path in self.arrays}
 
-    def unpack(self, record: Any, model: str, version: int, arrays: Mapping[str, bytes]) -> None:
+    def unpack(self, record: Any, arrays: Mapping[str, bytes]) -> None:
         """Set a record to the arrays of a snapshot.
 
         Raises:
-            ValueError: They are of another model or version, or damaged.
+            ValueError: They are damaged.
         """
-        if (model, version) != (self.model, self.version):
-            expected = f"{self.model!r}, version {self.version}"
-            raise ValueError(f"state of model {model!r}, version {version}; expected {expected}")
         if arrays.keys() != self.arrays.keys():
             given = ", ".join(sorted(arrays)) or "none"
             raise ValueError(f"arrays {given}; expected {', '.join(sorted(self.arrays))}")

@@ -5,22 +5,23 @@ Both share the same memory and give the same values, bit for bit; a run may swit
 
 from collections.abc import Callable, Sequence
 from itertools import chain
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from khep_twin import step
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lighting
 from khep_twin.randomness import key, stream
-from khep_twin.robots.core import CORES, marker_of
-from khep_twin.sensing.buffers import as_plain, as_records, fill_record
+from khep_twin.robots.core import CORES
+from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, HiddenSector, Light, LightLaw
-from khep_twin.sensing.noise import Scale, check_scale, compiled_tables, key_words, plain_tables
+from khep_twin.sensing.noise import check_scale, compiled_tables, key_words, plain_tables
 from khep_twin.simulation.moments import Moments
+from khep_twin.simulation.robot_groups import RobotGroups
+from khep_twin.simulation.world_state import SimulationState
 from khep_twin.step import Simulated, StepInputs, Timing
 from khep_twin.units import N_SENSORS
 
@@ -54,11 +55,6 @@ class SceneForms(Protocol):
             make_rng: Function that returns the stream of a robot by its number in the playpen.
         """
 
-    @property
-    def n_robots(self) -> int:
-        """Number of robots in the playpen."""
-        ...
-
     def robot_states(self) -> list[Any]:
         """Return the state of each robot before a start, named tuples of classes in `robots.core.CORES`."""
         ...
@@ -72,24 +68,6 @@ class SceneForms(Protocol):
         ...
 
 
-class SimulationState(NamedTuple):
-    """State of a simulation besides its scene, robots and lamps.
-
-    Attributes:
-        steps: Number of steps done.
-        phase: Part of the current step that is done, a `step.Phase`.
-        keys: Key of each robot's random draws; empty without noise.
-        n_conversions: Number of conversions of each robot so far.
-        noise: Scale of the noise, if there are keys.
-    """
-
-    steps: Annotated[int, Field(ge=0, lt=2**62)]
-    phase: Annotated[int, Field(ge=step.Phase.DONE, le=step.Phase.TICKED)]
-    keys: tuple[Annotated[int, Field(ge=0, lt=2**64)], ...]
-    n_conversions: Annotated[int, Field(ge=0, lt=2**62)]
-    noise: Scale = 1.0  # the default is that of snapshots without it
-
-
 class Simulation:
     """State of a simulation.
 
@@ -98,7 +76,8 @@ class Simulation:
         terms: Names of further readings that are measured without a request, see `robots.core.Core`.
         lamps: Lamps of the scene; none at first.
         on_switch: Function that is called when the next one of lamps that are on one at a time is on.
-        records: Groups of robots as records of their states: their current state.
+        robots: Robots in groups, with their states.
+        is_compiled: True if compiled code steps the simulation.
         counters: Counters (step.N_COUNTERS,).
         plain: State for plain code.
         inputs: Lamps, and distributions of random draws, for plain code.
@@ -106,36 +85,21 @@ class Simulation:
 
     def __init__(self, scene: SceneForms, timing: Timing) -> None:
         self._scene = scene
-        states = scene.robot_states()
-        names = [CORES[type(state)].name for state in states]
-        self._numbers = [
-            [number for number, name in enumerate(names) if name == model] for model in sorted({*names})
-        ]
-        self._order = list(chain(*self._numbers))
-        self._places = {
-            number: (group, index)
-            for group, numbers in enumerate(self._numbers)
-            for index, number in enumerate(numbers)
-        }
-        groups = self._group(states)
+        self.robots = RobotGroups(scene.robot_states())
         self.title = "the simulation"
         self.terms: tuple[str, ...] = ()
         self.lamps: Lamps | None = None
         self.on_switch: Callable[[], None] | None = None
-        self.records: tuple[Any, ...] = tuple(
-            as_records(group, group[0], marker_of(CORES[type(group[0])])) for group in groups
-        )
-        self._initial_records = [records.copy() for records in self.records]
         self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
         self._keys: tuple[int, ...] = ()
         self._noise = 0.0
         self._powers_end = 0
-        self._uses_compiled = self._has_varied = False
-        self.plain = Simulated(scene.plain(), timing, NO_LIGHT, (), self.counters.data)
+        self.is_compiled = self._has_varied = False
+        self.plain = Simulated(scene.plain(), timing, NO_LIGHT, self.robots.plain, self.counters.data)
         self.inputs = StepInputs([[]], plain_tables(0.0))
         self._core: Advance = plain_advance
         self._scene_args: tuple[Any, ...] = ()
-        self._set_plain(groups)
+        self._bind_arguments()
 
     @property
     def steps(self) -> int:
@@ -143,28 +107,9 @@ class Simulation:
         return self.plain.counters[step.STEPS]
 
     @property
-    def models(self) -> tuple[str, ...]:
-        """Names of the robots' cores, in the order of the groups."""
-        return tuple(CORES[type(group[0])].name for group in self.plain.groups)
-
-    def state_of(self, robot: int) -> Any:
-        """Return the state of a robot for plain code, by its number in the playpen."""
-        group, index = self._places[robot]
-        return self.plain.groups[group][index]
-
-    def record_of(self, robot: int) -> Any:
-        """Return the record of a robot's state, by its number in the playpen."""
-        group, index = self._places[robot]
-        return self.records[group][index]
-
-    @property
     def noise(self) -> float:
         """Scale of the sensors' noise; 0 without noise."""
         return self._noise if self._keys else 0.0
-
-    def key_words(self, number: int) -> tuple[int, int]:
-        """Return the words of the key of a robot's random draws; 0 without noise."""
-        return key_words(self._keys[number] if self._keys else 0)
 
     @property
     def powers(self) -> Sequence[float]:
@@ -173,20 +118,15 @@ class Simulation:
         return rows[0 if len(rows) == 1 else self.steps - 1 - int(self.counters[step.FIRST_POWERS_STEP])]
 
     @property
-    def is_compiled(self) -> bool:
-        """True if compiled code steps the simulation."""
-        return self._uses_compiled
-
-    @property
     def arguments(self) -> tuple[Any, ...] | None:
         """Arguments of compiled code for any number of steps; None with plain code or variable lamps."""
         are_constant = self.lamps is None or self.lamps.are_constant
-        return self._arguments if self._uses_compiled and are_constant else None
+        return self._arguments if self.is_compiled and are_constant else None
 
     def step_with(self, advance: Advance, compiled: bool) -> None:
         """Use another function for all further steps."""
         self._core = advance
-        self._uses_compiled = compiled
+        self.is_compiled = compiled
         if compiled:
             timing, light = self.plain.timing, self.plain.light
             self._scene_args = self._scene.compiled(), as_records([timing], timing), *_light_records(light)
@@ -206,28 +146,18 @@ class Simulation:
         self._noise = check_scale(noise)
         if vary or self._has_varied:
             self._scene.vary_robots((lambda robot: stream(seed, "robot", robot, "spread")) if vary else None)
+            self.robots.replace(self._scene.robot_states())
+            self.plain = self.plain._replace(groups=self.robots.plain)
             self.refresh_scene()
-            groups = self._group(self._scene.robot_states())
-            for records, initial, group in zip(self.records, self._initial_records, groups, strict=True):
-                for record, state in zip(initial, group, strict=True):
-                    fill_record(record, state)
-                records[:] = initial
-            self._set_plain(groups)
         self._has_varied = vary
-        for records, initial, group in zip(
-            self.records, self._initial_records, self.plain.groups, strict=True
-        ):
-            for name in CORES[type(group[0])].changing:
-                records[name] = initial[name]
-            for record in records:
-                CORES[type(group[0])].request_terms(record, self.terms)
+        self.robots.reset(self.terms)
         self.counters[:] = 0
         self._set_keys(self._make_keys(seed) if self._noise else ())
 
     def refresh_scene(self) -> None:
         """Update the arguments after a change of the scene."""
         self.plain = self.plain._replace(scene=self._scene.plain())
-        if self._uses_compiled:
+        if self.is_compiled:
             self._scene_args = (self._scene.compiled(), *self._scene_args[1:])
         self._bind_arguments()
 
@@ -242,8 +172,8 @@ class Simulation:
         Raises:
             ValueError: The state is of another number of robots.
         """
-        if len(state.keys) not in (0, self._scene.n_robots):
-            raise ValueError(f"random draws of {len(state.keys)} robots; expected {self._scene.n_robots}")
+        if len(state.keys) not in (0, self.robots.n_robots):
+            raise ValueError(f"random draws of {len(state.keys)} robots; expected {self.robots.n_robots}")
         self.counters[:] = state.steps, state.phase, 0, state.n_conversions
         self._noise = state.noise
         self._set_keys(state.keys)
@@ -260,7 +190,7 @@ class Simulation:
         light = lamps.add_flicker(self._scene.light(lamps, lighting))
         if light is not self.plain.light:
             self.plain = self.plain._replace(light=light)
-            if self._uses_compiled:
+            if self.is_compiled:
                 self._scene_args = (*self._scene_args[:2], *_light_records(light))
         self._set_powers([lamps.powers])
 
@@ -317,8 +247,8 @@ class Simulation:
             moments: All moments.
         """
         moments.show(moment)
-        number, powers = step.EVALUATE - self._order.index(robot), moments.powers(moment)
-        if self._uses_compiled:
+        number, powers = step.EVALUATE - self.robots.position_of(robot), moments.powers(moment)
+        if self.is_compiled:
             *arguments, _, tables = self._arguments
             arguments[0] = moments.compiled()
             self._core(*arguments, powers, tables, number, part)
@@ -358,28 +288,15 @@ class Simulation:
         if has_switched and self.on_switch is not None:
             self.on_switch()
 
-    def _group(self, states: Sequence[Any]) -> list[list[Any]]:
-        """Return states of the robots by groups."""
-        return [[states[number] for number in numbers] for numbers in self._numbers]
-
-    def _set_plain(self, groups: Sequence[Sequence[Any]]) -> None:
-        """Set the groups of plain code: memoryviews of the records, with the constants of `groups`."""
-        plain = tuple(
-            [as_plain(state, record) for state, record in zip(group, records, strict=True)]
-            for group, records in zip(groups, self.records, strict=True)
-        )
-        self.plain = self.plain._replace(groups=plain)
-        self._bind_arguments()
-
     def _bind_arguments(self) -> None:
         """Set the arguments of the stepping core: named tuples, or arrays, which numba passes fastest."""
-        if not self._uses_compiled:
+        if not self.is_compiled:
             self._arguments: tuple[Any, ...] = self.plain, self.inputs
             return
         powers = np.array(self.inputs.powers, np.float64).reshape(len(self.inputs.powers), -1)
         self._arguments = (
             *self._scene_args,
-            self.records,
+            self.robots.records,
             self.counters,
             powers,
             compiled_tables(self.noise),
@@ -387,13 +304,13 @@ class Simulation:
 
     def _make_keys(self, seed: int) -> tuple[int, ...]:
         """Return the key of each robot's random draws."""
-        return tuple(key(seed, "robot", number, "sensors") for number in range(self._scene.n_robots))
+        return tuple(key(seed, "robot", number, "sensors") for number in range(self.robots.n_robots))
 
     def _set_keys(self, keys: tuple[int, ...]) -> None:
         """Set the key of each robot's random draws; empty for no noise."""
         self._keys = keys
-        for number in range(self._scene.n_robots):
-            self.record_of(number)["noise"] = self.key_words(number)
+        for number in range(self.robots.n_robots):
+            self.robots.record_of(number)["noise"] = key_words(keys[number] if keys else 0)
         self.inputs = self.inputs._replace(tables=plain_tables(self.noise))
         self._bind_arguments()
 

@@ -22,8 +22,8 @@ class SteppingCode:
     def __init__(self, simulation: Simulation, compiled: bool | None) -> None:
         self._simulation = simulation
         self.switch_step: int | None = None
-        self._part = part_of("world", simulation.models)
-        n_robots = sum(map(len, simulation.records))
+        self._part = part_of("world", simulation.robots.models)
+        n_robots = simulation.robots.n_robots
         if compiled is None and n_robots:
             self.switch_step = _MIN_STEPS // n_robots
         elif compiled:
@@ -46,7 +46,7 @@ class SteppingCode:
 
     def _switch_to(self, advance: Advance) -> None:
         self.switch_step = None
-        if len(self._simulation.records):  # without robots there is nothing to compile
+        if self._simulation.robots.n_robots:  # without robots there is nothing to compile
             self._simulation.step_with(advance, compiled=True)
             # The first call loads the code: now, rather than while a host waits for a reply.
             self._simulation.advance(self._simulation.steps)

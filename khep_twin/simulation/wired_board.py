@@ -12,8 +12,9 @@ from khep_twin.board.protocol import LINE_END
 from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import FirmwareState
+from khep_twin.observers import Observers
 from khep_twin.randomness import position, resume
-from khep_twin.simulation.world_state import BoardState, HostState
+from khep_twin.simulation.world_state import HostState, RobotSnapshot
 
 REPLY_LIMIT = 256
 """Bytes of queued replies above which the firmware accepts no further command (assumed)."""
@@ -25,16 +26,12 @@ _MAX_WARNINGS = 100
 class LineWorld(Protocol):
     """Interface of the world to the serial lines."""
 
+    observers: Observers
+
     @property
     def time_ns(self) -> int:
         """Current time [ns]."""
         ...
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Log bytes on a line, of which the last one arrives at `time_ns`."""
-
-    def on_host_event(self, robot: int, event: HostEvent) -> None:
-        """Log an action of the host at the current time."""
 
 
 class BoardFirmware(Protocol):
@@ -135,8 +132,7 @@ class WiredBoard:
         is_different = host is not None and host.baud != baud and (host.baud, baud) not in self._warned
         must_warn = is_different and len(self._warned) < _MAX_WARNINGS
         if is_new or must_warn:
-            event = HostEvent(HostEventKind.LINE_SETTINGS, self._world.time_ns, host)
-            self._world.on_host_event(self.index, event)
+            self._send_event(HostEventKind.LINE_SETTINGS, self._world.time_ns)
         if not must_warn or host is None:
             return ""
         self._warned.add((host.baud, baud))
@@ -149,7 +145,7 @@ class WiredBoard:
     def send(self, data: bytes, time_ns: int = 0) -> None:
         """Send bytes of the host, now or at a later time [ns]."""
         time_ns = max(time_ns, self._world.time_ns)
-        self._world.on_host_event(self.index, HostEvent(HostEventKind.SEND, time_ns, self._host, data))
+        self._send_event(HostEventKind.SEND, time_ns, data)
         if not self._unpaced:
             self.uart.rx.baud = (self._host and self._host.baud) or self._baud
         self.uart.rx.send(self._transmit(data, time_ns), time_ns)
@@ -159,16 +155,16 @@ class WiredBoard:
 
     def flush(self) -> None:
         """Drop the host's bytes that have not yet reached the robot."""
-        self._world.on_host_event(self.index, HostEvent(HostEventKind.FLUSH, self._world.time_ns, self._host))
+        self._send_event(HostEventKind.FLUSH, self._world.time_ns)
         self.uart.rx.flush(self._world.time_ns)
 
     def disconnect(self) -> None:
         """Disconnect the host: execute its complete commands without replies, and drop an incomplete one."""
         time_ns = self._world.time_ns
-        self._world.on_host_event(self.index, HostEvent(HostEventKind.DISCONNECT, time_ns, self._host))
+        self._send_event(HostEventKind.DISCONNECT, time_ns)
         rx, tx = self.uart.rx, self.uart.tx
         if sent := rx.read(rx.arrival_ns(len(rx)) or time_ns):
-            self._world.on_bytes(time_ns, self.index, True, sent)
+            self._world.observers.on_bytes(time_ns, self.index, True, sent)
             self.firmware.receive(sent)
             self._set_baud(self.firmware.baud)
         self.firmware.forget_line()
@@ -210,21 +206,21 @@ class WiredBoard:
         while (command := self._next_command()) is not None and command[1] <= time_ns:
             count, taken_ns = command
             line = rx.read(taken_ns, count)
-            self._world.on_bytes(taken_ns, self.index, True, line)
+            self._world.observers.on_bytes(taken_ns, self.index, True, line)
             answer = self.firmware.receive(line)
             # A restart sets the baud rate before its banner, the tool `serial` after its reply.
             self._set_baud(self.firmware.reply_baud)
             if answer:
                 answer_ns = taken_ns + self.firmware.answer_ns
                 if self.firmware.answer_ns and (dropped := rx.read(answer_ns)):
-                    self._world.on_bytes(answer_ns, self.index, True, dropped)
+                    self._world.observers.on_bytes(answer_ns, self.index, True, dropped)
                 self._reply(answer, answer_ns)
             self._set_baud(self.firmware.baud)
         # The bytes of an incomplete command are read immediately; a complete command waits as a whole.
         if command is None and (count := rx.count_arrived(time_ns)):
             arrival_ns = rx.arrival_ns(count) or time_ns
             fragment = rx.read(time_ns)
-            self._world.on_bytes(arrival_ns, self.index, True, fragment)
+            self._world.observers.on_bytes(arrival_ns, self.index, True, fragment)
             self.firmware.receive(fragment)
 
     def reset_processor(self) -> None:
@@ -238,20 +234,20 @@ class WiredBoard:
         self.firmware.forget()
         self.uart.tx.flush(self._world.time_ns)
 
-    def board_state(self, since_ns: int = -1) -> BoardState:
-        """Return the state, with the replies that arrive at the host after a time [ns]."""
+    def board_state(self, since_ns: int = -1) -> dict[str, Any]:
+        """Return the fields of its state in a `RobotSnapshot`, with the replies after a time [ns]."""
         settings = None if self._host is None else (self._host.baud, self._host.stop_bits)
-        return BoardState(
-            self.firmware.state(),
-            self._baud,
-            self.uart.rx.state(),
-            self.uart.tx.state(since_ns),
-            HostState(settings, tuple(sorted(self._warned))),
-            self.faults.state(),
-            None if self._line_noise is None else position(self._line_noise),
-        )
+        return {
+            "firmware": self.firmware.state(),
+            "baud": self._baud,
+            "rx": self.uart.rx.state(),
+            "tx": self.uart.tx.state(since_ns),
+            "host": HostState(settings, tuple(sorted(self._warned))),
+            "faults": self.faults.state(),
+            "line_noise": None if self._line_noise is None else position(self._line_noise),
+        }
 
-    def set_board_state(self, state: BoardState) -> None:
+    def set_board_state(self, state: RobotSnapshot) -> None:
         """Restore a state.
 
         Raises:
@@ -277,6 +273,10 @@ class WiredBoard:
             self._line_noise = rng("line")
         self.faults.reseed(partial(rng, "fault"))
 
+    def _send_event(self, kind: HostEventKind, time_ns: int, data: bytes = b"") -> None:
+        """Send an action of the host to the observers."""
+        self._world.observers.on_host_event(self.index, HostEvent(kind, time_ns, self._host, data))
+
     def _next_command(self) -> tuple[int, int] | None:
         """Return length and time of acceptance of the next complete command [ns]; None without one."""
         rx, tx = self.uart.rx, self.uart.tx
@@ -289,7 +289,7 @@ class WiredBoard:
         """Send a reply."""
         time_ns += self.faults.delay_ns(time_ns)
         answer = self._transmit(answer, time_ns)
-        self._world.on_bytes(self.uart.tx.send(answer, time_ns), self.index, False, answer)
+        self._world.observers.on_bytes(self.uart.tx.send(answer, time_ns), self.index, False, answer)
 
     def _set_baud(self, baud: int) -> None:
         """Set the baud rate of the robot's port."""

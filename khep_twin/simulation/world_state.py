@@ -1,7 +1,9 @@
 """State of a world and its robots, as stored in a snapshot."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Base64UrlBytes, Field
 
 from khep_twin.board.fault_injection import InjectorState
@@ -10,8 +12,12 @@ from khep_twin.firmware import FirmwareState
 from khep_twin.playpen import Lamp, Lighting
 from khep_twin.randomness import StreamState
 from khep_twin.sensing.lamps import LampsState
+from khep_twin.sensing.noise import Scale
 from khep_twin.simulation.physics_state import PhysicsState
-from khep_twin.simulation.simulation import SimulationState
+from khep_twin.step import Phase
+
+POSITIONS = "positions"
+"""Array of a robot with the positions of all joints at a recorded moment; empty without one."""
 
 
 class HostState(NamedTuple):
@@ -26,24 +32,12 @@ class HostState(NamedTuple):
     warned: tuple[tuple[int, int], ...]
 
 
-class BoardState(NamedTuple):
-    """State of a board at its serial line; the fields are those of `RobotSnapshot`."""
-
-    firmware: FirmwareState
-    baud: int
-    rx: LineState
-    tx: LineState
-    host: HostState
-    faults: InjectorState
-    line_noise: StreamState | None
-
-
 class RobotSnapshot(NamedTuple):
     """State of a robot besides its body in the physics.
 
     Attributes:
         firmware: State of the firmware.
-        model: Name of the robot's core.
+        model: Family of the robot's model.
         version: Version of its `arrays`.
         arrays: Arrays of its state in the stepping core, by their paths: 64-bit numbers, see `robot_arrays`.
         is_stopped: Whether the processor has stopped for lack of voltage.
@@ -68,6 +62,29 @@ class RobotSnapshot(NamedTuple):
     leds: tuple[int, ...]
     faults: InjectorState
     line_noise: StreamState | None
+
+    def in_scene(self, qpos: NDArray[np.float64]) -> Self:
+        """Return the state with the positions of another scene at a recorded moment."""
+        has_moment = bool(self.arrays.get(POSITIONS))
+        return self._replace(arrays={**self.arrays, POSITIONS: qpos.tobytes()}) if has_moment else self
+
+
+class SimulationState(NamedTuple):
+    """State of a simulation besides its scene, robots and lamps.
+
+    Attributes:
+        steps: Number of steps done.
+        phase: Part of the current step that is done, a `step.Phase`.
+        keys: Key of each robot's random draws; empty without noise.
+        n_conversions: Number of conversions of each robot so far.
+        noise: Scale of the noise, if there are keys.
+    """
+
+    steps: Annotated[int, Field(ge=0, lt=2**62)]
+    phase: Annotated[int, Field(ge=Phase.DONE, le=Phase.TICKED)]
+    keys: tuple[Annotated[int, Field(ge=0, lt=2**64)], ...]
+    n_conversions: Annotated[int, Field(ge=0, lt=2**62)]
+    noise: Scale = 1.0  # the default is that of snapshots without it
 
 
 class WorldState(NamedTuple):

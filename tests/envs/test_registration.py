@@ -25,7 +25,7 @@ def test_gymnasium_knows_the_tasks_whichever_is_imported_first(first: str, secon
     pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
     words = [sys.executable, "-c", PROGRAM.format(first=first, then=second)]
     lines = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert lines[0].split() == [f"khep_twin/{task}-v0" for task in (*TASKS, *KHEPERA_4.environments)]
+    assert lines[0].split() == [f"khep_twin/{task}-v0" for task in (*TASKS, *KHEPERA_4.tasks)]
     # Its module is as if it had been imported alone, and nothing waits any longer.
     assert lines[1:] == ["False SourceFileLoader True", "[]"]
 

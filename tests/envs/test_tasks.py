@@ -68,7 +68,7 @@ def test_an_episode_without_a_line_is_the_same_as_in_a_world() -> None:
     episode.begin(2)
     for period in range(5):
         for robot, speeds in zip(world.robots, ((10, -4), (20, 12)), strict=True):
-            drive(world.simulation.state_of(robot.index), *speeds)
+            drive(world.simulation.robots.state_of(robot.index), *speeds)
         world.advance_to((period + 1) * setup.period_ns)
         episode.step([(0.5, -0.2), (1.0, 0.6)])
         assert [board.tolist() for board in episode.registers] == [

@@ -105,7 +105,7 @@ def test_the_render_mode_human_shows_each_step_in_a_window(monkeypatch: pytest.M
     monkeypatch.setenv("DISPLAY", ":0")
     one = khep_twin.make(NAME, render_mode="human", view="map", **OPTIONS)
     several = ParallelEnvironment(render_mode="human", view="map", seconds=0.5, compiled=False)
-    fourth = khep_twin.make("khep_twin/KheperaIVLineFollowing-v0", render_mode="human", seconds=1)
+    fourth = khep_twin.make("khep_twin/KheperaIVLineFollowing-v0", render_mode="human", view="map", seconds=1)
     for environment in (one, several, fourth):
         environment.reset(seed=1)
     one.step(np.ones(2, np.float32))

@@ -139,7 +139,7 @@ def test_compiled_and_plain_code_find_the_same_surfaces_to_the_last_bit() -> Non
 
     cylinder = "[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n"
     world = World(arena(cylinder))
-    plain, records = world.simulation.plain, world.simulation.records[0]
+    plain, records = world.simulation.plain, world.simulation.robots.records[0]
     sensors, arrays = plain.groups[0][0].sensors, world._forms.compiled()
     columns = records["sensors"]["proximity"]["surfaces"][0]
     body = world.model.body("cylinder3").id

@@ -55,7 +55,8 @@ def test_compiled_episodes_of_a_khepera_iv_equal_plain_ones(driver: Driver, plan
         rollout("arena4", driver, range(2), 1.0, genes=genes, planar=planar, compiled=compiled)
         for compiled in (False, True)
     )
-    assert (plain.registers == compiled.registers).all() and (plain.poses == compiled.poses).all()
+    assert (plain.registers == compiled.registers).all()
+    assert (plain.poses == compiled.poses).all()
     assert all((plain.metrics[name] == compiled.metrics[name])[0] for name in ("effort", "distance_m"))
 
 
@@ -97,7 +98,7 @@ def test_a_controller_of_another_model_is_refused() -> None:
     ):
         with pytest.raises(ControllerError, match=message):
             rollout("arena4", driver, [0], 1.0, compiled=False)
-    with pytest.raises(RobotModelError, match="model = 'kepler': unknown; did you mean 'khepera'"):
+    with pytest.raises(RobotModelError, match="model = 'kepler': unknown; did you mean 'khepera4'"):
         Network(model="kepler")
 
 
@@ -116,4 +117,5 @@ def test_a_network_file_names_its_model(tmp_path: Path) -> None:
     loaded = Network.load(tmp_path / "network.npz")
     assert (loaded.model, loaded.top_speed, loaded.sizes) == ("khepera4", 600, (16, 3, 2))
     with np.load(tmp_path / "network.npz") as file:
-        assert file["inputs"][0] == "proximity back_left" and file["model"] == "khepera4"
+        assert file["inputs"][0] == "proximity back_left"
+        assert file["model"] == "khepera4"

@@ -28,9 +28,10 @@ from khep_twin.log.decoding import read_array
 from khep_twin.log.reader import read_log
 from khep_twin.log.recorder import Recorder
 from khep_twin.log.run_description import RunDescription
+from khep_twin.observers import SAMPLE_NS
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.world import SAMPLE_NS, World
+from khep_twin.world import World
 
 Start = Callable[[Path], Twin]
 

@@ -52,11 +52,11 @@ def test_each_core_gives_a_function_for_each_duty() -> None:
 )
 def test_a_world_has_a_group_for_each_model(playpen: str, models: tuple[str, ...]) -> None:
     simulation = World(playpen).simulation
-    assert simulation.models == models
+    assert simulation.robots.models == models
     for model, group in zip(models, simulation.plain.groups, strict=True):
         assert all(type(robot) is core_of(find_family(model)).state for robot in group)
     for index, entry in enumerate(Playpen.load(playpen).robots):
-        assert type(simulation.state_of(index)) is core_of(entry.robot_model).state
+        assert type(simulation.robots.state_of(index)) is core_of(entry.robot_model).state
 
 
 @with_numba

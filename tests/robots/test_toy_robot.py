@@ -140,10 +140,10 @@ def test_a_restored_toy_continues_to_the_last_bit(toys: Playpen) -> None:
 
 def test_a_toy_and_a_khepera_share_a_world_and_toys_vary(toys: Playpen) -> None:
     world = World(toys, seed=3)
-    assert world.simulation.models == ("khepera", "toy")
+    assert world.simulation.robots.models == ("khepera", "toy")
     drive(world)
     reverse = World(toys.model_copy(update={"robots": toys.robots[::-1]}), seed=3)
-    assert reverse.simulation.models == ("khepera", "toy")
+    assert reverse.simulation.robots.models == ("khepera", "toy")
     assert [robot.name for robot in world.robots] == ["khepera0", "khepera1"]
     assert world.robots[1].registers.shape != world.robots[0].registers.shape
     varied = World(toys, seed=3, vary=True)

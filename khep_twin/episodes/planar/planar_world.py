@@ -141,11 +141,6 @@ class PlanarForms:
             scene.set_robot(model, self._indices, data)
         self._set_constants(scene)
 
-    @property
-    def n_robots(self) -> int:
-        """Number of robots, 1."""
-        return 1
-
     def robot_states(self) -> list[Any]:
         """Return the state of the robot."""
         return [self._robot_state]

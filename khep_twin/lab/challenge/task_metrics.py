@@ -9,9 +9,10 @@ from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS
 from khep_twin.clock import NS_PER_S
 from khep_twin.episodes import fitness
 from khep_twin.lab.experiment import measures
+from khep_twin.observers import Observer
 from khep_twin.sensing import calibration
 from khep_twin.units import COUNTS_LIMIT, Sensor
-from khep_twin.world import Observer, World
+from khep_twin.world import World
 
 UNITS = {
     **measures.UNITS,

@@ -20,7 +20,7 @@ from khep_twin.lab.dataset.periods import Periods
 from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_batches
-from khep_twin.world import SAMPLE_NS
+from khep_twin.observers import SAMPLE_NS
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 _SPEEDS = [LEFT + Wheel.SPEED, RIGHT + Wheel.SPEED]

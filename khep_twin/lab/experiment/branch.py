@@ -18,13 +18,14 @@ from khep_twin.lab.experiment.controllers import AnyController, as_controller, s
 from khep_twin.lab.experiment.experiment import run
 from khep_twin.lab.experiment.run_statistics import Floats
 from khep_twin.log.recorded import BranchPoint
+from khep_twin.observers import Observer
 from khep_twin.ports.branching import LogDetails, branch_off
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.replay import Setup
 from khep_twin.ports.resume import ResumedRun, run_end_ns
 from khep_twin.ports.twin import Twin
 from khep_twin.sensing import calibration
-from khep_twin.world import Observer, World
+from khep_twin.world import World
 
 DEFAULT_DURATION_S = 60.0
 """Duration of a controller's run that starts at its parent's end [s], as in `khep-twin run`."""

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.episodes.fitness import obstacle_avoidance
 from khep_twin.lab.experiment import run_statistics as statistics
+from khep_twin.observers import Observer
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.polygon import contains
 from khep_twin.sensing import calibration
-from khep_twin.world import Observer, World
+from khep_twin.world import World
 
 CELL_SIZE = 0.05
 """Side of a coverage cell [m]: about the robot's diameter."""

@@ -19,10 +19,11 @@ from khep_twin.log.decoding import first_line, printable, read_line
 from khep_twin.log.recorded import RecordedRun
 from khep_twin.log.snapshots import ReplyHashes, board_registers, hash_samples
 from khep_twin.log.transcript import Transcript
+from khep_twin.observers import SAMPLE_NS, Observer
 from khep_twin.ports.replay import RecordedHosts, Setup, repeat_event
 from khep_twin.ports.resume import ResumedRun
 from khep_twin.ports.twin import Twin
-from khep_twin.world import SAMPLE_NS, Observer, World
+from khep_twin.world import World
 
 
 @dataclass(frozen=True, slots=True, order=True)

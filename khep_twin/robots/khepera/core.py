@@ -14,7 +14,8 @@ from khep_twin.board import battery, kernel
 from khep_twin.board.rom import DEMO, ROMS
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, Interface, register
+from khep_twin.robots.core import Core, register
+from khep_twin.robots.khepera.model import KHEPERA_1
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.noise import draws
@@ -240,8 +241,6 @@ def _wander(robot: KheperaState, registers: kernel.Registers) -> None:
     kernel.wander(registers)
 
 
-_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
-
 CORE = register(
     Core(
         name="khepera",
@@ -254,23 +253,7 @@ CORE = register(
         measure_supply=_measure_supply,
         start=_start,
         scan=_scan,
-        interface=Interface(
-            kernel.N_REGISTERS,
-            _PROXIMITY,
-            units.N_SENSORS,
-            _AMBIENT,
-            units.N_SENSORS,
-            _LEFT_SETPOINT,
-            _RIGHT_SETPOINT,
-            left_side=_PROXIMITY + int(units.Sensor.LEFT_90),
-            right_side=_PROXIMITY + int(units.Sensor.RIGHT_90),
-            rest_counts=0,
-            counts_limit=units.COUNTS_LIMIT,
-            top_speed=20.0,
-            speed_limit=127,
-            left_position=_LEFT_ENCODER,
-            right_position=_RIGHT_ENCODER,
-        ),
+        interface=KHEPERA_1.interface,
         set_speeds=_set_speeds,
         is_powered=_is_powered,
         wander=_wander,

@@ -3,11 +3,11 @@
 import re
 from dataclasses import replace
 
-from khep_twin.board.kernel import Board, Wheel
+from khep_twin.board.kernel import AMBIENT, LEFT, N_REGISTERS, PROXIMITY, RIGHT, SETPOINTS, Board, Wheel
 from khep_twin.board.protocol import MOTION_COMMANDS
 from khep_twin.board.rom import ROMS
 from khep_twin.robots.body import Body
-from khep_twin.robots.model import Bar, Columns, Dialect, Feature, RobotModel
+from khep_twin.robots.model import Bar, Columns, Dialect, Feature, Interface, RobotModel
 from khep_twin.units import (
     BODY_HEIGHT,
     BODY_RADIUS,
@@ -15,6 +15,7 @@ from khep_twin.units import (
     IDLE_CURRENT,
     K213_PIXELS,
     MASS,
+    N_SENSORS,
     PULSES_PER_TURN,
     SENSOR_HEIGHT,
     SENSOR_LABELS,
@@ -23,6 +24,7 @@ from khep_twin.units import (
     WHEEL_BASE,
     WHEEL_RADIUS,
     WHEEL_WIDTH,
+    Sensor,
 )
 
 _SIDES = ("left", "right")
@@ -75,6 +77,26 @@ _PARTS = {
     "conformance": "khep_twin.lab.conformance.port.catalogue:KHEPERA_CHECKS",
 }
 
+_LEFT_SETPOINT, _RIGHT_SETPOINT = SETPOINTS
+
+_INTERFACE = Interface(
+    N_REGISTERS,
+    proximity=PROXIMITY[0],
+    n_proximity=N_SENSORS,
+    ambient=AMBIENT[0],
+    n_ambient=N_SENSORS,
+    left_setpoint=_LEFT_SETPOINT,
+    right_setpoint=_RIGHT_SETPOINT,
+    left_side=PROXIMITY[Sensor.LEFT_90],
+    right_side=PROXIMITY[Sensor.RIGHT_90],
+    rest_counts=0,
+    counts_limit=COUNTS_LIMIT,
+    top_speed=20.0,  # 160 mm/s
+    speed_limit=127,
+    left_position=LEFT + Wheel.ENCODER,
+    right_position=RIGHT + Wheel.ENCODER,
+)
+
 KHEPERA_1 = RobotModel(
     name="khepera1",
     family="khepera",
@@ -102,6 +124,7 @@ KHEPERA_1 = RobotModel(
     dialect=_DIALECT,
     parts=_PARTS,
     features=frozenset(Feature),
+    interface=_INTERFACE,
 )
 
 KHEPERA_2 = replace(

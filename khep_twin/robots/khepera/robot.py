@@ -21,7 +21,6 @@ from khep_twin.robots.model import SampledRegisters
 from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.robot_arrays import Layout, Part
-from khep_twin.simulation.turret_place import WorldTurretContext
 from khep_twin.simulation.world_state import RobotSnapshot
 from khep_twin.units import SENSOR_LABELS
 
@@ -38,7 +37,6 @@ SAMPLED = (
 """Channels of the board's registers."""
 
 LAYOUT = Layout(
-    "khepera",
     1,
     {
         "registers": [Part("register", kernel.N_REGISTERS)],
@@ -68,26 +66,15 @@ class KheperaRobot(Robot):
 
     def __init__(self, setup: RobotSetup) -> None:
         context, index = setup.context, setup.index
-        entry, record = context.playpen.robots[index], context.simulation.record_of(index)
+        entry, record = context.playpen.robots[index], context.simulation.robots.record_of(index)
         turrets = {kind: kind.make() for kind in find_turrets(entry.turrets)}
         firmware = Firmware(entry.firmware, entry.mode, turrets, record["registers"], record["processor"])
         super().__init__(setup, firmware)
-        self.fit_turrets()
         self.registers = firmware.registers
         self._register_view = firmware.register_view
         self._wheels = None
-        if any(fault.device == WHEEL for fault in setup.settings.faults):
+        if any(fault.device == WHEEL for fault in setup.faults):
             self._wheels = FaultyWheels(context.model, context.data, setup.indices)
-
-    def fit_turrets(self) -> None:
-        """Create the bodies of its turrets in the present scene."""
-        self.turret_bodies = {
-            kind.name: kind.fit(
-                WorldTurretContext(self._context, self.index, kind, turret.registers, self._record)
-            )
-            for kind, turret in self.firmware.turrets.items()
-            if kind.fit is not None
-        }
 
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""
@@ -114,7 +101,7 @@ class KheperaRobot(Robot):
                 f"the supply fell to {self._record['voltage'][0]:.2f} V: the processor stands still, "
                 "the motors keep their duty"
             )
-            self._context.on_event(self.index, message)
+            self._context.observers.on_event(self.index, message)
 
     def apply_faults(self) -> None:
         """Apply the active faults to sensors, motors and wheels; without faults, restore them."""
@@ -142,11 +129,7 @@ class KheperaRobot(Robot):
     def reset_motion(self) -> None:
         """Reset counters, setpoints, controllers and LEDs, and cut the motors' voltage."""
         kernel.reset(self._register_view)
-        self.zero_encoders()
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
-
-    def zero_encoders(self) -> None:
-        """Set the encoders to the wheels' current angles."""
         angles = self._context.data.qpos[list(self.indices.wheel_qpos)].tolist()
         self.registers[[LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]] = [*map(units.wheel_pulses, angles)]
 

@@ -19,18 +19,16 @@ import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, Interface, Term, register
+from khep_twin.robots.core import Core, register
 from khep_twin.robots.khepera4 import dspic, gauge, inertial, infrared, ultrasonic
-from khep_twin.robots.khepera4.channels import AROUND, CHANNELS, GROUND, ULTRASONIC
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, DspicState
 from khep_twin.robots.khepera4.inertial import PACKET_SIZE, InertialState
 from khep_twin.robots.khepera4.infrared import Ground
-from khep_twin.robots.khepera4.model import BODY
+from khep_twin.robots.khepera4.model import BODY, KHEPERA_4, SAMPLED
 from khep_twin.robots.khepera4.motor_control import N_MOTOR, PWM_LIMIT, Motor, stop
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.server import N_VEHICLE, WANDERING
 from khep_twin.robots.khepera4.ultrasonic import Sonar
-from khep_twin.robots.model import consecutive_registers
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -49,7 +47,6 @@ from khep_twin.sensing.scene import (
 )
 from khep_twin.sensors import robot_sensors
 from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
-from khep_twin.units import COUNTS_LIMIT
 
 PULSES_PER_TURN = BODY.pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""
@@ -62,18 +59,7 @@ N_MOMENTS = ECHO + N_ULTRASONIC
 NONE = -1
 """No time of a moment; no ultrasonic sensor."""
 
-SAMPLED = consecutive_registers(CHANNELS)
-"""Channels of a log, consecutive in the robot's registers."""
-
-TOP_SPEED_PULSES = 600
-"""Speed that counts as 1 in tasks and metrics [pulses/10 ms]: 407 mm/s, half of the top speed (assumed)."""
-
-TOP_RATE = 8_000
-"""Rate of turn that counts as 1 in tasks [gyroscope counts]: 528 deg/s (assumed)."""
-
-_FIRST = {channel.name: channel.registers[0] for channel in SAMPLED}
-_DUTY = _FIRST["duty"]
-_ULTRASONIC = tuple(range(_FIRST["ultrasonic"], _FIRST["ultrasonic"] + N_ULTRASONIC))
+(_DUTY,) = (channel.registers[0] for channel in SAMPLED if channel.name == "duty")
 _CONTROL, _SPEED_CONTROL = int(DspicRegister.CONTROL), int(Control.SPEED)
 _SPEED_ORDER, _ULTRASONIC_WORDS = int(DspicRegister.SPEED_ORDER_LEFT), int(DspicRegister.ULTRASONIC)
 _ENABLED = int(DspicRegister.ULTRASONIC_ENABLED)
@@ -178,7 +164,7 @@ def _make_state(
         is_eager=np.zeros(1, np.int64),
         burst_distance=np.zeros(1, np.int64),
         times=np.full(N_MOMENTS, NONE),
-        registers=np.zeros(SAMPLED[-1].registers[-1] + 1, np.int64),
+        registers=np.zeros(KHEPERA_4.episode_interface.n_registers, np.int64),
         vehicle=np.zeros(N_VEHICLE, np.int64),
         noise=np.zeros(2, np.int64),
     )
@@ -455,28 +441,7 @@ CORE = register(
         start=_start,
         evaluate=_evaluate,
         scan=_scan,
-        interface=Interface(
-            SAMPLED[-1].registers[-1] + 1,
-            proximity=_FIRST["proximity"],
-            n_proximity=infrared.N_AROUND,
-            ambient=_FIRST["ambient"],
-            n_ambient=infrared.N_AROUND,
-            left_setpoint=_FIRST["speed"] + 2,
-            right_setpoint=_FIRST["speed"] + 3,
-            left_side=_FIRST["proximity"] + AROUND.index("left"),
-            right_side=_FIRST["proximity"] + AROUND.index("right"),
-            rest_counts=100,
-            counts_limit=COUNTS_LIMIT,
-            top_speed=TOP_SPEED_PULSES,
-            speed_limit=2**15 - 1,
-            left_position=_FIRST["position"],
-            right_position=_FIRST["position"] + 1,
-        ),
-        terms=(
-            Term("ground", tuple(range(infrared.N_AROUND, N_INFRARED)), GROUND, 0, COUNTS_LIMIT, "counts"),
-            Term("ultrasonic", _ULTRASONIC, ULTRASONIC, 0, 100 * ultrasonic.RANGE, "cm"),
-            Term("gyroscope", (_FIRST["gyroscope"] + 2,), ("turn",), -TOP_RATE, TOP_RATE, "0.066 deg/s"),
-        ),
+        interface=KHEPERA_4.interface,
         request_terms=_request_terms,
         update_registers=_update_registers,
         set_speeds=_set_speeds,

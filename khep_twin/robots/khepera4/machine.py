@@ -20,7 +20,10 @@ READ_FLAG = 1
 class MachineTime(Protocol):
     """Time of a machine, for example a `World`."""
 
-    time_ns: int
+    @property
+    def time_ns(self) -> int:
+        """Current time [ns]."""
+        ...
 
     def advance_to(self, time_ns: int) -> None:
         """Advance to a time [ns], not before the present."""

@@ -15,7 +15,17 @@ from khep_twin.robots.khepera4.channels import (
     ULTRASONIC,
     ULTRASONIC_CODES,
 )
-from khep_twin.robots.model import Bar, Columns, Dialect, RobotModel, parse_columns
+from khep_twin.robots.model import (
+    Bar,
+    Columns,
+    Dialect,
+    Interface,
+    RobotModel,
+    Term,
+    consecutive_registers,
+    parse_columns,
+)
+from khep_twin.units import COUNTS_LIMIT
 
 _CHANNELS: dict[str, Columns] = {name: parse_columns(name, label) for name, label in CHANNELS.items()}
 _REGISTERS = tuple((f"register_{name}", "") for columns in _CHANNELS.values() for name, _ in columns)
@@ -47,6 +57,36 @@ BODY = Body(
 )
 """Its manual, see `assets/khepera4.xml`; 3400 mAh that last 7 hours without motors; casters on
 springs of some 100 N/m, without which wheels would leave the floor at the foot of any ramp (assumed)."""
+
+SAMPLED = consecutive_registers(CHANNELS)
+"""Channels of a log, consecutive in the robot's registers."""
+
+_FIRST = {channel.name: channel.registers[0] for channel in SAMPLED}
+_N_AROUND, _TOP_RATE = len(AROUND), 8_000  # 528 deg/s (assumed)
+
+_INTERFACE = Interface(
+    SAMPLED[-1].registers[-1] + 1,
+    proximity=_FIRST["proximity"],
+    n_proximity=_N_AROUND,
+    ambient=_FIRST["ambient"],
+    n_ambient=_N_AROUND,
+    left_setpoint=_FIRST["speed"] + 2,
+    right_setpoint=_FIRST["speed"] + 3,
+    left_side=_FIRST["proximity"] + AROUND.index("left"),
+    right_side=_FIRST["proximity"] + AROUND.index("right"),
+    rest_counts=100,
+    counts_limit=COUNTS_LIMIT,
+    top_speed=600.0,  # 407 mm/s, half of its top speed (assumed)
+    speed_limit=2**15 - 1,
+    left_position=_FIRST["position"],
+    right_position=_FIRST["position"] + 1,
+)
+
+_TERMS = (
+    Term("ground", _FIRST["proximity"] + _N_AROUND, GROUND, 0, COUNTS_LIMIT, "counts"),
+    Term("ultrasonic", _FIRST["ultrasonic"], ULTRASONIC, 0, 250, "cm"),
+    Term("gyroscope", _FIRST["gyroscope"] + 2, ("turn",), -_TOP_RATE, _TOP_RATE, "0.066 deg/s"),
+)
 
 KHEPERA_4 = RobotModel(
     name="khepera4",
@@ -85,6 +125,8 @@ KHEPERA_4 = RobotModel(
     },
     rgb_leds=LEDS,
     commands={"exec": "khep_twin.robots.khepera4.command:execute"},
+    interface=_INTERFACE,
+    terms=_TERMS,
     tasks={
         "KheperaIVObstacleAvoidance": "khep_twin.robots.khepera4.tasks:OBSTACLE_AVOIDANCE",
         "KheperaIVLineFollowing": "khep_twin.robots.khepera4.tasks:LINE_FOLLOWING",

@@ -15,20 +15,20 @@ from khep_twin.robots.khepera4.core import (
     ECHO,
     INFRARED,
     NONE,
-    SAMPLED,
     Khepera4State,
     fill_registers,
     wheel_pulses,
 )
 from khep_twin.robots.khepera4.dspic import N_MEMORY, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS, PACKET_SIZE
+from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
 from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.simulation.number_reader import LARGEST
 from khep_twin.simulation.robot_arrays import Layout, Part, read
-from khep_twin.simulation.world_state import RobotSnapshot
+from khep_twin.simulation.world_state import POSITIONS, RobotSnapshot
 
 _MOTOR = (
     Part("motor's position", 1, -(2**31), 2**31 - 1),
@@ -42,7 +42,6 @@ _MOTOR = (
 )
 
 LAYOUT = Layout(
-    "khepera4",
     1,
     {
         "dspic.memory": [Part("byte of the registers", N_MEMORY, 0, 255)],
@@ -69,10 +68,7 @@ LAYOUT = Layout(
         ],
     },
 )
-"""State of the robot in snapshots, besides `_POSITIONS`."""
-
-_POSITIONS = "positions"
-"""Array of a snapshot with the positions of all joints at the last burst; empty without one."""
+"""State of the robot in snapshots, besides the positions at the last burst."""
 
 _BATTERY_EMPTY = "the battery is empty: the robot stands still"
 
@@ -93,12 +89,13 @@ class Khepera4Robot(Robot):
     layout = LAYOUT
 
     def __init__(self, setup: RobotSetup) -> None:
-        self._state: Khepera4State = setup.context.simulation.state_of(setup.index)
+        self._state: Khepera4State = setup.context.simulation.robots.state_of(setup.index)
         self.dspic = Dspic(self._state.dspic)
         firmware = Kh4Server(self.dspic, self._state.vehicle)
         super().__init__(setup, firmware)
         self.dspic.before_read = self._evaluate_pending
         self.registers = self._record["registers"]
+        setup.context.observers.evaluations.append(self.refresh)
 
     def act_after(self, reason: int) -> None:
         """Update faults before a control period, and act after it if the stepping core has asked for it."""
@@ -108,25 +105,30 @@ class Khepera4Robot(Robot):
         elif reason == step.Reason.TICKED and not self._has_stopped:
             self._has_stopped = True
             self.stop_processor()
-            self._context.on_event(self.index, _BATTERY_EMPTY)
+            self._context.observers.on_event(self.index, _BATTERY_EMPTY)
+
+    def readings(self) -> dict[str, list[int]]:
+        """Return the present values of its channels, by name."""
+        self.refresh()
+        return super().readings()
 
     def refresh(self) -> None:
         """Update `registers` to the present."""
-        self.finish_measurements()
+        self._evaluate_all()
         fill_registers(self._state)
 
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""
-        self.finish_measurements()
+        self._evaluate_all()
         snapshot, positions = super().state(since_ns), b""
         if self._state.burst[0] != NONE:
             positions = self._burst_positions.tobytes()
-        return snapshot._replace(arrays={**snapshot.arrays, _POSITIONS: positions})
+        return snapshot._replace(arrays={**snapshot.arrays, POSITIONS: positions})
 
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""
         arrays, time_ns = dict(state.arrays), self._context.time_ns
-        positions = arrays.pop(_POSITIONS, b"")
+        positions = arrays.pop(POSITIONS, b"")
         super().set_state(state._replace(arrays=arrays))
         if (count := self._state.inertial.n_rates[0]) > (expected := time_ns // GYROSCOPE_NS):
             raise ValueError(f"inertial.n_rates = {count}; expected at most {expected}")
@@ -136,20 +138,10 @@ class Khepera4Robot(Robot):
             self._state.times[moment] = NONE
         has_burst = self._state.burst[0] != NONE
         part = Part("joint's position", len(self._context.data.qpos) if has_burst else 0)
-        numbers = read(_POSITIONS, positions, [part], is_float=True)
+        numbers = read(POSITIONS, positions, [part], is_float=True)
         if has_burst:
             self._burst_positions[:] = numbers
             self._state.times[BURST] = time_ns // ultrasonic.PERIOD_NS * ultrasonic.PERIOD_NS
-
-    def move_measurements(self, state: RobotSnapshot, qpos: NDArray[np.float64]) -> RobotSnapshot:
-        """Return a state whose last burst has the positions `qpos` of another scene."""
-        if not state.arrays[_POSITIONS]:
-            return state
-        return state._replace(arrays={**state.arrays, _POSITIONS: qpos.tobytes()})
-
-    def finish_measurements(self) -> None:
-        """Evaluate recorded measurements."""
-        self._evaluate_pending(0, DspicRegister.BATTERY)
 
     @property
     def lit_leds(self) -> list[int]:
@@ -160,12 +152,8 @@ class Khepera4Robot(Robot):
     def reset_motion(self) -> None:
         """Reset the dsPIC, and cut the motors' voltage."""
         self.dspic.reset()
-        self.zero_encoders()
         self._record["inertial"]["velocity"] = 0
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
-
-    def zero_encoders(self) -> None:
-        """Set the encoders to the wheels' current angles."""
         self._record["zeros"] = [wheel_pulses(self._context.data.qpos[i]) for i in self.indices.wheel_qpos]
         self._record["dspic"]["counts"] = 0
 
@@ -174,6 +162,10 @@ class Khepera4Robot(Robot):
         """Positions of all joints at the last burst."""
         row = self._context.moments.rows[self._state.first_moment + BURST]
         return row[: len(self._context.data.qpos)]
+
+    def _evaluate_all(self) -> None:
+        """Evaluate all pending measurements."""
+        self._evaluate_pending(0, DspicRegister.BATTERY)
 
     def _evaluate_pending(self, first: int, end: int) -> None:
         """Evaluate pending measurements of the registers from `first` to before `end`."""

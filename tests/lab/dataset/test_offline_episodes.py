@@ -84,7 +84,7 @@ def test_a_host_on_the_line_that_sends_speeds_every_50_ms_gives_the_boards_own_r
     encoders, registers = list[tuple[int, int]](), list[list[int]]()
     with open_twin("light-seeking", TwinOptions(seed=2, log=str(path))) as twin:
         for number in range(21):
-            board = twin.world.simulation.record_of(0)["registers"].tolist()
+            board = twin.world.simulation.robots.record_of(0)["registers"].tolist()
             registers.append(board)
             encoders.append((board[0], board[14]))
             left, right = SPEEDS[number % 20]

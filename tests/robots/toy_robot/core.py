@@ -9,7 +9,7 @@ import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, Interface, register
+from khep_twin.robots.core import Core, register
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.noise import draws
@@ -19,7 +19,7 @@ from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Beams, body_frame, cast_rays, joint_position, joint_speed, set_motor
 from khep_twin.sensors import robot_sensors
 from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
-from toy_robot.model import BODY
+from toy_robot.model import BODY, TOY
 
 N_INFRARED, PERIOD_NS, REACH = 5, 20_000_000, 1.5
 PROXIMITY, AMBIENT, ULTRASONIC, SPEED, SETPOINT, POSITION, N_REGISTERS = 0, 5, 10, 11, 13, 15, 17
@@ -112,23 +112,6 @@ CORE = register(
         sense=_sense,
         tick=_tick,
         scan=_measure,
-        interface=Interface(
-            n_registers=N_REGISTERS,
-            proximity=PROXIMITY,
-            n_proximity=N_INFRARED,
-            ambient=AMBIENT,
-            n_ambient=N_INFRARED,
-            left_setpoint=SETPOINT,
-            right_setpoint=SETPOINT + 1,
-            left_side=PROXIMITY + 1,
-            right_side=PROXIMITY + 2,
-            rest_counts=0,
-            counts_limit=1023,
-            top_speed=200.0,
-            speed_limit=500,
-            left_position=POSITION,
-            right_position=POSITION + 1,
-            speed_per_pulse=BODY.pulse_length * 1e5,
-        ),
+        interface=TOY.interface,
     )
 )

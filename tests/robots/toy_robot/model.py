@@ -5,7 +5,7 @@ from pathlib import Path
 
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
-from khep_twin.robots.model import Bar, Dialect, RobotModel, parse_columns
+from khep_twin.robots.model import Bar, Dialect, Interface, RobotModel, Term, parse_columns
 
 BAUD = 57_600
 FOLDER = Path(__file__).parent
@@ -71,4 +71,23 @@ TOY = RobotModel(
         "conformance": "toy_robot.conformance:CHECKS",
     },
     plots={"ultrasonic": "ultrasonic [mm]"},
+    interface=Interface(
+        n_registers=17,
+        proximity=0,
+        n_proximity=5,
+        ambient=5,
+        n_ambient=5,
+        left_setpoint=13,
+        right_setpoint=14,
+        left_side=1,
+        right_side=2,
+        rest_counts=0,
+        counts_limit=1023,
+        top_speed=200,
+        speed_limit=500,
+        left_position=15,
+        right_position=16,
+        speed_per_pulse=BODY.pulse_length * 1e5,
+    ),
+    terms=(Term("ultrasonic", 10, ("beacon",), 0, 1500, "mm"),),
 )

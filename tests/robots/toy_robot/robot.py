@@ -41,15 +41,12 @@ class ToyRobot(Robot):
     """A Toy of a world."""
 
     sampled = consecutive_registers(LABELS)
-    layout = Layout("toy", 1, {"registers": [Part("register", N_REGISTERS, -(2**15), 2**15 - 1)]})
+    layout = Layout(1, {"registers": [Part("register", N_REGISTERS, -(2**15), 2**15 - 1)]})
 
     def __init__(self, setup: RobotSetup) -> None:
-        self.registers = setup.context.simulation.record_of(setup.index)["registers"]
+        self.registers = setup.context.simulation.robots.record_of(setup.index)["registers"]
         super().__init__(setup, ToyServer(self.registers))
 
     def reset_motion(self) -> None:
         """Stop the wheels."""
         self.registers[SETPOINT : SETPOINT + 2] = 0
-
-    def zero_encoders(self) -> None:
-        """Do nothing: its positions are those of the wheels."""
