@@ -429,9 +429,9 @@ def find_task(task: Task | str) -> Task:
     """
     if isinstance(task, Task):
         return task
-    if isinstance(task, str) and task in TASKS:
-        return TASKS[task]
     check_choice("task", task, task_names())
+    if task in TASKS:
+        return TASKS[task]
     (model,) = (model for model in installed_models().values() if task in model.tasks)
     if not isinstance(model_task := model.load_task(task), Task):
         raise RobotModelError(f"model {model.name}: task {task} is {model_task!r}; expected a Task")

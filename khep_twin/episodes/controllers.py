@@ -64,8 +64,7 @@ class Network:
         hidden: Neurons of each hidden layer; none to connect sensors directly to motors.
         recurrent: Whether the first layer behind the sensors has feedback of its last values.
         ambient: Whether ambient light (0 dark to 1 bright) is an input behind proximity (0 to 1).
-        top_speed: Speed for an output of 1, in units of the robot's register; by default that of the metrics.
-            A Khepera's is in pulses/10 ms.
+        top_speed: Speed for an output of 1 [register], of a Khepera in pulses/10 ms; 0 for that of the metrics.
         model: Model of the robot, or its family, e.g. "khepera4".
         genes: Genome (n_genes,) for episodes whose options have none; empty for none.
         period_ns: Control period of training [ns], used by a host and by a rollout without a setup.
@@ -77,7 +76,7 @@ class Network:
     hidden: tuple[int, ...] = ()
     recurrent: bool = False
     ambient: bool = False
-    top_speed: float | None = None
+    top_speed: float = 0.0
     model: str = field(default=default_model().family, kw_only=True)
     genes: Sequence[float] | Floats = field(default=(), repr=False, kw_only=True)
     period_ns: int = field(default=SCAN_NS, kw_only=True)
@@ -87,7 +86,7 @@ class Network:
 
     def __post_init__(self) -> None:
         """Store the genes as a tuple, which is comparable and immutable, and defaults of its model."""
-        if self.top_speed is None:
+        if not self.top_speed:
             object.__setattr__(self, "top_speed", find_family(self.model).episode_interface.top_speed)
         object.__setattr__(self, "model", find_family(self.model).family)
         object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
@@ -235,7 +234,7 @@ def make_controllers(
             if weights.shape[1] != driver.n_genes:
                 raise ControllerError(f"{weights.shape[1]} genes for {driver}; expected {driver.n_genes}")
             kind, sizes, recurrent = stepping.NETWORK, driver.sizes, driver.recurrent
-            top_speed, n_memory = float(driver.top_speed or 0), sizes[1]
+            top_speed, n_memory = float(driver.top_speed), sizes[1]
         case Function():
             kind, n_memory = stepping.FUNCTION, driver.n_memory
             if compiled:

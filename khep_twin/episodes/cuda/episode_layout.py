@@ -141,7 +141,8 @@ class EpisodeLayout:
 
 def robot_fields(arguments: EpisodeArguments) -> tuple[str, ...]:
     """Return the fields of the robot's record that belong to an episode's state."""
-    return *core_of_fields(arguments.groups[0].dtype.names).changing, "noise"
+    core = core_of_fields(arguments.groups[0].dtype.names)
+    return *(core.changing if core else ()), "noise"
 
 
 def episode_constants(arguments: EpisodeArguments) -> dict[str, NDArray[Any]]:

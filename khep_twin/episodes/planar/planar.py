@@ -65,7 +65,7 @@ class PlanarScene:
             wheel_dofs=wheels,
             motors=(0, 1),
         )
-        floor = [geom for geom in np.flatnonzero(is_floor(model)) if model.geom_rgba[geom, 3] > 0]
+        floor = [geom for geom in np.flatnonzero(is_floor(model)).tolist() if model.geom_rgba[geom, 3] > 0]
         self.paint = np.array([_paint_row(model, geom) for geom in floor]).reshape(-1, planar.N_COLUMNS)
         fixed = [geom for geom in visible_geoms(model) if model.geom_bodyid[geom] == 0]
         movable = [model.geom(name).id for name in movable_names(playpen)]
