@@ -79,6 +79,7 @@ class Robot(WiredBoard, ABC):
     Attributes:
         index: Index among the playpen's robots.
         name: Name in the scene, e.g. "khepera0".
+        dialect: Protocol on its line.
         indices: Indices in the scene.
         firmware: Command interpreter.
         uart: Serial line.
@@ -98,11 +99,11 @@ class Robot(WiredBoard, ABC):
     def __init__(self, setup: RobotSetup, firmware: BoardFirmware) -> None:
         context, index, indices = setup.context, setup.index, setup.indices
         make_rng, settings = setup.make_rng, setup.settings
-        title = context.playpen.robots[index].robot_model.title
+        model = context.playpen.robots[index].robot_model
         for fault in settings.faults:
             if fault.device in (SENSOR, MOTOR, WHEEL) and fault.device not in self.fault_devices:
                 raise FaultError(
-                    f"fault {fault.text!r}: robot {index} is a {title}; expected a fault of its line"
+                    f"fault {fault.text!r}: robot {index} is a {model.title}; expected a fault of its line"
                 )
         super().__init__(
             context,
@@ -113,15 +114,16 @@ class Robot(WiredBoard, ABC):
             make_rng("line") if settings.strict_line else None,
         )
         self.name = f"khepera{index}"
+        self.dialect = model.dialect
         self.indices = indices
         self._context = context
         self._record = context.simulation.record_of(index)
         self._has_stopped = False
         self.turret_bodies: dict[str, TurretBody] = {}
-        model: mujoco.MjModel = context.model
-        positions = [model.body_pos[light] for light in indices.led_lights]
+        scene: mujoco.MjModel = context.model
+        positions = [scene.body_pos[light] for light in indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
-        self._led_lights = list(zip(positions, hidden, model.site_pos[list(indices.leds)], strict=True))
+        self._led_lights = list(zip(positions, hidden, scene.site_pos[list(indices.leds)], strict=True))
         self._shown_leds = [0] * len(indices.leds)
 
     @property
@@ -209,10 +211,6 @@ class Robot(WiredBoard, ABC):
     @abstractmethod
     def reset_motion(self) -> None:
         """Reset counters, setpoints and controllers, and cut the motors' voltage."""
-
-    @abstractmethod
-    def zero_encoders(self) -> None:
-        """Set the encoders to the wheels' current angles."""
 
     @property
     def lit_leds(self) -> list[int]:

@@ -7,11 +7,10 @@ from khep_twin.board.kernel import Board, Wheel
 from khep_twin.board.protocol import MOTION_COMMANDS
 from khep_twin.board.rom import ROMS
 from khep_twin.robots.body import Body
-from khep_twin.robots.model import Bar, Columns, Dialect, Feature, RobotModel
+from khep_twin.robots.model import Columns, Dialect, Feature, RobotModel, bars_of
 from khep_twin.units import (
     BODY_HEIGHT,
     BODY_RADIUS,
-    COUNTS_LIMIT,
     IDLE_CURRENT,
     K213_PIXELS,
     MASS,
@@ -50,19 +49,14 @@ _CHANNELS: dict[str, Columns] = {
     "registers": tuple((f"register_{name}", "") for name in _REGISTERS),
 }
 
-_BARS = {
-    "proximity": Bar(COUNTS_LIMIT, f"proximity, 0 to {COUNTS_LIMIT}"),
-    # The count of ambient light decreases with the light.
-    "light": Bar(500, "light, 500 dark to 0 bright"),
-    "speed": Bar(20, "speed, -20 to 20", lowest=-1.0),
-}
+_BARS = bars_of(dark=500, speed=20)
 """Bars of `khepbase` of the Khepera Toolbox for Matlab, with its limits."""
 
 _DIALECT = Dialect(
     robot_name="a Khepera",
     host_class="khep_twin.host.Khepera",
     versions_reply=re.compile(r"b,\d[\d.]*,\d[\d.]*"),
-    probe_letters="BHEK",
+    probes=("B", "H", "E", "K"),
     stop_requests=("D,0,0",),
     moving=(*MOTION_COMMANDS, "run", "restart"),
     baud=9600,

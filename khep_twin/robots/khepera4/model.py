@@ -6,7 +6,6 @@ from pathlib import Path
 
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
-from khep_twin.robots.khepera.model import KHEPERA_1
 from khep_twin.robots.khepera4.channels import (
     AROUND,
     CHANNELS,
@@ -15,10 +14,7 @@ from khep_twin.robots.khepera4.channels import (
     ULTRASONIC,
     ULTRASONIC_CODES,
 )
-from khep_twin.robots.model import Bar, Columns, Dialect, RobotModel, parse_columns
-
-_CHANNELS: dict[str, Columns] = {name: parse_columns(name, label) for name, label in CHANNELS.items()}
-_REGISTERS = tuple((f"register_{name}", "") for columns in _CHANNELS.values() for name, _ in columns)
+from khep_twin.robots.model import Dialect, RobotModel, bars_of, parse_channels, parts_of
 
 SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES)
 """Headings: manual; distance from the centre: assumed; height: drawing."""
@@ -56,26 +52,20 @@ KHEPERA_4 = RobotModel(
     calibration="khepera4",
     # The server has no banner and one baud rate (manual, chapter 6).
     roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(115_200)})},
-    channels={**_CHANNELS, "registers": _REGISTERS},
-    bars={
-        "proximity": KHEPERA_1.bars["proximity"],
-        "light": Bar(980, "light, 980 dark to 0 bright"),
-        "speed": Bar(500, "speed, -500 to 500", lowest=-1.0),
-    },
+    channels=parse_channels(CHANNELS),
+    bars=bars_of(dark=980, speed=500),
     # D does not stop the server's vehicle, and H and K are not reads.
     dialect=Dialect(
         robot_name="a Khepera IV",
         host_class="khep_twin.host.Khepera4",
         versions_reply=re.compile(r"b,[A-P],\d+"),
-        probe_letters="BERG",
+        probes=("B", "E", "R", "G"),
         stop_requests=("A,2", "D,0,0"),
         moving=("A", "D", "F", "L"),
         baud=115_200,
     ),
     parts={
-        "core": "khep_twin.robots.khepera4.core:CORE",
-        "robot": "khep_twin.robots.khepera4.robot:Khepera4Robot",
-        "host": "khep_twin.robots.khepera4.host:Khepera4",
+        **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),
         "conformance": "khep_twin.robots.khepera4.conformance.catalogue:KHEPERA_4_CHECKS",
     },
     plots={
