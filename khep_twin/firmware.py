@@ -39,6 +39,7 @@ from khep_twin.board.protocol import (
 )
 from khep_twin.board.rom import DEMO, ROMS, SELF_TEST, Rom
 from khep_twin.board.turrets import Turret, TurretKind
+from khep_twin.robots.framing import LINES
 from khep_twin.units import COUNTS_LIMIT, DUTY_LIMIT, N_SENSORS
 
 Execute = TypeVar("Execute", bound=Callable[..., bytes])
@@ -188,6 +189,10 @@ class Firmware:
             turret.registers[:] = state.turrets[kind.name]
         self.baud, self.reply_baud, self.running = state.baud, state.reply_baud, state.running
         self._reader.partial_line = state.partial_line
+
+    def request_length(self, data: bytearray) -> int:
+        """Return how many of the next bytes complete a request; more than their number if they do not."""
+        return LINES.length(data, to_robot=True)
 
     def receive(self, data: bytes) -> bytes:
         """Read bytes from the line; return the replies to the commands that they complete."""

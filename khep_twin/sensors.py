@@ -17,9 +17,12 @@ where ambient light alone saturates it. Not modelled: light reflected more than 
 """
 
 import math
+from typing import Any
 
 import mujoco
+import numpy as np
 
+from khep_twin.playpen import RobotEntry
 from khep_twin.sensing import lobes
 from khep_twin.sensing.ambient import ambient_optics
 from khep_twin.sensing.calibration import Calibration
@@ -37,6 +40,30 @@ def robot_sensors(model: mujoco.MjModel, robot: RobotIndices, calibration: Calib
     """Return the infrared sensors of a robot in a scene."""
     optics = proximity_optics(model, robot, calibration), ambient_optics(calibration.ambient)
     return RobotSensors(robot.base, list(robot.cameras), *optics)
+
+
+def core_fields(
+    model: mujoco.MjModel,
+    robot: RobotIndices,
+    calibration: Calibration,
+    entry: RobotEntry,
+    first_moment: int,
+) -> dict[str, Any]:
+    """Return the fields of a core's state that most models have; the arguments are those of `make_state`.
+
+    They are indices of the left and right `angles`, `speeds` and `motors`, and of the `pose`; `radius` [m],
+    `motor_constant` [N m/A], `sensors`, and `noise`, the key of the random draws.
+    """
+    return {
+        "angles": list(robot.wheel_qpos),
+        "speeds": list(robot.wheel_dofs),
+        "motors": list(robot.motors),
+        "pose": robot.pose,
+        "radius": entry.body.radius,
+        "motor_constant": calibration.motors.constant,
+        "sensors": robot_sensors(model, robot, calibration),
+        "noise": np.zeros(2, np.int64),
+    }
 
 
 def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> Proximity:

@@ -317,7 +317,7 @@ class RobotEnd(OpenFile):
         del self.data[:limit]
         return Received(data) if data else NOTHING
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytes, is_end: bool = False) -> int:
         """Send to the cable."""
         self._cable.receive(data)
         return len(data)

@@ -90,7 +90,7 @@ class QuietPort:
         """Return nothing."""
         return NOTHING
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, is_end: bool = False) -> None:
         """Drop it."""
 
     def close(self) -> None:

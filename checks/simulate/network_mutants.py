@@ -27,7 +27,7 @@ def _set_position_again(left: int, right: int) -> HostCommand[None]:
 
 def _resynchronize_early(resynchronization: Resynchronization, end: float = 0.0) -> list[str]:
     """Ask again without waiting for replies that may still come."""
-    resynchronization.unanswered_letters.clear()
+    resynchronization.unanswered.clear()
     return []
 
 

@@ -4,7 +4,6 @@ A byte takes eleven bit times. Byte k (counted from 1) of a burst that starts at
 t0 + k * 11 * 10^9 // baud; a burst that finds the line busy starts when the line is free.
 """
 
-import re
 from bisect import bisect_right
 from dataclasses import dataclass
 from enum import IntEnum
@@ -146,10 +145,10 @@ class SerialLine:
         """Return the arrival of the `count`-th byte in transit [ns], None if there are fewer."""
         return self._arrivals[count - 1] if 0 < count <= len(self._arrivals) else None
 
-    def count_to_match(self, pattern: re.Pattern[bytes]) -> int | None:
-        """Return the number of bytes in transit up to the end of the first match; None without one."""
-        match = pattern.search(self._bytes)
-        return match and match.end()
+    @property
+    def content(self) -> bytearray:
+        """Bytes in transit or arrived but unread, not to be changed."""
+        return self._bytes
 
     def count_to_end_of(self, text: bytes) -> int | None:
         """Return the number of bytes in transit up to the end of the first `text`, None if it is absent."""

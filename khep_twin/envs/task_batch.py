@@ -75,7 +75,7 @@ class TaskBatch(NotCopied):
         self.terminated = np.zeros(shape, np.bool_)
         self.periods = np.full(count, setup.n_steps)
         self.seeds = np.zeros(count, np.int64)
-        self._positions = [setup.interface.left_position, setup.interface.right_position]
+        self._positions = list(setup.interface.positions)
         self._pulses = np.zeros((*shape, 2), np.int64)
         self._full_charge_ns = to_ns(setup.task.charge_s)
         self._charges_ns = np.zeros(shape, np.int64)

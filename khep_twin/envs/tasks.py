@@ -80,13 +80,13 @@ class State:
     def nearest(self) -> Number:
         """Largest proximity reading, 0 to 1."""
         interface = self.interface
-        counts = np.maximum(self.registers[interface.proximity_slice].max(axis=0) - interface.rest_counts, 0)
-        return counts / (interface.counts_limit - interface.rest_counts)
+        counts = np.maximum(self.registers[slice(*interface.proximity)].max(axis=0) - interface.counts[0], 0)
+        return counts / (interface.counts[1] - interface.counts[0])
 
     @property
     def brightness(self) -> Number:
         """Light at the brightest receiver, 0 to 1."""
-        lowest = self.registers[self.interface.ambient_slice].min(axis=0)
+        lowest = self.registers[slice(*self.interface.ambient)].min(axis=0)
         return fitness.light_seeking(lowest, self.dark, self.floor)
 
     def of_robot(self, index: int) -> "State":
@@ -167,17 +167,17 @@ def terms_of(family: str) -> Mapping[str, ObservationTerm]:
     """
     model = find_family(family)
     interface = model.episode_interface
-    sensors, limit, top_speed = model.body.cameras, float(interface.counts_limit), interface.top_speed
+    sensors, limit, top_speed = model.body.cameras, float(interface.counts[1]), interface.top_speed
     terms = {
         "proximity": ObservationTerm(
-            lambda state: state.registers[interface.proximity_slice],
+            lambda state: state.registers[slice(*interface.proximity)],
             sensors[: interface.n_proximity],
             0.0,
             limit,
             "counts",
         ),
         "light": ObservationTerm(
-            lambda state: state.registers[interface.ambient_slice],
+            lambda state: state.registers[slice(*interface.ambient)],
             sensors[: interface.n_ambient],
             0.0,
             limit,

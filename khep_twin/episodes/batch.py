@@ -385,7 +385,9 @@ def _decide_speeds(
     """Return the speeds that a policy decides on for some slots (n_slots, n_robots, 2)."""
     boards = batch.registers[slots].reshape(-1, interface.n_registers)
     indices = np.repeat(slots + group.start, batch.registers.shape[1])
-    output = policy.decide(boards[:, interface.proximity_slice], boards[:, interface.ambient_slice], indices)
+    output = policy.decide(
+        boards[:, slice(*interface.proximity)], boards[:, slice(*interface.ambient)], indices
+    )
     try:
         speeds = np.asarray(output, np.float64)
     except (TypeError, ValueError) as error:

@@ -83,8 +83,7 @@ def compile_controller(function: Callable[..., tuple[float, float]], interface: 
         ControllerError: numba cannot compile it.
     """
     n_registers = interface.n_registers
-    first_proximity, end_proximity = interface.proximity, interface.proximity + interface.n_proximity
-    first_ambient, end_ambient = interface.ambient, interface.ambient + interface.n_ambient
+    (first_proximity, end_proximity), (first_ambient, end_ambient) = interface.proximity, interface.ambient
     int_pointer, float_pointer = types.CPointer(types.int64), types.CPointer(types.float64)
 
     def call(registers, memory, n_memory, genes, n_genes, speeds):

@@ -64,7 +64,7 @@ class Network:
         hidden: Neurons of each hidden layer; none to connect sensors directly to motors.
         recurrent: Whether the first layer behind the sensors has feedback of its last values.
         ambient: Whether ambient light (0 dark to 1 bright) is an input behind proximity (0 to 1).
-        top_speed: Speed for an output of 1 [register], of a Khepera in pulses/10 ms; 0 for that of the metrics.
+        top_speed: Speed for an output of 1 [register], of a Khepera [pulses/10 ms]; 0 for that of metrics.
         model: Model of the robot, or its family, e.g. "khepera4".
         genes: Genome (n_genes,) for episodes whose options have none; empty for none.
         period_ns: Control period of training [ns], used by a host and by a rollout without a setup.
@@ -278,7 +278,7 @@ def _call_plain(
 ) -> tuple[float, float]:
     """Call a function with the sensors in the registers."""
     readings: NDArray[np.int64] = np.asarray(registers)
-    return function(readings[interface.proximity_slice], readings[interface.ambient_slice], memory, genes)
+    return function(readings[slice(*interface.proximity)], readings[slice(*interface.ambient)], memory, genes)
 
 
 def _to_python(controllers: stepping.Controllers) -> stepping.Controllers:

@@ -209,7 +209,7 @@ class Episode(NotCopied):
     def readings(self, robot: int = 0) -> tuple[list[int], list[int]]:
         """Return proximity and ambient counts from a robot's registers, or at a line as last read."""
         interface, registers = self._setup.interface, self.read_registers(robot)
-        return registers[interface.proximity_slice].tolist(), registers[interface.ambient_slice].tolist()
+        return registers[slice(*interface.proximity)].tolist(), registers[slice(*interface.ambient)].tolist()
 
     def read_registers(self, robot: int = 0) -> NDArray[np.int64]:
         """Return a robot's registers, measured now, or at a line as last read (n_registers,)."""

@@ -7,7 +7,7 @@
         batch.begin(index, seed=index)
     batch.speeds[:] = 10, 8
     failures = batch.step(range(32), setup.steps_per_period)
-    print(batch.registers[:, 0, interface.proximity_slice], batch.poses[:, 0])
+    print(batch.registers[:, 0, slice(*interface.proximity)], batch.poses[:, 0])
 
 Results equal those of single episodes bitwise. A batch has slots, each of which runs one episode at a time.
 Episodes whose arrays differ in shape, like those of different playpens, need one call per group. Episodes

@@ -146,10 +146,10 @@ def answer_request(
         for register in range(len(host_registers)):
             host_registers[register] = registers[register]
     elif request == 1:
-        for register in range(interface.ambient, interface.ambient + interface.n_ambient):
+        for register in range(interface.ambient[0], interface.ambient[1]):
             host_registers[register] = registers[register]
     elif request == 0:
-        for register in range(interface.proximity, interface.proximity + interface.n_proximity):
+        for register in range(interface.proximity[0], interface.proximity[1]):
             host_registers[register] = registers[register]
     else:
         for wheel in (0, kernel.RIGHT):
@@ -170,7 +170,7 @@ def send_speeds(
 ) -> None:
     """Set the event to the time when the setpoints in `host_registers` take effect."""
     if times[BAUD] > 0:
-        left, right = host_registers[interface.left_setpoint], host_registers[interface.right_setpoint]
+        left, right = host_registers[interface.setpoints[0]], host_registers[interface.setpoints[1]]
         length = 4 + _n_chars(left) + _n_chars(right)
         event[EVENT_NS] += _transfer_ns(times[BAUD], length)
     event[EVENT_NS] += times[DELAY_NS]

@@ -110,15 +110,15 @@ def compute_period(
     pose: tuple[float, float, float, float],
 ) -> Metrics:
     """Return the summands of a control period; arguments are those of `add_period`."""
-    nearest, lowest = registers[interface.proximity], registers[interface.ambient]
-    for register in range(interface.proximity, interface.proximity + interface.n_proximity):
+    nearest, lowest = registers[interface.proximity[0]], registers[interface.ambient[0]]
+    for register in range(interface.proximity[0], interface.proximity[1]):
         nearest = max(nearest, registers[register])
-    for register in range(interface.ambient, interface.ambient + interface.n_ambient):
+    for register in range(interface.ambient[0], interface.ambient[1]):
         lowest = min(lowest, registers[register])
-    side = max(registers[interface.left_side], registers[interface.right_side])
+    side = max(registers[interface.sides[0]], registers[interface.sides[1]])
     speed_scale = fitness.TOP_SPEED_PULSES / interface.top_speed
-    left = registers[interface.left_setpoint] * speed_scale
-    right = registers[interface.right_setpoint] * speed_scale
+    left = registers[interface.setpoints[0]] * speed_scale
+    right = registers[interface.setpoints[1]] * speed_scale
     proximity = _nearness(interface, nearest)
     dx, dy = (pose[0] - sums[LAST_X], pose[1] - sums[LAST_Y]) if sums[PERIODS] > 0 else (0.0, 0.0)
     is_away = home[2] > 0 and sums[CHARGE] > 0 and not _is_home(home, pose)
@@ -136,7 +136,7 @@ def compute_period(
 @compilable
 def _nearness(interface: Interface, counts: int) -> float:
     """Return proximity as a part of its range, 0 to 1."""
-    return max(counts - interface.rest_counts, 0) / (interface.counts_limit - interface.rest_counts)
+    return max(counts - interface.counts[0], 0) / (interface.counts[1] - interface.counts[0])
 
 
 @compilable

@@ -154,7 +154,7 @@ def _describe_inputs(
 ) -> tuple[list[str], list[float], list[float]]:
     """Return the names of the inputs, and the counts that are 0 and 1."""
     interface, cameras = find_family(family).episode_interface, find_family(family).body.cameras
-    terms = [("proximity", interface.n_proximity, (0.0, float(interface.counts_limit)))]
+    terms = [("proximity", interface.n_proximity, (0.0, float(interface.counts[1])))]
     if ambient:
         terms.append(("light", interface.n_ambient, light))
     names = [f"{term} {camera}" for term, count, _ in terms for camera in cameras[:count]]
@@ -219,7 +219,7 @@ def _content(
             raise refusal(f"inputs[{index}] = {input_name[:40]!r}", repr(name))
     if [zero, one] != expected_scale or not np.isfinite(light).all() or light[0] == light[1]:
         expected = (
-            f"proximity from 0 to {interface.counts_limit}, and the same light from dark to bright for all"
+            f"proximity from 0 to {interface.counts[1]}, and the same light from dark to bright for all"
         )
         raise refusal(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", expected)
     layers = sizes(hidden, ambient, family)

@@ -266,7 +266,7 @@ def _handle_event(simulated: Simulated, inputs: StepInputs, controllers: Control
             send_speeds(event, line, host_registers, interface)
     else:
         if is_driven:
-            left, right = interface.left_setpoint, interface.right_setpoint
+            left, right = interface.setpoints[0], interface.setpoints[1]
             set_speeds(state, host_registers[left], host_registers[right])
         robot_pose, sums, home = pose(simulated.scene, state.pose), controllers.sums[robot], controllers.home
         period = end_cycle(event, line) / units.STEP_NS * _STEP_S
@@ -295,8 +295,8 @@ def _set_setpoints(robot: Any, registers: Registers, left: float, right: float) 
         return False
     interface = interface_of(robot)
     limit = float(interface.speed_limit)
-    registers[interface.left_setpoint] = round(min(max(left, -limit), limit))
-    registers[interface.right_setpoint] = round(min(max(right, -limit), limit))
+    registers[interface.setpoints[0]] = round(min(max(left, -limit), limit))
+    registers[interface.setpoints[1]] = round(min(max(right, -limit), limit))
     return True
 
 
@@ -307,11 +307,12 @@ def _decide(robot: Any, registers: Registers, controllers: Controllers, index: i
         wander(robot, registers)
     elif controllers.kind == NETWORK:
         neurons, interface, ambient = controllers.neurons, interface_of(robot), robot.sensors.ambient
-        n_sensors, dark, floor = interface.n_proximity, ambient.dark, ambient.floor
+        first, end = interface.proximity
+        n_sensors, dark, floor = end - first, ambient.dark, ambient.floor
         for sensor in range(n_sensors):
-            neurons[sensor] = registers[interface.proximity + sensor] / interface.counts_limit
+            neurons[sensor] = registers[first + sensor] / interface.counts[1]
         for sensor in range(controllers.sizes[0] - n_sensors):
-            neurons[n_sensors + sensor] = (dark - registers[interface.ambient + sensor]) / (dark - floor)
+            neurons[n_sensors + sensor] = (dark - registers[interface.ambient[0] + sensor]) / (dark - floor)
         genes, memory = controllers.genes[index], controllers.memory[index]
         output = networks.forward(controllers.sizes, controllers.recurrent, genes, memory, neurons)
         top_speed = controllers.top_speed

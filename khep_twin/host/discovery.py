@@ -63,9 +63,8 @@ def identify_robot(url: str) -> tuple[int, commands.Versions] | None:
         raise PortInUse(f"{url}: in use by {user}")
     port = open_port(url, 9600, _TIMEOUT_S, exclusive=True)
     try:
-        speed = find_baud_rate(port, url, time.monotonic)
-        port.write(b"B\n")
-        return speed, commands.versions().read(port.read_until(b"\n", None).decode("latin-1").strip())
+        speed, reply = find_baud_rate(port, url, time.monotonic)
+        return speed, commands.versions().read(reply)
     except (PortTimeout, ValueError):
         return None
     except OSError as error:

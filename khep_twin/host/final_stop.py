@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from khep_twin.errors import PortError, PortTimeout
 from khep_twin.host.resynchronization import Resynchronization
-from khep_twin.host.robot_port import RobotPort, decode_line
+from khep_twin.host.robot_port import RobotPort
 from khep_twin.process.signals import register_cleanup
 
 STOP_WAIT = 0.5
@@ -68,7 +68,7 @@ class FinalStop:
     def halt(self) -> StopResult:
         """Try to stop the motors, and close the port: `Line.halt`."""
         # A line that has just been silent is not waited for again.
-        is_silent = bool(self._resynchronization.unanswered_letters)
+        is_silent = bool(self._resynchronization.unanswered)
         try:
             try:
                 self.stop(STOP_WAIT if is_silent else max(STOP_WAIT, self._port.silence_limit))
@@ -97,17 +97,17 @@ class FinalStop:
 
     def _confirms_stop(self, request: str, wait: float) -> bool:
         """Send a request that stops the motors; return whether the robot confirms it."""
-        reply = request[0].lower()
-        self._port.write(f"\n{request}\n".encode("ascii"), request)
+        framing = self._port.framing
+        self._port.send([request], resync=True)
         # A pending reply to a speed command looks the same.
-        if request[0] in self._resynchronization.unanswered_letters:
+        if framing.command(request) in self._resynchronization.unanswered:
             late_replies = self._resynchronization.resynchronize()
-            return bool(late_replies) and late_replies[-1] == reply
+            return bool(late_replies) and framing.answers(request, late_replies[-1])
         end = self._port.timeout_time + wait
-        line = b"\n"
-        while line.endswith(b"\n") and self._port.timeout_time <= end:
-            line = self._port.read_line(request)
-            if decode_line(line) == reply:
+        reply: str | None = ""
+        while reply is not None and self._port.timeout_time <= end:
+            reply, _ = self._port.read_reply(request)
+            if reply is not None and framing.answers(request, reply):
                 return True
         return False
 

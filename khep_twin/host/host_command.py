@@ -5,6 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from khep_twin.robots.framing import Frames
+
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
@@ -17,7 +19,7 @@ class HostCommand(Generic[T_co]):
     """One command.
 
     Attributes:
-        request: Line to send, without its ending.
+        request: Text of the request: a line without its ending, or the hexadecimal digits of a frame.
         read: Function that parses the reply; raises ValueError with the expected form.
         repeatable: True if a repetition is harmless, as for reads, but not for moves.
     """
@@ -48,6 +50,20 @@ def query(
         return convert([int(value) for value in values])
 
     return HostCommand(_format_request(letter, arguments), read, repeatable)
+
+
+def frame_command(
+    frames: Frames, request: bytes, convert: Callable[[bytes], T], *, repeatable: bool = False
+) -> HostCommand[T]:
+    """Return a command that is a binary frame; `convert` makes the frame of the reply its value."""
+    text = frames.decode(request)
+
+    def read(reply: str) -> T:
+        if not frames.answers(text, reply):
+            raise ValueError(f"expected a frame of command {frames.command(text)}")
+        return convert(bytes.fromhex(reply))
+
+    return HostCommand(text, read, repeatable)
 
 
 def _format_request(letter: str, arguments: Sequence[int]) -> str:

@@ -3,6 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar, cast
 
@@ -30,32 +31,36 @@ class HostRobot(ABC):
     resynchronized. Reads are repeated first; commands that move the robot are never repeated.
 
     Args:
-        url, timeout, baudrate, retries: See `Khepera`.
-        dialect: Protocol of the robot.
+        url, timeout, baudrate, retries: See `Khepera`; `baudrate` is by default the usual one of the dialect.
 
     Attributes:
+        dialect: Protocol of the robot, of all objects of a class.
         name: Name of the port, for messages.
+        identity: Reply that identified the robot when its baud rate was searched; empty for a known rate.
 
     Raises:
         PortError: The port cannot be opened, or its twin is of another kind.
         ValueError: A duration or number is out of range.
     """
 
+    dialect: Dialect
+
     def __init__(
         self,
         url: StrPath | serial.SerialBase,
-        timeout: float | None,
-        baudrate: int | Literal["auto"],
-        retries: int,
-        dialect: Dialect,
+        timeout: float | None = None,
+        baudrate: int | Literal["auto"] | None = None,
+        *,
+        retries: int = 1,
     ) -> None:
         if timeout is not None and not 0 <= timeout < math.inf:
             raise ValueError(f"timeout = {timeout}; expected a finite number from 0")
         try:
-            self._line = Line(url, timeout, baudrate, retries, dialect)
+            self._line = Line(url, timeout, baudrate or self.dialect.baud, retries, self.dialect)
         except PortError as error:
             raise error.with_traceback(None) from None  # a short traceback: it ends at this line
         self.name: str = self._line.port.name
+        self.identity = self._line.port.identity
 
     def __enter__(self) -> Self:
         return self
@@ -129,7 +134,7 @@ class HostRobot(ABC):
         self._line.port.check_clock(subject)
 
     def check_model(self) -> None:
-        """Refuse a robot of another kind, by its reply to B.
+        """Refuse a robot of another kind, by its reply to the first probe, such as B.
 
         Raises:
             PortError: The robot is of another kind.
@@ -144,16 +149,19 @@ class HostRobot(ABC):
         """
         self._line.sleep(duration)
 
-    @abstractmethod
     def stop(self) -> None:
-        """Stop the wheels."""
+        """Stop the wheels, and a program on the robot that drives."""
+        for request in self.dialect.stop_requests:
+            self._run(HostCommand(request, partial(self._check_answer, request), repeatable=True))
 
     @abstractmethod
     def read_panel(self) -> dict[str, list[int]]:
         """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [register]."""
 
     def ask(self, request: str) -> str:
-        """Send any line, once, and return the reply, or a tool's first line, without its line ending.
+        """Send any request, once, and return the reply, or a tool's first line, by their texts.
+
+        The text is that of a line without its ending, or the hexadecimal digits of a binary frame.
 
         The rest of a tool's output is read and discarded; it ends at a pause of the timeout.
 
@@ -161,9 +169,13 @@ class HostRobot(ABC):
             PortTimeout: No complete reply arrived within the timeout.
             PortError: The port failed or disappeared.
             StoppedError: The line would move a robot after `hold`.
-            ValueError: The request is more than one line.
+            ValueError: The request is not one line, or not one frame.
         """
         return self._line.ask(request)
+
+    def _check_answer(self, request: str, reply: str) -> None:
+        if not self.dialect.framing.answers(request, reply):
+            raise ValueError("expected a reply to this command")
 
     def _run(self, command: HostCommand[Value]) -> Value:
         return self._line.execute([command])[0]

@@ -56,6 +56,8 @@ class Khepera(HostRobot):
         ValueError: A duration, distance or number is out of range.
     """
 
+    dialect = KHEPERA_1.dialect
+
     def __init__(
         self,
         url: StrPath | serial.SerialBase,
@@ -67,7 +69,7 @@ class Khepera(HostRobot):
     ) -> None:
         if not 0 < wheel_base < math.inf:
             raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
-        super().__init__(url, timeout, baudrate, retries, KHEPERA_1.dialect)
+        super().__init__(url, timeout, baudrate, retries=retries)
         self._wheel_base = wheel_base
         self._mode_codes: tuple[int, int, int] | None = None
 
@@ -76,10 +78,6 @@ class Khepera(HostRobot):
     def set_speed(self, left: int, right: int) -> None:
         """Drive the wheels at these speeds [pulses/10 ms = 8 mm/s], -127 to 127 (command D)."""
         self._run(commands.set_speed(left, right))
-
-    def stop(self) -> None:
-        """Stop the wheels."""
-        self.set_speed(0, 0)
 
     def set_target(self, left: int, right: int) -> None:
         """Move the wheels to these positions [pulses of 0.08 mm]; return immediately (command C)."""

@@ -1,6 +1,6 @@
 """The serial line to a robot: requests, replies and the recovery of an exchange that went wrong.
 
-The robot replies to each line with one line, in order. A missing or malformed reply is followed by a
+The robot replies to each request once, in order. A missing or malformed reply is followed by a
 `Resynchronization`; only then is a command repeated, if it is repeatable.
 """
 
@@ -17,7 +17,7 @@ from khep_twin.files.paths import StrPath
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.final_stop import STOP_WAIT, FinalStop, StopResult
 from khep_twin.host.resynchronization import Resynchronization
-from khep_twin.host.robot_port import RobotPort, decode_line
+from khep_twin.host.robot_port import RobotPort
 from khep_twin.robots.model import Dialect, RobotModel
 from khep_twin.robots.registry import find_model, find_other_family
 from khep_twin.units import BITS_PER_BYTE
@@ -55,7 +55,7 @@ class Line:
     Attributes:
         port: Port of the robot.
         times: Times of all exchanges so far.
-        listener: Callback for each request and its reply, without line endings, or None.
+        listener: Callback for the texts of each request and its reply, or None.
 
     Raises:
         PortError: The port cannot be opened, its twin is of another kind, or there is no reply at any baud
@@ -79,7 +79,7 @@ class Line:
         self.times = LineTimes(0.0, 0.0)
         self._lock = threading.RLock()
         self._stop_request, self._stop_done = threading.Event(), threading.Event()
-        self.port = RobotPort(url, timeout, baudrate, retries)
+        self.port = RobotPort(url, timeout, baudrate, retries, dialect.framing)
         # The model of a twin in this process is known before the first exchange.
         model = self.port.model
         if model is not None and (other := find_model(model)).dialect is not dialect:
@@ -87,7 +87,7 @@ class Line:
             raise self._port_error(other)
         if baudrate == "auto":
             self.port.find_baud_rate()
-        self._resynchronization = Resynchronization(self.port, dialect.probe_letters, self._stop_request)
+        self._resynchronization = Resynchronization(self.port, dialect.probes, self._stop_request)
         self._final_stop = FinalStop(self.port, dialect.stop_requests, self._resynchronization)
 
     def sleep(self, duration: float) -> None:
@@ -121,9 +121,8 @@ class Line:
             return values
 
     def ask(self, request: str) -> str:
-        """Send any line, once, and return the reply, or a tool's first line: `HostRobot.ask`."""
-        if not request.isascii() or "\n" in request or "\r" in request:
-            raise ValueError(f"request {request!r}; expected one line of ASCII, without its ending")
+        """Send any request, once, and return the reply, or a tool's first line: `HostRobot.ask`."""
+        request = self.port.framing.decode(self.port.framing.encode(request))
         self._yield_to_stop()
         with self._lock:
             (reply,) = self._execute([HostCommand(request, str)])
@@ -131,7 +130,7 @@ class Line:
             # `serial` replies with one line, and then changes the baud rate.
             has_output = request.lstrip()[:1].islower() and request.split()[0] != "serial"
             while has_output and self.port.timeout_time < end:
-                has_output = self.port.read_line(request).endswith(b"\n")
+                has_output = self.port.read_reply(request)[0] is not None
         return reply
 
     def _execute(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
@@ -171,11 +170,11 @@ class Line:
         return late_replies
 
     def check_model(self) -> None:
-        """Raise a PortError if the robot replies to B as one of another kind."""
+        """Raise a PortError if the robot identifies itself as one of another kind."""
         if self.port.model is not None:  # checked at the opening
             return
         with suppress(PortTimeout, ProtocolError):
-            if other := find_other_family(self._dialect, self.ask("B")):
+            if other := find_other_family(self._dialect, self.ask(self._dialect.probes[0])):
                 raise self._port_error(other)
 
     def _port_error(self, other: RobotModel) -> PortError:
@@ -198,28 +197,28 @@ class Line:
         moving_requests = [request for request in requests if self._dialect.may_move(request)]
         if self._stop_request.is_set() and moving_requests:
             raise StoppedError(f"{self.port.name}: {moving_requests[0]!r} is not sent, as the run is to end")
-        if self._resynchronization.unanswered_letters:
+        if self._resynchronization.unanswered:
             start = self.port.timeout_time
             if self._resynchronization.resynchronize(start + self.port.silence_limit) is None:
                 raise self.port.timeout_error(requests[0], b"", start)
 
     def _exchange(self, requests: Sequence[str], replies: list[str]) -> None:
-        """Send lines and append each reply when it arrives."""
-        self._resynchronization.unanswered_letters.update([request[:1] for request in requests])
+        """Send requests and append each reply when it arrives."""
+        framing = self.port.framing
+        self._resynchronization.unanswered.update([framing.command(request) for request in requests])
         self._missing_reply = requests[0], b""
-        self.port.write("\n".join([*requests, ""]).encode("ascii"), requests[0])
+        self.port.send(requests)
         for request in requests:
-            line = self.port.read_line(request)
-            if not line.endswith(b"\n"):
-                self._missing_reply = request, line
-                raise self.port.timeout_error(request, line, self.port.timeout_time)
-            replies.append(decode_line(line))
-            # A request ends in a line feed, a reply in two bytes.
-            bits = (len(request) + 1 + len(replies[-1]) + 2) * BITS_PER_BYTE
+            reply, data = self.port.read_reply(request)
+            if reply is None:
+                self._missing_reply = request, data
+                raise self.port.timeout_error(request, data, self.port.timeout_time)
+            replies.append(reply)
+            bits = (len(framing.encode(request)) + len(data)) * BITS_PER_BYTE
             self.times = self.times._replace(bytes=self.times.bytes + bits / self.port.serial_port.baudrate)
             if self.listener is not None:
-                self.listener(request, replies[-1])
-        self._resynchronization.unanswered_letters.clear()
+                self.listener(request, reply)
+        self._resynchronization.unanswered.clear()
 
     def _parse_replies(self, commands: Sequence[HostCommand[Value]], replies: Sequence[str]) -> list[Value]:
         """Return the values of replies, one for each command."""

@@ -75,8 +75,8 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
         raise PortError(*_explain_failure(url, error)) from None
 
 
-def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -> int:
-    """Set a port to the baud rate at which its robot replies to command B.
+def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -> tuple[int, str]:
+    """Set a port to the baud rate at which its robot identifies itself, e.g. by its reply to command B.
 
     Args:
         port: Open port of pyserial.
@@ -84,7 +84,8 @@ def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -
         clock: Function that returns the port's time [s].
 
     Returns:
-        The baud rate. A network socket or a twin that is not strict accepts any, so it is the first.
+        The baud rate, and the text of the reply. A network socket or a twin that is not strict accepts any
+        rate, so it is the first.
 
     Raises:
         PortTimeout: There is no reply at any of `BAUD_RATES`.
@@ -101,9 +102,9 @@ def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -
                 refused_rates.append(baud_rate)
                 port.baudrate = first_baudrate
                 continue
-            if _has_valid_reply(port, clock):
+            if reply := _identify(port, clock):
                 port.timeout = timeout
-                return baud_rate
+                return baud_rate, reply
         port.timeout = timeout
     except PORT_FAILURES as error:
         raise PortError(f"{name}: the port failed at 'B': {error}") from error
@@ -114,20 +115,25 @@ def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -
     )
 
 
-def _has_valid_reply(port: serial.Serial, clock: Callable[[], float]) -> bool:
-    # A twin in this process warns of a wrong baud rate, but replies.
-    patterns = [model.dialect.versions_reply for model in installed_families().values()]
-    with warnings.catch_warnings(record=True) as caught_warnings:
-        warnings.simplefilter("always")
-        port.reset_input_buffer()
-        # The leading line feed ends an incomplete line of an attempt at another baud rate.
-        port.write(b"\nB\n")
-        end = clock() + _REPLY_TIMEOUT_S
-        is_answered = False
-        while not is_answered and clock() <= end and (line := port.read_until(b"\n", None)):
-            reply = line[max(line.find(b"b,"), 0) :].decode("latin-1").rstrip("\r\n")
-            is_answered = line.endswith(b"\n") and any(pattern.fullmatch(reply) for pattern in patterns)
-    return is_answered and not caught_warnings
+def _identify(port: serial.Serial, clock: Callable[[], float]) -> str:
+    """Return the reply of a robot of any kind to its identification; empty without one."""
+    dialects = [model.dialect for model in installed_families().values()]
+    # The same bytes identify all models whose messages are lines.
+    requests = {dialect.identification: dialect.framing for dialect in dialects}
+    for request, framing in requests.items():
+        patterns = [dialect.versions_reply for dialect in dialects if dialect.identification == request]
+        # A twin in this process warns of a wrong baud rate, but replies.
+        with warnings.catch_warnings(record=True) as caught_warnings:
+            warnings.simplefilter("always")
+            port.reset_input_buffer()
+            port.write(request)
+            end = clock() + _REPLY_TIMEOUT_S
+            while clock() <= end and (data := framing.read(port, clock)):
+                text = framing.decode(data)
+                reply = text[max(text.find("b,"), 0) :]
+                if framing.is_message(data) and any(pattern.fullmatch(reply) for pattern in patterns):
+                    return "" if caught_warnings else reply
+    return ""
 
 
 def _find_link(name: str) -> str:

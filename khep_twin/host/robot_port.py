@@ -4,6 +4,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Literal, cast
@@ -16,6 +17,7 @@ from khep_twin.files.atomic import resolve
 from khep_twin.files.paths import StrPath
 from khep_twin.host.opening import BAUD_RATES, find_baud_rate, open_port, resolve_port
 from khep_twin.ports.service_registry import served_speed
+from khep_twin.robots.framing import Framing
 
 _REPLY_WAIT_S, _SILENCE_S = 0.5, 5.0
 """Default wait for a reply, and for the first reply of a silent robot [s]."""
@@ -26,9 +28,12 @@ class RobotPort:
 
     Args:
         url, timeout, baudrate, retries: See `Line`; "auto" opens the port at the first of `BAUD_RATES`.
+        framing: Ends of the messages.
 
     Attributes:
         serial_port: Port of pyserial.
+        framing: Ends of the messages.
+        identity: Reply to the identification that was sent to find the baud rate; empty without one.
         name: Name of the port, for messages.
         clock_speed: Simulated seconds per second of wall time, as in `ServedPort`.
         silence_limit: Longest wait for a silent robot [s], in the port's time.
@@ -43,7 +48,9 @@ class RobotPort:
         timeout: float | None,
         baudrate: int | Literal["auto"],
         retries: int,
+        framing: Framing,
     ) -> None:
+        self.framing, self.identity = framing, ""
         if isinstance(url, str | os.PathLike):
             url = resolve_port(os.fspath(url))
         self._url = url if isinstance(url, str) else None
@@ -95,15 +102,16 @@ class RobotPort:
     def find_baud_rate(self) -> None:
         """Set the baud rate at which the robot replies; close the port without one."""
         try:
-            find_baud_rate(self.serial_port, self.name, lambda: self.timeout_time)
+            _, self.identity = find_baud_rate(self.serial_port, self.name, lambda: self.timeout_time)
         except BaseException:
             self.serial_port.close()
             raise
 
-    def write(self, data: bytes, request: str) -> None:
-        """Send bytes; errors name the request."""
+    def send(self, requests: Sequence[str], *, resync: bool = False) -> None:
+        """Send requests, after the end of an unfinished one if `resync`; errors name the first request."""
+        data, request = b"".join(map(self.framing.encode, requests)), requests[0]
         try:
-            self.serial_port.write(data)
+            self.serial_port.write(self.framing.resync * resync + data)
         except serial.SerialTimeoutException as error:
             raise PortTimeout(
                 f"{self.name}: {request!r} could not be sent within {self.serial_port.write_timeout} s: no "
@@ -112,10 +120,15 @@ class RobotPort:
         except PORT_FAILURES as error:
             raise self._port_error(request, error) from error
 
-    def read_line(self, request: str) -> bytes:
-        """Read up to the end of a line, or to the timeout; errors name the request."""
+    def read_reply(self, request: str) -> tuple[str | None, bytes]:
+        """Read a reply up to its end, or to the timeout; errors name the request.
+
+        Returns:
+            Its text, None if it is incomplete; and its bytes.
+        """
         try:
-            return self.serial_port.read_until(b"\n", None)
+            data = self.framing.read(self.serial_port, lambda: self.timeout_time)
+            return self.framing.decode(data) if self.framing.is_message(data) else None, data
         except PORT_FAILURES as error:
             raise self._port_error(request, error) from error
 
@@ -162,8 +175,3 @@ class RobotPort:
 
     def _port_error(self, request: str, error: Exception) -> PortError:
         return PortError(f"{self.name}: the port failed at {request!r}: {error}")
-
-
-def decode_line(line: bytes) -> str:
-    """Return the text of a line, without its ending."""
-    return line.decode("latin-1").rstrip("\r\n")

@@ -21,6 +21,7 @@ from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.sample_layout import channel_names_message
 from khep_twin.log.transcript import Transcript
+from khep_twin.robots.framing import LINES
 from khep_twin.robots.khepera.robot import SAMPLED
 from khep_twin.units import K213_NUMBER, K213_PIXELS
 
@@ -65,7 +66,7 @@ class LineRecorder(FileRecorder):
     ) -> None:
         self._file = LogFile(path, clock)
         self._clock = clock
-        self._transcript = Transcript(self._file, [ROBOT])
+        self._transcript = Transcript(self._file, {ROBOT: LINES})
         self._line_readers = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
         self._host_events: list[tuple[int, HostEvent]] = []
         self._setpoints: tuple[int, ...] = (0, 0)

@@ -45,7 +45,9 @@ class WorldRecorder:
     def __init__(self, output: Output, world: World, run: RunDescription) -> None:
         self._log = output
         self._world = world
-        self._transcript = Transcript(self._log, [robot.name for robot in world.robots])
+        self._transcript = Transcript(
+            self._log, {robot.name: robot.dialect.framing for robot in world.robots}
+        )
         self._reply_hashes = ReplyHashes(len(world.robots))
         self._host_events: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
         self._samples: list[_Sample] = []

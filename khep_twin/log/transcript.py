@@ -1,14 +1,14 @@
 """Transcript of serial lines: received bytes, written as complete lines in the order of their ends."""
 
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from typing import Protocol
 
 from khep_twin.clock import NEVER_NS
 from khep_twin.log.channels import Level, LineFrame
+from khep_twin.robots.framing import Framing
 
-_LINE_ENDS = b"\r\n"
 _LINE_LIMIT = 1024
 _PRINTABLE = bytes(code for code in range(0x20, 0x7F) if code != ord("\\"))
 _FRAMES = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to_robot in (True, False)}
@@ -26,11 +26,12 @@ class LineSink(Protocol):
 
 
 class Transcript:
-    """Transcript of the lines to and from one or more robots, by their names."""
+    """Transcript of the lines to and from one or more robots, by their names, with their framings."""
 
-    def __init__(self, log: LineSink, robots: list[str]) -> None:
+    def __init__(self, log: LineSink, robots: Mapping[str, Framing]) -> None:
         self._log = log
-        self._robots = robots
+        self._robots = list(robots)
+        self._framings = list(robots.values())
         self._received: list[_Line] = []
         self._early_lines: list[_Line] = []
         self._partial_lines: dict[tuple[int, bool], bytes] = {}
@@ -75,7 +76,9 @@ class Transcript:
     def finish(self, time_ns: int) -> None:
         """Write all lines, and incomplete ones as lines that end at a time [ns]."""
         self._early_lines += self._take_lines()
-        self._early_lines += [(time_ns, *partial_line) for partial_line in self.partial_lines]
+        self._early_lines += [
+            self._line(time_ns, robot, to_robot, data) for robot, to_robot, data in self.partial_lines
+        ]
         self.write()
 
     def _take_lines(self) -> list[_Line]:
@@ -84,12 +87,19 @@ class Transcript:
         received, self._received = self._received, []
         for time_ns, robot, to_robot, data in received:
             text = self._partial_lines.pop((robot, to_robot), b"") + data if self._partial_lines else data
-            lines = text.splitlines()
+            framing = self._framings[robot]
+            lines, rest = framing.split(text, to_robot)
             # A line beyond the limit is noise, or comes from a host that sends no line ends.
-            if text[-1:] not in _LINE_ENDS and len(lines[-1]) <= _LINE_LIMIT:
-                self._partial_lines[robot, to_robot] = lines.pop()
-            complete_lines += [(time_ns, robot, to_robot, line) for line in lines if line]
+            if len(rest) > _LINE_LIMIT:
+                lines.append(rest)
+            elif rest:
+                self._partial_lines[robot, to_robot] = rest
+            complete_lines += [self._line(time_ns, robot, to_robot, line) for line in lines if line]
         return complete_lines
+
+    def _line(self, time_ns: int, robot: int, to_robot: bool, message: bytes) -> _Line:
+        """Return the line of a message, or of a part of one."""
+        return time_ns, robot, to_robot, self._framings[robot].decode(message).encode("latin-1")
 
 
 def _encode_line(time_ns: int, to_robot: bool, line: bytes) -> bytes:

@@ -65,8 +65,8 @@ class HostPort(Protocol):
         """
         ...
 
-    def write(self, data: bytes) -> None:
-        """Send to the host."""
+    def write(self, data: bytes, is_end: bool = False) -> None:
+        """Send to the host; `is_end` is True if no further byte of a reply is on its way."""
 
     def close(self) -> None:
         """Close the port."""

@@ -108,10 +108,10 @@ class TcpPort:
         data = b"" if self._host is None else self._host.receive(limit)
         return Received(data, last_data is not None, last_data or b"", self._notice_limit.admit(notices))
 
-    def write(self, data: bytes) -> None:
-        """Send complete lines to the host; bytes without room are dropped and counted."""
+    def write(self, data: bytes, is_end: bool = False) -> None:
+        """Send complete replies to the host; bytes without room are dropped and counted."""
         if self._host is not None:
-            self._host.write(data)
+            self._host.write(data, is_end)
 
     def close(self) -> None:
         """End the connection and stop listening."""

@@ -1,8 +1,8 @@
 """Host at a network port, with buffers of the bytes from it and for it.
 
-Network hosts often call `recv` once and take the result as the complete reply. Bytes are therefore held until
-their line is complete, and sent together when its last byte has arrived. Replies of several lines, such as
-the banner, are sent line by line; a line without an end is sent after a short silence.
+Network hosts often call `recv` once and take the result as the complete reply. Bytes are therefore held
+until their line is complete or a twin's reply ends, and sent together. Replies of several lines, such as the
+banner, are sent line by line; other bytes without a line end are sent after a short silence.
 
 TCP reports when a host will send no more, not whether it still reads: a closed connection looks like a
 half-closed one until bytes are sent to it. A host that has finished sending therefore stays connected until
@@ -113,12 +113,12 @@ class NetworkHost:
         self._flush()
         return data
 
-    def write(self, data: bytes) -> None:
-        """Send complete lines; bytes without room are dropped and counted."""
+    def write(self, data: bytes, is_end: bool = False) -> None:
+        """Send complete lines, at an end all bytes; those without room are dropped and counted."""
         self._held_reply += data
         self._last_write_s = time.monotonic()
-        is_long = len(self._held_reply) >= LONGEST_LINE
-        self._send_held(len(self._held_reply) if is_long else self._held_reply.rfind(b"\n") + 1)
+        is_whole = is_end or len(self._held_reply) >= LONGEST_LINE
+        self._send_held(len(self._held_reply) if is_whole else self._held_reply.rfind(b"\n") + 1)
 
     def close(self) -> None:
         """End the connection."""

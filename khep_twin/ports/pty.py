@@ -186,7 +186,7 @@ class PtyPort:
         is_mixed = n_unread or had_unread or (data and (last_data or state.has_unreported))
         return Received(data, True, last_data, [_MIXED_NOTICE] if is_mixed else [])
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, is_end: bool = False) -> None:
         """Send to the host; bytes without room are dropped and counted."""
         try:
             n_sent = os.write(self.descriptor, data)

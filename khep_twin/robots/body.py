@@ -22,6 +22,12 @@ class SonarRing:
     height: float
     codes: tuple[int, ...]
 
+    @property
+    def places(self) -> list[tuple[float, float, float, float]]:
+        """Position x, y, z [m] and heading [rad] of each sensor on the robot."""
+        headings = [math.radians(heading) for heading in self.headings_deg]
+        return [(self.radius * math.cos(a), self.radius * math.sin(a), self.height, a) for a in headings]
+
 
 @dataclass(frozen=True, slots=True)
 class Body:
@@ -36,7 +42,7 @@ class Body:
         sensor_height: Height of these sensors above the ground [m].
         idle_current: Current with the motors at rest [A].
         height: Height [m].
-        scene: MJCF file of the robot.
+        scene: MJCF file of the robot, in the folder of the shipped ones if it has no folder.
         sensors: Names of the infrared sensors, those that look at the floor last.
         wheel_radius: Radius of the wheels [m].
         wheel_width: Width of the wheels [m].
@@ -44,7 +50,8 @@ class Body:
         pulses_per_turn: Pulses of an encoder in a turn of its wheel.
         near_counts: Proximity above which something is near [counts].
         support_solref: Contact of the supports with the floor, as MuJoCo's `solref`; None for stiff ones.
-        fits_scene: True if the file has another size of the robot, and this body replaces it.
+        fits_scene: True if the file has another size of the robot, or lacks its infrared sensors, and this
+            body sets them; e.g. for "two_wheels.xml".
         ground_positions: Positions of the sensors that look at the floor, as `sensor_positions`.
         sonar: Ultrasonic sensors; None without.
     """

@@ -42,8 +42,8 @@ def _keep_registers(robot: Any, simulated: Any, inputs: Any) -> None:
 def _set_setpoints(robot: Any, left: int, right: int) -> None:
     """Set the setpoints of the speeds."""
     interface = interface_of(robot)
-    robot.registers[interface.left_setpoint] = left
-    robot.registers[interface.right_setpoint] = right
+    robot.registers[interface.setpoints[0]] = left
+    robot.registers[interface.setpoints[1]] = right
 
 
 @compilable

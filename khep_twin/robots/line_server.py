@@ -1,18 +1,21 @@
-"""`LineServer`: a program on a robot that answers lines, at one baud rate, without turrets."""
+"""`LineServer`: a program on a robot that answers requests on its line, at one baud rate, without turrets."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
-from khep_twin.board.protocol import LINE_END
 from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.firmware import FirmwareState
+from khep_twin.robots.model import Dialect
+
+LONGEST_REQUEST = 1024
+"""Bytes of an incomplete request that are kept."""
 
 
-class LineServer(ABC):
-    """Program that answers lines.
+class LineServer:
+    """Program that answers requests.
 
     Args:
-        baud: Speed of the line [baud].
+        dialect: Protocol on the line.
+        execute: Function that executes a request, without the ending of a line, and returns the reply.
 
     Attributes:
         baud: Speed of the line [baud].
@@ -25,27 +28,29 @@ class LineServer(ABC):
     program = ""
     """Name of the program in snapshots."""
 
-    def __init__(self, baud: int) -> None:
-        self.baud = self.reply_baud = baud
+    def __init__(self, dialect: Dialect, execute: Callable[[bytes], bytes]) -> None:
+        self.baud = self.reply_baud = dialect.baud
+        self._framing = dialect.framing
+        self._execute = execute
         self.turrets: Mapping[TurretKind, Turret] = {}
         self._line = b""
-
-    @abstractmethod
-    def execute(self, line: bytes) -> bytes:
-        """Execute a line without its ending; return the reply with its ending."""
 
     @property
     def powered(self) -> bool:
         """True while the robot has power."""
         return True
 
+    def request_length(self, data: bytearray) -> int:
+        """Return how many of the next bytes complete a request; more than their number if they do not."""
+        # They may show that the bytes before them are noise.
+        return max(self._framing.length(self._line + data, to_robot=True) - len(self._line), 1)
+
     def receive(self, data: bytes) -> bytes:
-        """Receive bytes; return the replies to the lines that they complete."""
-        replies, self._line = b"", self._line + data
-        while end := LINE_END.search(self._line):
-            line, self._line = self._line[: end.start()], self._line[end.end() :]
-            replies += self.execute(line) if line else b""
-        return replies
+        """Receive bytes; return the replies to the requests that they complete, without noise."""
+        messages, self._line = self._framing.split(self._line + data, to_robot=True)
+        self._line = self._line[:LONGEST_REQUEST]
+        requests = (message for message in messages if message and self._framing.is_message(message, True))
+        return b"".join(map(self._execute, requests))
 
     def forget_line(self) -> None:
         """Discard the incomplete line."""

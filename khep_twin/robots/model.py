@@ -24,6 +24,8 @@ from typing import NamedTuple, TypeVar, cast
 from khep_twin.board.rom import Rom
 from khep_twin.errors import RobotModelError
 from khep_twin.robots.body import Body
+from khep_twin.robots.framing import LINES, Framing
+from khep_twin.units import COUNTS_LIMIT
 
 GROUP = "khep_twin.robots"
 """Entry point under which packages register their models."""
@@ -52,20 +54,27 @@ class Dialect(NamedTuple):
     Attributes:
         robot_name: Family of robots, for messages.
         host_class: Name of the host class for it.
-        versions_reply: Pattern of the reply to B.
-        probe_letters: Reads that resynchronize the line.
+        versions_reply: Pattern of the reply to the first of `probes`.
+        probes: Reads that resynchronize the line; the reply to the first names the kind of robot.
         stop_requests: Requests that stop the motors, one after the other.
         moving: Prefixes of requests that move the robot.
         baud: Usual baud rate.
+        framing: Ends of the messages; requests and replies are given by their texts.
     """
 
     robot_name: str
     host_class: str
     versions_reply: re.Pattern[str]
-    probe_letters: str
+    probes: tuple[str, ...]
     stop_requests: tuple[str, ...]
     moving: tuple[str, ...]
     baud: int
+    framing: Framing = LINES
+
+    @property
+    def identification(self) -> bytes:
+        """Bytes that end an unfinished request, and then ask for the kind of robot."""
+        return self.framing.resync + self.framing.encode(self.probes[0])
 
     def may_move(self, request: str) -> bool:
         """Return whether a request may move the robot."""
@@ -73,53 +82,42 @@ class Dialect(NamedTuple):
 
 
 class Interface(NamedTuple):
-    """Registers that controllers of episodes read and set.
+    """Registers that controllers of episodes read and set; pairs are left and right, or first and end.
 
     Attributes:
         n_registers: Number of registers.
-        proximity: First register of proximity, which rises towards an obstacle.
-        n_proximity: Number of them.
-        ambient: First register of ambient light.
-        n_ambient: Number of them.
-        left_setpoint: Register of the left wheel's speed setpoint.
-        right_setpoint: Register of the right wheel's speed setpoint.
-        left_side: Register of proximity to the left.
-        right_side: Register of proximity to the right.
-        rest_counts: Proximity without obstacles, which is 0 for metrics [counts].
-        counts_limit: Proximity that is 1 for networks and metrics [counts].
+        proximity: First register of proximity, which rises towards an obstacle, and the end of them.
+        ambient: First register of ambient light, and the end of them.
+        sides: Registers of proximity to the left and to the right.
+        setpoints: Registers of the speed setpoints.
+        positions: Registers of the wheels' positions [pulses].
+        counts: Proximity without obstacles, which is 0 for metrics, and that which is 1 for networks and
+            metrics [counts].
         top_speed: Speed that is 1 for metrics, and for actions and observations of tasks [register].
         speed_limit: Largest setpoint [register].
-        left_position: Register of the left wheel's position [pulses].
-        right_position: Register of the right wheel's position [pulses].
         speed_per_pulse: Speed of one pulse per 10 ms [register].
     """
 
     n_registers: int
-    proximity: int
-    n_proximity: int
-    ambient: int
-    n_ambient: int
-    left_setpoint: int
-    right_setpoint: int
-    left_side: int
-    right_side: int
-    rest_counts: int
-    counts_limit: int
+    proximity: tuple[int, int]
+    ambient: tuple[int, int]
+    sides: tuple[int, int]
+    setpoints: tuple[int, int]
+    positions: tuple[int, int]
+    counts: tuple[int, int]
     top_speed: float
     speed_limit: int
-    left_position: int
-    right_position: int
     speed_per_pulse: float = 1.0
 
     @property
-    def proximity_slice(self) -> slice:
-        """Registers of proximity."""
-        return slice(self.proximity, self.proximity + self.n_proximity)
+    def n_proximity(self) -> int:
+        """Number of sensors of proximity."""
+        return self.proximity[1] - self.proximity[0]
 
     @property
-    def ambient_slice(self) -> slice:
-        """Registers of ambient light."""
-        return slice(self.ambient, self.ambient + self.n_ambient)
+    def n_ambient(self) -> int:
+        """Number of sensors of ambient light."""
+        return self.ambient[1] - self.ambient[0]
 
 
 class Term(NamedTuple):
@@ -267,6 +265,28 @@ class RobotModel:
 
     def _part_error(self, part: str, value: object, expected: str) -> RobotModelError:
         return RobotModelError(f"model {self.name}: part {part} is {value!r}; expected {expected}")
+
+
+def bars_of(dark: int, speed: int) -> dict[str, Bar]:
+    """Return the bars of a panel by the counts of light in the dark, and by a speed [register]."""
+    return {
+        "proximity": Bar(COUNTS_LIMIT, f"proximity, 0 to {COUNTS_LIMIT}"),
+        # The count of ambient light decreases with the light.
+        "light": Bar(dark, f"light, {dark} dark to 0 bright"),
+        "speed": Bar(speed, f"speed, -{speed} to {speed}", lowest=-1.0),
+    }
+
+
+def parts_of(package: str, **attributes: str) -> dict[str, str]:
+    """Return references to parts: attributes of modules of a package, which have the names of the parts."""
+    return {part: f"{package}.{part}:{attribute}" for part, attribute in attributes.items()}
+
+
+def parse_channels(labels: Mapping[str, str]) -> dict[str, Columns]:
+    """Return the columns of channels by their labels, and of "registers", which has those of all of them."""
+    channels = {name: parse_columns(name, label) for name, label in labels.items()}
+    registers = tuple((f"register_{name}", "") for columns in channels.values() for name, _ in columns)
+    return {**channels, "registers": registers}
 
 
 def parse_columns(channel: str, label: str) -> Columns:

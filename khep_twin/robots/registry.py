@@ -63,7 +63,7 @@ def find_family(name: str) -> RobotModel:
 
 
 def find_other_family(dialect: Dialect, versions_reply: str) -> RobotModel | None:
-    """Return the first model of the family of a reply to B; None for a reply of this dialect, or of none."""
+    """Return the first model of the family that identifies itself so; None for this dialect, or none."""
     if dialect.versions_reply.fullmatch(versions_reply):
         return None
     families = installed_families().values()

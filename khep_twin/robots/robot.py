@@ -67,6 +67,7 @@ class Robot(WiredBoard, ABC):
         index: Index among the playpen's robots.
         name: Name in the scene, e.g. "khepera0".
         family: Family of its model.
+        dialect: Protocol on its line.
         indices: Indices in the scene.
         firmware: Command interpreter.
         uart: Serial line.
@@ -104,6 +105,7 @@ class Robot(WiredBoard, ABC):
         )
         self.name = f"khepera{index}"
         self.family = model.family
+        self.dialect = model.dialect
         self.indices = indices
         self._context = context
         self._record = context.simulation.robots.record_of(index)

@@ -120,17 +120,22 @@ def _fit_body(robot: mujoco.MjSpec, body: Body) -> None:
     """Set the body of a model whose file has that of another one."""
     if not body.fits_scene:
         return
-    for name, inset in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
-        geom = robot.geom(name)
-        geom.size = [body.radius - inset, *geom.size[1:]]
+    scale = body.height / units.BODY_HEIGHT
+    insets = {"base": 0.0, "board": 0.001, "shell": 0.0}
+    for geom in robot.geoms:
+        if geom.name in insets:
+            geom.size = [body.radius - insets[geom.name], scale * geom.size[1], geom.size[2]]
+            geom.pos = [*geom.pos[:2], scale * geom.pos[2]]
     for name, side in (("front_support", 1), ("back_support", -1)):
         support = robot.geom(name)
         support.pos = [side * body.support_position, 0, support.pos[2]]
-    for camera, (x, y) in zip(body.cameras, body.sensor_positions, strict=False):
-        robot.camera(camera).pos = [x, y, body.sensor_height]
-    base, mass = robot.body("base"), body.mass - 2 * units.WHEEL_MASS
-    base.mass = mass
-    across = mass * (3 * body.radius**2 + units.BODY_HEIGHT**2) / 12
+    base = robot.body("base")
+    for name, (x, y) in zip(body.cameras, body.sensor_positions, strict=False):
+        camera = robot.camera(name) or base.add_camera(robot.default, name=name)
+        camera.pos = [x, y, body.sensor_height]
+    base.mass = mass = body.mass - 2 * robot.body("left_wheel").mass
+    base.ipos = [*base.ipos[:2], scale * base.ipos[2]]
+    across = mass * (3 * body.radius**2 + body.height**2) / 12
     base.inertia = [across, across, mass * body.radius**2 / 2]
 
 

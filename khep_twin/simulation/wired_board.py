@@ -8,7 +8,6 @@ import numpy as np
 
 from khep_twin import units
 from khep_twin.board.fault_injection import Injector
-from khep_twin.board.protocol import LINE_END
 from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import FirmwareState
@@ -52,6 +51,10 @@ class BoardFirmware(Protocol):
     @property
     def powered(self) -> bool:
         """True if the supply suffices for the processor."""
+        ...
+
+    def request_length(self, data: bytearray) -> int:
+        """Return how many of the next bytes complete a request; more than their number if they do not."""
         ...
 
     def receive(self, data: bytes) -> bytes:
@@ -280,7 +283,7 @@ class WiredBoard:
     def _next_command(self) -> tuple[int, int] | None:
         """Return length and time of acceptance of the next complete command [ns]; None without one."""
         rx, tx = self.uart.rx, self.uart.tx
-        if rx.next_ns is None or (count := rx.count_to_match(LINE_END)) is None:
+        if rx.next_ns is None or (count := self.firmware.request_length(rx.content)) > len(rx):
             return None
         space_ns = tx.arrival_ns(len(tx) - REPLY_LIMIT) if len(tx) > REPLY_LIMIT else None
         return count, max(rx.arrival_ns(count) or 0, space_ns or 0)

@@ -16,7 +16,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from khep_twin.board.protocol import LINE_END
 from khep_twin.clock import NEVER_NS, Pacer
 from khep_twin.errors import KhepTwinError
 from khep_twin.ports.connection import Connection
@@ -56,14 +55,15 @@ class OutsideHost:
         self._connection = Connection(twin, robot, port, notify)
         self._notify = notify
         self._partial_line = bytearray()
-        self._dialect = self._world.playpen.robots[robot.index].robot_model.dialect
+        self._dialect = robot.dialect
         self._stop_requests: deque[bytes] = deque()
         self._awaits_stop_reply = False
 
     def stop_motors(self) -> None:
         """Send the requests that stop the motors at the next exchanges, and drop their replies."""
-        requests = ("", *self._dialect.stop_requests)  # the host's unfinished line ends first
-        self._stop_requests.extend(f"{request}\n".encode() for request in requests)
+        framing, requests = self._dialect.framing, self._dialect.stop_requests
+        # The host's unfinished request ends first.
+        self._stop_requests.extend([framing.resync, *map(framing.encode, requests)])
 
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors to wait for."""
@@ -101,7 +101,7 @@ class OutsideHost:
         uart = self.robot.uart
         if len(uart.rx) or len(uart.tx):
             return
-        is_incomplete = not LINE_END.search(self._partial_line)
+        is_incomplete = not self._request_length()
         received = self.port.receive(_LINE_LIMIT if is_incomplete else 0, is_incomplete)
         for notice in received.notices:
             self._notify(notice)
@@ -112,17 +112,21 @@ class OutsideHost:
             self.robot.disconnect()
             self._partial_line.clear()
         self._partial_line += received.data
-        end = LINE_END.search(self._partial_line)
-        if end is None:
+        if not (length := self._request_length()):
             del self._partial_line[_LINE_LIMIT:]
             return
-        line = bytes(self._partial_line[: end.end()])
-        del self._partial_line[: end.end()]
+        line = bytes(self._partial_line[:length])
+        del self._partial_line[:length]
         self.commands += 1
         self.robot.send(line)
         while (next_ns := self._connection.next_ns()) != NEVER_NS:
             pass_time(next_ns)
             self._connection.deliver()
+
+    def _request_length(self) -> int:
+        """Return the length of the host's first complete request; 0 without one."""
+        length = self._dialect.framing.length(self._partial_line, to_robot=True)
+        return length if length <= len(self._partial_line) else 0
 
 
 class SessionEndedError(KhepTwinError):

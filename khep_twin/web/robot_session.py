@@ -87,22 +87,10 @@ class RobotActor(SessionActor):
 
 
 def _open_robot(url: str) -> tuple[RobotModel, HostRobot]:
-    """Open the robot at a port; return its model, the one with the BIOS nearest to that in the reply to B.
-
-    Raises:
-        ProtocolError: The reply is of no known model.
-    """
+    """Open the robot at a port; return its model, the one with the BIOS nearest to that in its identity."""
     robot = Khepera(url, baudrate="auto")
-    try:
-        reply = robot.ask("B")
-        known_models = installed_models()
-        models = [model for model in known_models.values() if model.dialect.versions_reply.fullmatch(reply)]
-        if not models:
-            names = ", ".join(known_models)
-            raise ProtocolError(f"{url}: the reply to B is {reply!r}; expected one of {names}")
-    except BaseException:
-        robot.port.close()
-        raise
+    known_models, reply = installed_models().values(), robot.identity
+    models = [model for model in known_models if model.dialect.versions_reply.fullmatch(reply)]
     version = _parse_version(reply)
     model = min(models, key=lambda model: abs(_parse_version(next(iter(model.roms.values())).bios) - version))
     if model.dialect is KHEPERA_1.dialect:

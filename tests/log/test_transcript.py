@@ -15,6 +15,7 @@ from khep_twin.log.snapshots import SNAPSHOT_NS, SNAPSHOT_TOPIC, read_snapshot
 from khep_twin.log.transcript import Transcript
 from khep_twin.ports.resume import run_end_ns
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.framing import LINES
 
 MS = 1_000_000
 
@@ -54,7 +55,7 @@ def serial_messages(path: Path) -> list[tuple[int, bytes]]:
 
 def test_lines_are_written_at_the_first_write_after_their_end() -> None:
     lines = Lines()
-    transcript = Transcript(lines, ["khepera0"])
+    transcript = Transcript(lines, {"khepera0": LINES})
     transcript.on_bytes(5, 0, False, b"n,1\r\nb,1\r\n")
     transcript.on_bytes(3, 0, True, b"N\nG")
     transcript.write(4)

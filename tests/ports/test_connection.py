@@ -45,7 +45,7 @@ class Cable:
     def receive(self, limit: int, is_answered: bool = False) -> Received:
         return self.news.pop(0) if self.news else NOTHING
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, is_end: bool = False) -> None:
         self.written.append(data)
 
     def close(self) -> None:

@@ -339,3 +339,15 @@ def test_notices_are_rationed_and_those_left_out_are_counted(monkeypatch: pytest
     assert limit.admit(["a", "b"]) == ["a (6 more notices were not printed)"]
     now[0] += 1000
     assert len(limit.admit(["c"] * 20)) == 10
+
+
+def test_a_reply_without_a_line_end_is_sent_at_the_end_of_the_reply() -> None:
+    client, peer = socket.socketpair()
+    with closing(client), closing(peer):
+        peer.setblocking(False)
+        host = NetworkHost(client, "127.0.0.1", None)
+        host.write(b"\xc5\x01")
+        with pytest.raises(BlockingIOError):
+            peer.recv(10)
+        host.write(b"\x3a", is_end=True)
+        assert peer.recv(10) == b"\xc5\x01\x3a"

@@ -53,7 +53,7 @@ class Hosts:
         ready = self.news and (limit or not self.news[0].data)
         return self.news.pop(0) if ready else Received()
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, is_end: bool = False) -> None:
         """Do nothing."""
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ import math
 import threading
 from contextlib import closing
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,8 +14,10 @@ from command_line import complaint, good
 from matplotlib.patches import Circle
 from numba_marks import with_numba
 
+from khep_twin import Function, Network, rollout
 from khep_twin import playpen as playpens
 from khep_twin.drawing.map import draw
+from khep_twin.envs import TaskEpisode, TaskSetup
 from khep_twin.errors import PortError, SnapshotError
 from khep_twin.host import Khepera
 from khep_twin.host.host_robot import open_robot
@@ -55,7 +58,7 @@ heading_deg = 180
 
 CONTROLLER = """
 def wander(robot):
-    nose = robot.proximity()[0]
+    nose = robot.read_panel()["proximity"][0]
     robot.set_speed(0.08, -0.08 if nose > 200 else 0.08)
     return {"nose": nose}
 """
@@ -70,13 +73,20 @@ def toys() -> Playpen:
     return playpens.parse(TEXT, "toys")
 
 
-def drive(world: World, speeds: bytes = b"M,0064,0032\n") -> list[str]:
+def frame(command: int, *values: int) -> bytes:
+    """Return a frame of the Toy; 1 is its name, 2 sets the speeds, 3 reads the registers."""
+    from toy_robot import model
+
+    return model.frame(command, *values)
+
+
+def drive(world: World, left: int = 100, right: int = 50) -> list[str]:
     """Drive the Toys of a world; return hashes of their registers and of the physics."""
     digests: list[str] = []
     for _ in range(4):
         for robot in world.robots:
             if isinstance(robot.firmware, LineServer):
-                robot.send(speeds)
+                robot.send(frame(2, left, right))
         world.advance(0.1331)
         contents = [robot.registers.tobytes() for robot in world.robots]
         digests.append(sha256(b"".join([*contents, world.data.qpos.tobytes()])).hexdigest())
@@ -104,7 +114,7 @@ def test_a_playpen_has_a_toy_with_the_defaults_of_its_model(toys: Playpen, tmp_p
 def test_a_toy_drives_and_its_sensors_see_what_is_there(toys: Playpen) -> None:
     world = World(toys, noise=False)
     robot = world.robots[0]
-    robot.send(b"M,0064,0064\n")
+    robot.send(frame(2, 100, 100))
     world.advance(1)
     readings = robot.readings()
     x, y, heading = robot.pose
@@ -126,10 +136,10 @@ def test_a_restored_toy_continues_to_the_last_bit(toys: Playpen) -> None:
     world = World(toys, seed=3)
     drive(world)
     snapshot = world.snapshot()
-    digests = drive(world, b"M,ffce,0000\n")
+    digests = drive(world, -50, 0)
     copy = World(toys, seed=9)
     copy.restore(snapshot)
-    assert drive(copy, b"M,ffce,0000\n") == digests
+    assert drive(copy, -50, 0) == digests
     with pytest.raises(SnapshotError):
         World("obstacles").restore(snapshot)
     state = world.state()
@@ -161,10 +171,11 @@ def test_the_host_class_of_a_toy_drives_a_twin_in_this_process(toys: Playpen) ->
         toy = cast(Any, robot)
         toy.set_speed(0.1, 0.1)
         toy.sleep(1)
-        assert toy.position() == (pytest.approx(0.095, abs=0.01),) * 2
-        assert toy.distance() == pytest.approx(0.29, abs=0.02)
-        assert len(toy.proximity()) == 5
-        assert [*toy.read_panel()] == ["proximity", "ambient", "speed"]
+        channels = toy.read_panel()
+        pulse = find_model("toy").body.pulse_length
+        assert np.array(channels["position"]) * pulse == pytest.approx(0.095, abs=0.01)
+        assert channels["ultrasonic"] == [pytest.approx(290, abs=20)]
+        assert len(channels["proximity"]) == 5
     with pytest.raises(PortError, match="the robot is a Toy"):
         Khepera(Serial.of(open_twin(toys), 1.0))
 
@@ -172,7 +183,7 @@ def test_the_host_class_of_a_toy_drives_a_twin_in_this_process(toys: Playpen) ->
 def test_the_baud_rate_of_a_toy_is_found(toys: Playpen) -> None:
     twin = open_twin(toys, TwinOptions(strict_line=True))
     port: Any = Serial.of(twin, 1.0)
-    assert find_baud_rate(port, "toy", lambda: twin.world.time_ns / 1e9) == port.baudrate == 57_600
+    assert find_baud_rate(port, "toy", lambda: twin.world.time_ns / 1e9)[0] == port.baudrate == 57_600
 
 
 @pytest.mark.parametrize("where", ["pty", "tcp"])
@@ -189,7 +200,7 @@ def test_a_toy_is_served(where: str, toys: Playpen, tmp_path: Path) -> None:
                 url = port.path
                 with open_robot(model, url) as robot:
                     robot.check_model()
-                    assert robot.ask("B") == "b,toy,1"
+                    assert robot.ask("c501 3a") == "C501546F7901FD"
                     cast(Any, robot).set_speed(0.05, 0.05)
             finally:
                 stop.set()
@@ -204,7 +215,7 @@ def log(installed_toy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with open_robot(find_model("toy"), Serial.of(twin, 1.0)) as robot:
         cast(Any, robot).set_speed(0.08, 0.1)
         for _ in range(20):
-            cast(Any, robot).proximity()
+            cast(Any, robot).read_panel()
             robot.sleep(0.1)
     return path
 
@@ -252,9 +263,53 @@ def test_a_controller_in_python_drives_a_toy(tmp_path: Path) -> None:
     (tmp_path / "wander.py").write_text(CONTROLLER)
     words = "run", "wander.py", "--playpen", "toys.toml", "--seconds", "2", "--log", "run.mcap"
     text = good(*words, folder=tmp_path)
-    assert text.startswith("100 cycles in 2.0 s\ndistance m ")
+    assert text.startswith("210 cycles in 2.0 s\ndistance m ")
     assert "fitness" not in text
     assert complaint("run", "braitenberg", "--playpen", "toys.toml", folder=tmp_path) == (
         "toys: robot 1: model = 'toy'; expected a Khepera or Khepera II for a network, a built-in controller "
         "or one in the toolbox's form"
     )
+
+
+def away(proximity, ambient, memory, genes):
+    return (60.0, -60.0) if max(proximity) > 200 else (100.0, 100.0)
+
+
+def test_toys_run_in_rollouts_alike_plain_compiled_and_on_a_simulated_gpu(toys: Playpen) -> None:
+    one = toys.model_copy(update={"robots": toys.robots[:1]})
+    network = Network(hidden=(3,), model="toy")
+    assert (network.sizes, network.top_speed) == ((5, 3, 2), 200)
+    genes = np.random.default_rng(1).normal(size=(2, network.n_genes))
+    for driver, options in ((Function(away), {}), (network, {"genes": genes})):
+        for planar in (False, True):
+            plain = rollout(one, driver, [1, 2], 1.0, planar=planar, compiled=False, **options)
+            assert plain.metrics["distance_m"].max() > 0.01
+            if find_spec("numba"):
+                compiled = rollout(one, driver, [1, 2], 1.0, planar=planar, compiled=True, **options)
+                assert (plain.registers == compiled.registers).all()
+                assert (plain.poses == compiled.poses).all()
+    if find_spec("numba_cuda"):  # simulated, as `conftest` sets
+        on_card = rollout(one, network, [1, 2], 0.2, planar=True, device="cuda", genes=genes)
+        plain = rollout(one, network, [1, 2], 0.2, planar=True, compiled=False, genes=genes)
+        assert (plain.registers == on_card.registers).all()
+        assert (plain.poses == on_card.poses).all()
+
+
+def test_toys_run_in_environments_with_a_term_of_their_own(toys: Playpen) -> None:
+    pytest.importorskip("gymnasium")
+    from khep_twin.envs import Task, make_vec
+    from khep_twin.envs.tasks import avoiding
+
+    one = toys.model_copy(update={"robots": toys.robots[:1]})
+    vector = make_vec("khep_twin/ObstacleAvoidance-v0", 2, playpen=one, planar=True, seconds=1)
+    observations, _ = vector.reset(seed=1)
+    assert observations.shape == (2, 7)
+    assert vector.unwrapped.labels[:2] == ("proximity nose", "proximity left_cheek")
+    for _ in range(10):
+        observations, rewards, *_ = vector.step(np.full((2, 2), 0.5, np.float32))
+    np.testing.assert_allclose(observations[:, 5:], 0.5, atol=0.05)
+    assert (rewards > 0.2).all()
+    task = Task("Ranging", "obstacles", ("ultrasonic", "speed"), avoiding, model="toy")
+    episode = TaskEpisode(TaskSetup(task, playpen=one, start=(200, 200, -20), compiled=False))
+    (observation,) = episode.begin(1)
+    assert -0.7 < observation[0] < -0.3  # 0.37 m of 1.5 m

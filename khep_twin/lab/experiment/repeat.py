@@ -101,7 +101,7 @@ class _Comparison(Observer):
         self._replies = ReplyHashes(len(world.robots))
         self._names = [robot.name for robot in world.robots]
         self._lines: dict[str, list[TextLine]] = {f"/{name}/serial": [] for name in self._names}
-        self._transcript = Transcript(self, self._names)
+        self._transcript = Transcript(self, {robot.name: robot.dialect.framing for robot in world.robots})
 
     def sample(self, world: World) -> None:
         """Compare the state with the recorded one."""

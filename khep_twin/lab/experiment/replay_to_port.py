@@ -24,7 +24,8 @@ from khep_twin.log.decoding import DecodeError, printable
 from khep_twin.log.recorded import RecordedRun
 from khep_twin.log.transcript import escape
 from khep_twin.playpen import parse
-from khep_twin.robots.registry import DEFAULT, find_model
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import default_model
 
 QUANTITIES = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position", "r": "position"}
 """Quantities of the replies whose values are compared one by one, by letter."""
@@ -56,7 +57,7 @@ class Comparison:
 
     Attributes:
         robot: Name of the robot in the log.
-        letters: Comparisons by the first letter of the replies.
+        letters: Comparisons by the command of the replies, a letter of those that are lines.
         missing: Number of recorded replies without a counterpart.
         additional: Number of replies without a counterpart in the log.
         first_difference: First recorded reply that differs or is missing, and its counterpart or "".
@@ -119,16 +120,20 @@ def replay_to_port(
     events = [event for _, index, event in recorded.events if index == robot]
     lines = [line for line in recorded.lines[robot] if line.name == "robot"]
     last_ns = lines[-1].time_ns if lines else 0
-    replies = _send(events, url, _baud(recorded, events), _model(recorded, robot), last_ns, progress)
-    return _compare_replies(recorded.label.robots[robot], lines, replies)
+    model = _model(recorded, robot)
+    framing = model.dialect.framing
+    received = _send(events, url, _baud(recorded, events), model, last_ns, progress)
+    messages, rest = framing.split(received, to_robot=False)
+    replies = [escape(framing.decode(message).encode("latin-1")) for message in (*messages, rest) if message]
+    return _compare_replies(recorded.label.robots[robot], lines, replies, framing.command)
 
 
-def _model(recorded: RecordedRun, robot: int) -> str:
-    """Return the model of a robot; empty for a relay's, which is a Khepera."""
+def _model(recorded: RecordedRun, robot: int) -> RobotModel:
+    """Return the model of a robot; the default one for a relay's."""
     attachments = recorded.label.attachments
     if "playpen.toml" not in attachments:
-        return ""
-    return parse(attachments["playpen.toml"], "playpen.toml", recorded=True).robots[robot].model
+        return default_model()
+    return parse(attachments["playpen.toml"], "playpen.toml", recorded=True).robots[robot].robot_model
 
 
 def _baud(recorded: RecordedRun, events: Sequence[HostEvent]) -> int:
@@ -146,14 +151,14 @@ def _send(
     events: Sequence[HostEvent],
     url: str,
     baud: int,
-    model: str,
+    model: RobotModel,
     last_ns: int,
     progress: Callable[[float], None] | None,
-) -> list[str]:
-    """Repeat the host events at their times on a robot of this model; return the replies."""
+) -> bytes:
+    """Repeat the host events at their times on a robot of this model; return the bytes of the replies."""
     received = b""
     # The comparison reports a robot that sends no last reply.
-    with closing(open_robot(find_model(model or DEFAULT), url, timeout=0, baudrate=baud)) as khepera:
+    with closing(open_robot(model, url, timeout=0, baudrate=baud)) as khepera:
         port = khepera.port
         # A simulated port loses no bytes, and each read would take simulated time.
         is_simulated = hasattr(port, "time_ns")
@@ -176,16 +181,18 @@ def _send(
             received += port.read(max(port.in_waiting, 1))
         except PORT_FAILURES as error:
             raise PortError(f"{url}: the port failed: {error}") from error
-    return [escape(line) for line in re.split(rb"[\r\n]", received) if line]
+    return received
 
 
-def _compare_replies(robot: str, recorded: Sequence[TextLine], replies: Sequence[str]) -> Comparison:
+def _compare_replies(
+    robot: str, recorded: Sequence[TextLine], replies: Sequence[str], letter_of: Callable[[str], str]
+) -> Comparison:
     """Return the comparison of a robot's replies with the recorded ones."""
-    pairs, n_additional = _align(recorded, replies)
+    pairs, n_additional = _align(recorded, replies, letter_of)
     first_difference = next(((line, text) for line, text in pairs if line.text != text), None)
     letters: dict[str, LetterComparison] = {}
-    for letter in sorted({line.text[:1] for line, text in pairs if text}):
-        texts = [(line.text, text) for line, text in pairs if text and line.text[:1] == letter]
+    for letter in sorted({letter_of(line.text) for line, text in pairs if text}):
+        texts = [(line.text, text) for line, text in pairs if text and letter_of(line.text) == letter]
         rows = [_subtract(old, text) for old, text in texts] if letter in QUANTITIES else []
         widths = [len(row) for row in rows if row]
         complete_rows = [row for row in rows if row and len(row) == max(widths)]
@@ -194,16 +201,19 @@ def _compare_replies(robot: str, recorded: Sequence[TextLine], replies: Sequence
     return Comparison(robot, letters, sum(not text for _, text in pairs), n_additional, first_difference)
 
 
-def _align(recorded: Sequence[TextLine], replies: Sequence[str]) -> tuple[list[tuple[TextLine, str]], int]:
+def _align(
+    recorded: Sequence[TextLine], replies: Sequence[str], letter_of: Callable[[str], str]
+) -> tuple[list[tuple[TextLine, str]], int]:
     """Return each recorded reply with its counterpart or an empty text, and the number of other replies."""
     pairs: list[tuple[TextLine, str]] = []
     reply_index, n_additional = 0, 0
-    texts = [line.text for line in recorded]
+    old_letters = [letter_of(line.text) for line in recorded]
+    new_letters = [letter_of(reply) for reply in replies]
     for index, line in enumerate(recorded):
-        n_skipped = _index_of_letter(line.text, replies[reply_index : reply_index + _SEARCH_WINDOW])
+        n_skipped = _find(old_letters[index], new_letters[reply_index : reply_index + _SEARCH_WINDOW])
         n_missing = None
         if reply_index < len(replies):
-            n_missing = _index_of_letter(replies[reply_index], texts[index : index + _SEARCH_WINDOW])
+            n_missing = _find(new_letters[reply_index], old_letters[index : index + _SEARCH_WINDOW])
         if n_skipped is None or (n_missing is not None and n_missing < n_skipped):
             pairs.append((line, ""))
             continue
@@ -213,9 +223,9 @@ def _align(recorded: Sequence[TextLine], replies: Sequence[str]) -> tuple[list[t
     return pairs, n_additional + len(replies) - reply_index
 
 
-def _index_of_letter(reply: str, replies: Sequence[str]) -> int | None:
-    """Return the index of the first reply with the same letter, or None."""
-    return next((index for index, other in enumerate(replies) if other[:1] == reply[:1]), None)
+def _find(letter: str, letters: Sequence[str]) -> int | None:
+    """Return the index of a letter; None if it is not there."""
+    return letters.index(letter) if letter in letters else None
 
 
 def _subtract(recorded: str, reply: str) -> list[int]:

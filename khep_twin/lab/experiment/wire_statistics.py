@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from khep_twin.log.channels import TextLine
+from khep_twin.robots.framing import LINES, Framing
 
 _REFUSALS = ("z,", "Command not found")
 
@@ -35,8 +36,8 @@ class Wire:
         return sum(self.commands.values())
 
 
-def wire(lines: Sequence[TextLine]) -> Wire:
-    """Return a transcript's statistics; a reply belongs to the oldest pending command with its letter."""
+def wire(lines: Sequence[TextLine], framing: Framing = LINES) -> Wire:
+    """Return a transcript's statistics; a reply belongs to the oldest pending command that it answers."""
     commands: Counter[str] = Counter()
     open_commands: list[tuple[str, int]] = []
     delays_ns: list[int] = []
@@ -44,17 +45,20 @@ def wire(lines: Sequence[TextLine]) -> Wire:
     for line in lines:
         if line.name == "host":
             # A command's letter or a tool's word.
-            name = line.text.strip().split(",")[0].split(" ")[0][:12] or "?"
+            name = framing.command(line.text) or "?"
             commands[name] += 1
             if name.isupper() or not name.isalpha():
-                open_commands.append((name[:1].lower(), line.time_ns))
+                open_commands.append((line.text, line.time_ns))
             continue
         is_refusal = line.text.startswith(_REFUSALS)
-        letters, reply_letter = [letter for letter, _ in open_commands], line.text.partition(",")[0]
+        answered = (
+            index
+            for index, (request, _) in enumerate(open_commands)
+            if is_refusal or framing.answers(request, line.text)
+        )
         # A refusal answers the oldest command; commands before an answered one stay unanswered.
-        if not letters or (not is_refusal and reply_letter not in letters):
+        if (command_index := next(answered, None)) is None:
             continue
-        command_index = 0 if is_refusal else letters.index(reply_letter)
         delays_ns.append(line.time_ns - open_commands[command_index][1])
         refused += is_refusal
         unanswered += command_index

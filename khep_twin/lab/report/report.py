@@ -168,7 +168,7 @@ def _robot_report(
         rows += near_rows(statistics.near(proximity.times_ns / 1e9, counts, body.near_counts))
     if ambient is not None:
         rows += light_rows(ambient, dark_level, body.sensors, n_around)
-    rows += wire_rows(lines, _duration_s(recording))
+    rows += wire_rows(lines, _duration_s(recording), model.dialect.framing)
     channels = {"pose": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
     absent = [label for label, series in channels.items() if series is None]
     if playpen is None or pose is None:

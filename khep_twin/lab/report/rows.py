@@ -12,6 +12,7 @@ from khep_twin.lab.experiment.wire_statistics import wire
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import TimeSeries
 from khep_twin.robots.body import Body
+from khep_twin.robots.framing import Framing
 from khep_twin.robots.registry import default_model, installed_families
 
 Row = tuple[str, str]
@@ -102,9 +103,9 @@ def light_rows(ambient: TimeSeries, dark: float, names: Sequence[str], n_around:
     yield "Brightest moment", f"{light.brightest:.0f} counts, sensor {sensor}, at {light.time_s:.1f} s"
 
 
-def wire_rows(lines: Sequence[TextLine], duration_s: float) -> Iterator[Row]:
+def wire_rows(lines: Sequence[TextLine], duration_s: float, framing: Framing) -> Iterator[Row]:
     """Yield the rows on the serial line."""
-    stats = wire(lines)
+    stats = wire(lines, framing)
     if not stats.count:
         yield "Commands", "none"
         return

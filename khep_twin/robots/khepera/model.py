@@ -7,7 +7,7 @@ from khep_twin.board.kernel import AMBIENT, LEFT, N_REGISTERS, PROXIMITY, RIGHT,
 from khep_twin.board.protocol import MOTION_COMMANDS
 from khep_twin.board.rom import ROMS
 from khep_twin.robots.body import Body
-from khep_twin.robots.model import Bar, Columns, Dialect, Feature, Interface, RobotModel
+from khep_twin.robots.model import Columns, Dialect, Feature, Interface, RobotModel, bars_of
 from khep_twin.units import (
     BODY_HEIGHT,
     BODY_RADIUS,
@@ -15,7 +15,6 @@ from khep_twin.units import (
     IDLE_CURRENT,
     K213_PIXELS,
     MASS,
-    N_SENSORS,
     PULSES_PER_TURN,
     SENSOR_HEIGHT,
     SENSOR_LABELS,
@@ -52,19 +51,14 @@ _CHANNELS: dict[str, Columns] = {
     "registers": tuple((f"register_{name}", "") for name in _REGISTERS),
 }
 
-_BARS = {
-    "proximity": Bar(COUNTS_LIMIT, f"proximity, 0 to {COUNTS_LIMIT}"),
-    # The count of ambient light decreases with the light.
-    "light": Bar(500, "light, 500 dark to 0 bright"),
-    "speed": Bar(20, "speed, -20 to 20", lowest=-1.0),
-}
+_BARS = bars_of(dark=500, speed=20)
 """Bars of `khepbase` of the Khepera Toolbox for Matlab, with its limits."""
 
 _DIALECT = Dialect(
     robot_name="a Khepera",
     host_class="khep_twin.host.Khepera",
     versions_reply=re.compile(r"b,\d[\d.]*,\d[\d.]*"),
-    probe_letters="BHEK",
+    probes=("B", "H", "E", "K"),
     stop_requests=("D,0,0",),
     moving=(*MOTION_COMMANDS, "run", "restart"),
     baud=9600,
@@ -77,24 +71,16 @@ _PARTS = {
     "conformance": "khep_twin.lab.conformance.port.catalogue:KHEPERA_CHECKS",
 }
 
-_LEFT_SETPOINT, _RIGHT_SETPOINT = SETPOINTS
-
 _INTERFACE = Interface(
     N_REGISTERS,
-    proximity=PROXIMITY[0],
-    n_proximity=N_SENSORS,
-    ambient=AMBIENT[0],
-    n_ambient=N_SENSORS,
-    left_setpoint=_LEFT_SETPOINT,
-    right_setpoint=_RIGHT_SETPOINT,
-    left_side=PROXIMITY[Sensor.LEFT_90],
-    right_side=PROXIMITY[Sensor.RIGHT_90],
-    rest_counts=0,
-    counts_limit=COUNTS_LIMIT,
+    proximity=(PROXIMITY[0], PROXIMITY[-1] + 1),
+    ambient=(AMBIENT[0], AMBIENT[-1] + 1),
+    sides=(PROXIMITY[Sensor.LEFT_90], PROXIMITY[Sensor.RIGHT_90]),
+    setpoints=(SETPOINTS[0], SETPOINTS[1]),
+    positions=(LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER),
+    counts=(0, COUNTS_LIMIT),
     top_speed=20.0,  # 160 mm/s
     speed_limit=127,
-    left_position=LEFT + Wheel.ENCODER,
-    right_position=RIGHT + Wheel.ENCODER,
 )
 
 KHEPERA_1 = RobotModel(

@@ -70,6 +70,8 @@ class Khepera4(HostRobot):
         ValueError: A duration, distance or number is out of range.
     """
 
+    dialect = KHEPERA_4.dialect
+
     def __init__(
         self,
         url: StrPath | serial.SerialBase,
@@ -81,7 +83,7 @@ class Khepera4(HostRobot):
     ) -> None:
         if not 0 < wheel_base < math.inf:
             raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
-        super().__init__(url, timeout, baudrate, retries, KHEPERA_4.dialect)
+        super().__init__(url, timeout, baudrate, retries=retries)
         self._wheel_base = wheel_base
         self._target = (0, 0)
 
@@ -91,11 +93,6 @@ class Khepera4(HostRobot):
         """Drive the wheels at these speeds [m/s], about 0.8 at most, steady above 0.003 (command D)."""
         pulses = _to_pulses("speed", SPEED_UNIT, (left, right))
         self._run(order("D", *pulses, repeatable=not any(pulses)))
-
-    def stop(self) -> None:
-        """Stop the wheels, and the vehicle of `wander`."""
-        self.stop_wandering()
-        self.set_speed(0, 0)
 
     def set_target(self, left: float, right: float) -> None:
         """Move the wheels to these positions [m] along the profile; return immediately (command F)."""

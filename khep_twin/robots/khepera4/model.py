@@ -6,7 +6,6 @@ from pathlib import Path
 
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
-from khep_twin.robots.khepera.model import KHEPERA_1
 from khep_twin.robots.khepera4.channels import (
     AROUND,
     CHANNELS,
@@ -16,19 +15,16 @@ from khep_twin.robots.khepera4.channels import (
     ULTRASONIC_CODES,
 )
 from khep_twin.robots.model import (
-    Bar,
-    Columns,
     Dialect,
     Interface,
     RobotModel,
     Term,
+    bars_of,
     consecutive_registers,
-    parse_columns,
+    parse_channels,
+    parts_of,
 )
 from khep_twin.units import COUNTS_LIMIT
-
-_CHANNELS: dict[str, Columns] = {name: parse_columns(name, label) for name, label in CHANNELS.items()}
-_REGISTERS = tuple((f"register_{name}", "") for columns in _CHANNELS.values() for name, _ in columns)
 
 SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES)
 """Headings: manual; distance from the centre: assumed; height: drawing."""
@@ -62,28 +58,22 @@ SAMPLED = consecutive_registers(CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""
 
 _FIRST = {channel.name: channel.registers[0] for channel in SAMPLED}
-_N_AROUND, _TOP_RATE = len(AROUND), 8_000  # 528 deg/s (assumed)
+_TOP_RATE = 8_000  # 528 deg/s (assumed)
 
 _INTERFACE = Interface(
     SAMPLED[-1].registers[-1] + 1,
-    proximity=_FIRST["proximity"],
-    n_proximity=_N_AROUND,
-    ambient=_FIRST["ambient"],
-    n_ambient=_N_AROUND,
-    left_setpoint=_FIRST["speed"] + 2,
-    right_setpoint=_FIRST["speed"] + 3,
-    left_side=_FIRST["proximity"] + AROUND.index("left"),
-    right_side=_FIRST["proximity"] + AROUND.index("right"),
-    rest_counts=100,
-    counts_limit=COUNTS_LIMIT,
+    proximity=(_FIRST["proximity"], _FIRST["proximity"] + len(AROUND)),
+    ambient=(_FIRST["ambient"], _FIRST["ambient"] + len(AROUND)),
+    sides=(_FIRST["proximity"] + AROUND.index("left"), _FIRST["proximity"] + AROUND.index("right")),
+    setpoints=(_FIRST["speed"] + 2, _FIRST["speed"] + 3),
+    positions=(_FIRST["position"], _FIRST["position"] + 1),
+    counts=(100, COUNTS_LIMIT),
     top_speed=600.0,  # 407 mm/s, half of its top speed (assumed)
     speed_limit=2**15 - 1,
-    left_position=_FIRST["position"],
-    right_position=_FIRST["position"] + 1,
 )
 
 _TERMS = (
-    Term("ground", _FIRST["proximity"] + _N_AROUND, GROUND, 0, COUNTS_LIMIT, "counts"),
+    Term("ground", _FIRST["proximity"] + len(AROUND), GROUND, 0, COUNTS_LIMIT, "counts"),
     Term("ultrasonic", _FIRST["ultrasonic"], ULTRASONIC, 0, 250, "cm"),
     Term("gyroscope", _FIRST["gyroscope"] + 2, ("turn",), -_TOP_RATE, _TOP_RATE, "0.066 deg/s"),
 )
@@ -96,26 +86,20 @@ KHEPERA_4 = RobotModel(
     calibration="khepera4",
     # The server has no banner and one baud rate (manual, chapter 6).
     roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(115_200)})},
-    channels={**_CHANNELS, "registers": _REGISTERS},
-    bars={
-        "proximity": KHEPERA_1.bars["proximity"],
-        "light": Bar(980, "light, 980 dark to 0 bright"),
-        "speed": Bar(500, "speed, -500 to 500", lowest=-1.0),
-    },
+    channels=parse_channels(CHANNELS),
+    bars=bars_of(dark=980, speed=500),
     # D does not stop the server's vehicle, and H and K are not reads.
     dialect=Dialect(
         robot_name="a Khepera IV",
         host_class="khep_twin.host.Khepera4",
         versions_reply=re.compile(r"b,[A-P],\d+"),
-        probe_letters="BERG",
+        probes=("B", "E", "R", "G"),
         stop_requests=("A,2", "D,0,0"),
         moving=("A", "D", "F", "L"),
         baud=115_200,
     ),
     parts={
-        "core": "khep_twin.robots.khepera4.core:CORE",
-        "robot": "khep_twin.robots.khepera4.robot:Khepera4Robot",
-        "host": "khep_twin.robots.khepera4.host:Khepera4",
+        **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),
         "conformance": "khep_twin.robots.khepera4.conformance.catalogue:KHEPERA_4_CHECKS",
     },
     plots={

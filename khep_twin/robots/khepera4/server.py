@@ -14,15 +14,12 @@ import re
 from collections.abc import Sequence
 
 from khep_twin.board.kernel import divide
-from khep_twin.board.protocol import LINE_END
 from khep_twin.firmware import FirmwareState
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
+from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
 from khep_twin.robots.line_server import LineServer
 from khep_twin.sensing.buffers import Vector
-
-BAUD = 115_200
-"""Speed of the serial line [baud] (manual, chapter 6)."""
 
 ANSWER_NS = 2_000_000
 """Time from a command to its reply [ns]: that of some 60 bytes on the bus (assumed)."""
@@ -77,7 +74,7 @@ class Kh4Server(LineServer):
     def __init__(self, dspic: Dspic, vehicle: Vector[int] | None = None) -> None:
         self._dspic = dspic
         self._vehicle = [0] * N_VEHICLE if vehicle is None else vehicle
-        super().__init__(BAUD)
+        super().__init__(KHEPERA_4.dialect, self.execute)
         self.forget()
 
     def forget(self) -> None:
@@ -117,14 +114,10 @@ class Kh4Server(LineServer):
         if not self._is_running:
             self._is_running = True
             self._set_defaults()
-        self._line += data
-        while end := LINE_END.search(self._line):
-            line, self._line = self._line[: end.start()], self._line[end.end() :]
-            if line:
-                self._line = b""
-                return self.execute(line[:LONGEST_LINE])
-        self._line = self._line[:LONGEST_LINE]
-        return b""
+        messages, line = self._framing.split(self._line + data, to_robot=True)
+        request = next(filter(None, messages), b"")[:LONGEST_LINE]
+        self._line = b"" if request else line[:LONGEST_LINE]
+        return self.execute(request) if request else b""
 
     def tick(self) -> None:
         """Run the vehicle of A for a control period (assumed; the program loops as fast as it can)."""
@@ -155,11 +148,11 @@ class Kh4Server(LineServer):
         orders = [max(speed, MIN_SPEED) if speed >= 0 else min(speed, -MIN_SPEED) for speed in orders]
         self._order_speeds(orders)
 
-    def execute(self, line: bytes) -> bytes:
+    def execute(self, request: bytes) -> bytes:
         """Execute a command by its method, `_on_a` for A; return its reply, ERROR if that returns None."""
-        fields = [field for field in line[2:].split(b",") if field]
+        fields = [field for field in request[2:].split(b",") if field]
         values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
-        letter = line[:1].decode("latin-1")
+        letter = request[:1].decode("latin-1")
         handler = getattr(self, f"_on_{letter.lower()}", None) if "A" <= letter <= "Z" else None
         reply = None if handler is None else handler(values)
         if reply is None:

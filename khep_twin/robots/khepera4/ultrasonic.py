@@ -144,8 +144,8 @@ def make_sonar() -> Sonar:
     angles = [(el, az) for el in _ELEVATIONS.tolist() for az in _AZIMUTHS.tolist()]
     positions: list[float] = []
     rays: list[float] = []
-    for heading in map(math.radians, SONAR.headings_deg):
-        positions += SONAR.radius * cos(heading), SONAR.radius * sin(heading), SONAR.height
+    for *position, heading in SONAR.places:
+        positions += position
         for el, az in angles:
             rays += cos(el) * cos(heading + az), cos(el) * sin(heading + az), sin(el)
     return Sonar(positions, rays, [(cos(el) * cos(az)) ** (2 * _BEAM_EXPONENT) for el, az in angles])

@@ -2,22 +2,19 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from khep_twin.compilable import compilable
-from khep_twin.playpen import RobotEntry
 from khep_twin.robots.core import Core, register
+from khep_twin.sensing.beams import cast_level_ray
 from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
-from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import Beams, body_frame, cast_rays, joint_position, joint_speed, set_motor
-from khep_twin.sensors import robot_sensors
+from khep_twin.sensing.scene import Beams, joint_position, joint_speed, set_motor
+from khep_twin.sensors import core_fields
 from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
 from toy_robot.model import BODY, TOY
 
@@ -26,9 +23,7 @@ PROXIMITY, AMBIENT, ULTRASONIC, SPEED, SETPOINT, POSITION, N_REGISTERS = 0, 5, 1
 """Indices of the registers."""
 
 _MM_PER_RAD, _PULSES_PER_RAD = 1000 * BODY.wheel_radius, BODY.pulses_per_turn / math.tau
-_HEADING = math.radians(20)
-_X, _Y, _Z = 0.031 * math.cos(_HEADING), 0.031 * math.sin(_HEADING), 0.03
-_DX, _DY = math.cos(_HEADING), math.sin(_HEADING)
+(_EYE,) = BODY.sonar.places
 
 
 class ToyState(NamedTuple):
@@ -46,21 +41,8 @@ class ToyState(NamedTuple):
     noise: Vector[int]
 
 
-def _make_state(
-    model: mujoco.MjModel, indices: RobotIndices, measured: Calibration, entry: RobotEntry, first_moment: int
-) -> ToyState:
-    return ToyState(
-        angles=list(indices.wheel_qpos),
-        speeds=list(indices.wheel_dofs),
-        motors=list(indices.motors),
-        pose=indices.pose,
-        radius=entry.body.radius,
-        motor_constant=measured.motors.constant,
-        sensors=robot_sensors(model, indices, measured),
-        beam=Beams.of(1),
-        registers=np.zeros(N_REGISTERS, np.int64),
-        noise=np.zeros(2, np.int64),
-    )
+def _make_state(*setup: Any) -> ToyState:
+    return ToyState(**core_fields(*setup), beam=Beams.of(1), registers=np.zeros(N_REGISTERS, np.int64))
 
 
 @compilable
@@ -73,13 +55,8 @@ def _measure(robot: ToyState, simulated: Simulated, inputs: StepInputs) -> None:
         noise = draws(inputs.tables, robot.noise, time_ns // PERIOD_NS * N_INFRARED + channel)
         counts = convert(scene, sensors, simulated.light, powers, time_ns, channel, noise)
         registers[PROXIMITY + channel], registers[AMBIENT + channel] = counts
-    frame, vectors = body_frame(scene, sensors), robot.beam.vectors
-    for axis in range(3):
-        vectors[axis] = frame[3 * axis] * _DX + frame[3 * axis + 1] * _DY
-    x, y = joint_position(scene, robot.pose), joint_position(scene, robot.pose + 1)
-    start = x + frame[0] * _X + frame[1] * _Y, y + frame[3] * _X + frame[4] * _Y, _Z
-    cast_rays(scene, sensors, robot.beam, start, REACH)
-    registers[ULTRASONIC] = max(round(1000 * robot.beam.lengths[0]), 0)
+    distance = cast_level_ray(scene, sensors, robot.beam, robot.pose, _EYE, REACH)
+    registers[ULTRASONIC] = max(round(1000 * distance), 0)
 
 
 @compilable
@@ -102,16 +79,7 @@ def _tick(robot: ToyState, simulated: Simulated, inputs: StepInputs, time_ns: in
     return False
 
 
+_MODULES, _CHANGING = ("toy_robot.core", "khep_twin.sensing.beams"), ("registers", "beam")
 CORE = register(
-    Core(
-        name="toy",
-        state=ToyState,
-        make_state=_make_state,
-        changing=("registers", "beam"),
-        modules=("toy_robot.core",),
-        sense=_sense,
-        tick=_tick,
-        scan=_measure,
-        interface=TOY.interface,
-    )
+    Core("toy", ToyState, _make_state, _CHANGING, _MODULES, _sense, _tick, _measure, interface=TOY.interface)
 )

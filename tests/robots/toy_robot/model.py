@@ -1,14 +1,15 @@
-"""The model Toy: the data that other packages ask for."""
+"""The model Toy: the data that other packages ask for, and the frames on its line."""
 
 import re
+import struct
+from operator import itemgetter
 from pathlib import Path
 
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
-from khep_twin.robots.model import Bar, Dialect, Interface, RobotModel, Term, parse_columns
+from khep_twin.robots.framing import Frames
+from khep_twin.robots.model import Dialect, Interface, RobotModel, Term, bars_of, parse_channels, parts_of
 
-BAUD = 57_600
-FOLDER = Path(__file__).parent
 INFRARED = ("nose", "left cheek", "right cheek", "ear", "tail")
 LABELS = {
     "proximity": f"{', '.join(INFRARED)} [counts]",
@@ -27,7 +28,8 @@ BODY = Body(
     sensor_height=0.016,
     idle_current=0.1,
     height=0.036,
-    scene=str(FOLDER / "toy.xml"),
+    scene="two_wheels.xml",
+    fits_scene=True,
     sensors=INFRARED,
     wheel_radius=0.015,
     wheel_width=0.006,
@@ -37,56 +39,65 @@ BODY = Body(
     sonar=SonarRing(("beacon",), (20.0,), radius=0.031, height=0.03, codes=(0,)),
 )
 
-_COLUMNS = {name: parse_columns(name, label) for name, label in LABELS.items()}
+START, NAME, SPEEDS, REGISTERS = 0xC5, 1, 2, 3
+N_VALUES = {NAME: 2, SPEEDS: 0, REGISTERS: 17}, {NAME: 0, SPEEDS: 2, REGISTERS: 0}
+"""First byte of a frame; commands, with their numbers of values in a reply and in a request."""
+NAME_VALUES = 0x546F, 0x7901
+
+
+def frame(command: int, *values: int) -> bytes:
+    """Return a frame: start, command, values of 16 bits, and a byte that makes the sum 0 modulo 256."""
+    body = struct.pack(f">BB{len(values)}H", START, command, *(value & 0xFFFF for value in values))
+    return body + bytes([-sum(body) & 0xFF])
+
+
+def values(frame: bytes) -> tuple[int, ...]:
+    """Return the values of a frame."""
+    return struct.unpack(f">{len(frame) // 2 - 1}h", frame[2:-1])
+
+
+def _length(data: bytes, is_request: bool) -> int:
+    """Return the length of the frame at the start of bytes; 0 without one."""
+    n_values = N_VALUES[is_request].get(data[1]) if len(data) > 1 else 0
+    if data[0] != START or n_values is None:
+        return 0
+    size = 3 + 2 * n_values
+    return size if len(data) < size or sum(data[:size]) & 0xFF == 0 else 0
+
+
+FRAMES = Frames(_length, itemgetter(1), resync=b"\xff" * 7)
 
 TOY = RobotModel(
     name="toy",
     family="toy",
     title="Toy",
     body=BODY,
-    calibration=str(FOLDER / "toy.toml"),
-    roms={"toy-1": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)})},
-    channels={
-        **_COLUMNS,
-        "registers": tuple((f"register_{name}", unit) for part in _COLUMNS.values() for name, unit in part),
-    },
-    bars={
-        "proximity": Bar(1023, "proximity, 0 to 1023"),
-        "light": Bar(900, "light, 900 dark to 0 bright"),
-        "speed": Bar(500, "speed, -500 to 500", lowest=-1.0),
-    },
+    calibration=str(Path(__file__).parent / "toy.toml"),
+    roms={"toy-1": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(57_600)})},
+    channels=parse_channels(LABELS),
+    bars=bars_of(dark=900, speed=500),
     dialect=Dialect(
         robot_name="a Toy",
         host_class="toy_robot.host.Toy",
-        versions_reply=re.compile(r"b,toy,\d+"),
-        probe_letters="BR",
-        stop_requests=("M,0000,0000",),
-        moving=("M",),
-        baud=BAUD,
+        versions_reply=re.compile("C501546F79[0-9A-F]{4}"),
+        probes=(FRAMES.decode(frame(NAME)), FRAMES.decode(frame(REGISTERS))),
+        stop_requests=(FRAMES.decode(frame(SPEEDS, 0, 0)),),
+        moving=("C502",),
+        baud=57_600,
+        framing=FRAMES,
     ),
-    parts={
-        "core": "toy_robot.core:CORE",
-        "robot": "toy_robot.robot:ToyRobot",
-        "host": "toy_robot.host:Toy",
-        "conformance": "toy_robot.conformance:CHECKS",
-    },
+    parts=parts_of("toy_robot", core="CORE", robot="ToyRobot", host="Toy", conformance="CHECKS"),
     plots={"ultrasonic": "ultrasonic [mm]"},
     interface=Interface(
         n_registers=17,
-        proximity=0,
-        n_proximity=5,
-        ambient=5,
-        n_ambient=5,
-        left_setpoint=13,
-        right_setpoint=14,
-        left_side=1,
-        right_side=2,
-        rest_counts=0,
-        counts_limit=1023,
+        proximity=(0, 5),
+        ambient=(5, 10),
+        sides=(1, 2),
+        setpoints=(13, 14),
+        positions=(15, 16),
+        counts=(0, 1023),
         top_speed=200,
         speed_limit=500,
-        left_position=15,
-        right_position=16,
         speed_per_pulse=BODY.pulse_length * 1e5,
     ),
     terms=(Term("ultrasonic", 10, ("beacon",), 0, 1500, "mm"),),

@@ -14,6 +14,7 @@ import serial
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, KhepTwinError, PortError
 from khep_twin.host.line import LONGEST_OUTPUT
+from khep_twin.robots.framing import LINES, Framing
 from khep_twin.units import BITS_PER_BYTE
 
 SILENCE = 0.1
@@ -84,34 +85,38 @@ def check(
 
 
 class CheckedPort:
-    """A pyserial port with a clock, which is simulated for a twin in the same process."""
+    """A pyserial port with a clock, which is simulated for a twin in the same process.
 
-    def __init__(self, port: serial.Serial) -> None:
+    Args:
+        port: Port.
+        framing: Ends of the messages; requests and replies are given by their texts.
+    """
+
+    def __init__(self, port: serial.Serial, framing: Framing = LINES) -> None:
         self.port = port
+        self.framing = framing
         try:
             port.timeout = 1.0
         except PORT_FAILURES as error:
             raise PortError(f"{port.name}: the port failed: {error}") from error
 
-    def ask(self, request: str, end: str = "\n") -> str:
-        """Send a line and return its reply without CR LF; raise a `Deviation` unless it is one line."""
-        self.send(request + end)
+    def ask(self, request: str) -> str:
+        """Send a request and return its reply; raise a `Deviation` unless it is one message."""
+        self.port.write(self.framing.encode(request))
         return self.reply(request)
 
-    def send(self, text: str) -> None:
-        """Send text to the robot."""
-        self.port.write(text.encode("latin-1"))
+    def send(self, data: str | bytes) -> None:
+        """Send text or bytes to the robot."""
+        self.port.write(data.encode("latin-1") if isinstance(data, str) else data)
 
     def reply(self, request: str) -> str:
-        """Return the next reply without CR LF."""
-        line: bytes = self.port.read_until(b"\n")
-        if not line:
+        """Return the text of the next reply."""
+        reply = self.framing.read(self.port, self.time)
+        if not reply:
             raise Deviation(f"no reply to {request!r} within {self.port.timeout} s")
-        if not line.endswith(b"\r\n") or b"\r" in line[:-2]:
-            raise Deviation(f"{request!r} was answered {line!r}; expected one line that ends in CR LF")
-        if not line.isascii():
-            raise Deviation(f"{request!r} was answered {line!r}; expected plain ASCII")
-        return line[:-2].decode("ascii")
+        if flaw := self.framing.flaw(reply):
+            raise Deviation(f"{request!r} was answered {reply!r}; {flaw}")
+        return self.framing.decode(reply)
 
     def expect_silence(self, context: str) -> None:
         """Raise a `Deviation` if anything is received."""
@@ -150,8 +155,7 @@ class CheckedPort:
     def expect(self, request: str, reply: str) -> None:
         """Raise a `Deviation` unless the reply to a request is as expected."""
         if (answer := self.ask(request)) != reply:
-            line = f"{request}\n"
-            raise Deviation(f"{line!r} was answered {answer!r}; expected {reply!r}")
+            raise Deviation(f"{request!r} was answered {answer!r}; expected {reply!r}")
 
     def order(self, *requests: str, pause: float = 0.0) -> None:
         """Send commands whose replies must be their letter alone; then wait for `pause` [s]."""

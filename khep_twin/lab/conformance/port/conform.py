@@ -113,7 +113,7 @@ def conform(
                 f"{url}: checks at a server with --speed {robot.clock_speed:g}; expected --speed 1"
             )
         robot.check_model()
-        return examine(CheckedPort(robot.port), url, move=move, model=model)
+        return examine(CheckedPort(robot.port, robot_model.dialect.framing), url, move=move, model=model)
 
 
 def examine(line: CheckedPort, name: str, *, move: bool = False, model: str = DEFAULT) -> ConformanceReport:
@@ -155,7 +155,7 @@ def run_check(check: Check, line: CheckedPort) -> Result:
         except Deviation as error:
             deviation = str(error)
             # The rest of a wrong reply must not reach the next check.
-            line.send("\n")
+            line.send(line.framing.resync)
             line.read_for(0.3)
     except PORT_FAILURES as error:
         deviation = f"the port failed: {error}"

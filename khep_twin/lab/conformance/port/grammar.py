@@ -9,7 +9,8 @@ from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check
 @check("a command may end in LF, CR or CR LF, and CR LF is one ending", "3.2, A")
 def line_endings(line: CheckedPort) -> None:
     for end in ("\n", "\r", "\r\n"):
-        answer = line.ask("B", end)
+        line.send("B" + end)
+        answer = line.reply("B")
         if not answer.startswith("b,"):
             raise Deviation(f"{'B' + end!r} was answered {answer!r}")
         line.expect_silence(f"after the reply to {'B' + end!r}")

@@ -20,7 +20,8 @@ def expect_refused(line: CheckedPort, *requests: str) -> None:
 @check("a command may end in LF, CR or CR LF, and CR LF is one ending", PUBLISHED)
 def line_endings(line: CheckedPort) -> None:
     for end in ("\n", "\r", "\r\n"):
-        answer = line.ask("B", end)
+        line.send("B" + end)
+        answer = line.reply("B")
         if not REVISION.fullmatch(answer):
             raise Deviation(f"{'B' + end!r} was answered {answer!r}; expected a reply such as 'b,B,0'")
         line.expect_silence(f"after the reply to {'B' + end!r}")
