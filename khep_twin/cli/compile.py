@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import usage
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.robots.registry import default_model, find_family, installed_families
@@ -12,18 +13,17 @@ _ARENA = 'version = 1\nname = "compile"\n[arena]\nwidth_mm = {width}\nheight_mm 
 _ROBOT = '[[robot]]\nmodel = "{model}"\nx_mm = {x}\ny_mm = 300\nheading_deg = 0\n'
 
 
+@with_help
 def compile_all(
-    parts: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="world, episodes, plane, vision or shadow, all of them by default; or world.FAMILY, with "
-            "further families behind dots, for worlds of these robots."
-        ),
-    ] = None,
+    parts: Annotated[list[str] | None, typer.Argument()] = None,
 ) -> None:
     """Compile the stepping core with numba, for later commands.
 
     They load it from numba's cache.
+
+    Args:
+        parts: world, episodes, plane, vision or shadow, all of them by default; or world.FAMILY, with further
+            families behind dots, for worlds of these robots.
     """
     from khep_twin.simulation import ready
 

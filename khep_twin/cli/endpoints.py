@@ -25,26 +25,22 @@ ListenerMaker = Callable[[Callable[[], int]], "LineListener"]
 
 @dataclass(frozen=True, slots=True)
 class EndpointOptions:
-    """Endpoints that hosts open."""
+    """Endpoints that hosts open.
 
-    link: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PATH",
-            help="Create this link to the pseudo-terminal, and print its path. A bare NAME is created in a "
-            "private directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME in the current directory.",
-        ),
-    ] = None
-    tcp: Annotated[str | None, typer.Option(help="Serve TCP at HOST:PORT, for socket://HOST:PORT.")] = None
-    rfc2217: Annotated[
-        str | None, typer.Option(help="Serve RFC 2217 at HOST:PORT, for rfc2217://HOST:PORT.")
-    ] = None
-    allow_remote: Annotated[
-        bool, typer.Option("--allow-remote", help="Also let other machines connect to the network ports.")
-    ] = False
-    ready_fd: Annotated[
-        int | None, typer.Option(help="Also write the printed paths to this descriptor, and close it.")
-    ] = None
+    Attributes:
+        link: Create this link to the pseudo-terminal, and print its path. A bare NAME is created in a private
+            directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME in the current directory.
+        tcp: Serve TCP at HOST:PORT, for socket://HOST:PORT.
+        rfc2217: Serve RFC 2217 at HOST:PORT, for rfc2217://HOST:PORT.
+        allow_remote: Also let other machines connect to the network ports.
+        ready_fd: Also write the printed paths to this descriptor, and close it.
+    """
+
+    link: Annotated[str | None, typer.Option(metavar="PATH")] = None
+    tcp: str | None = None
+    rfc2217: str | None = None
+    allow_remote: bool = False
+    ready_fd: int | None = None
 
     def open(self, bauds: Mapping[int, int]) -> AbstractContextManager[Sequence["HostPort"]]:
         """Open one serial cable per robot, by the baud rates of their lines."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli import completion
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_inputs, check_new, command_group
 from khep_twin.errors import CalibrationError, KhepTwinError
 from khep_twin.files.atomic import write_atomic
@@ -170,42 +171,33 @@ def _write(text: str, output: Path | None, kind: str, force: bool, details: str 
 
 
 @playpen_app.command("import")
+@with_help
 def import_bitmap(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            help="Scan of the Khepera Toolbox (MAT), or a picture (PNG, TIFF, GIF, BMP, PBM, JPEG)."
-        ),
-    ],
+    file: Annotated[Path, typer.Argument()],
     output: Output = None,
-    mm_per_pixel: Annotated[float, typer.Option(metavar="MM", help="Side of a pixel [mm].")] = 1.0,
-    flip: Annotated[
-        bool | None,
-        typer.Option(
-            "--flip/--no-flip",
-            help="Take the first row as the bottom: the default for a MAT file, as the toolbox scans upside "
-            "down, but not for a picture.",
-        ),
-    ] = None,
-    variable: Annotated[
-        str | None, typer.Option(help="Matrix of a MAT file to use; by default btmap1, or the only one.")
-    ] = None,
-    solid: Annotated[int | None, typer.Option(help="Value of solid pixels (MAT); by default 44.")] = None,
-    name: Annotated[str | None, typer.Option(help="Name of the playpen; by default the file's.")] = None,
-    height_mm: Annotated[float, typer.Option(metavar="MM", help="Height of the blocks [mm].")] = 50.0,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,HEADING",
-            help='Pose of a robot [mm, mm, deg], or "none"; by default the free position nearest to the '
-            "middle.",
-        ),
-    ] = None,
+    mm_per_pixel: Annotated[float, typer.Option(metavar="MM")] = 1.0,
+    flip: Annotated[bool | None, typer.Option("--flip/--no-flip")] = None,
+    variable: str | None = None,
+    solid: int | None = None,
+    name: str | None = None,
+    height_mm: Annotated[float, typer.Option(metavar="MM")] = 50.0,
+    robot: Annotated[str | None, typer.Option(metavar="X,Y,HEADING")] = None,
     force: Force = False,
 ) -> None:
     """Make a playpen from a scanned or painted bitmap.
 
     The output is NAME.toml by default.
+
+    Args:
+        file: Scan of the Khepera Toolbox (MAT), or a picture (PNG, TIFF, GIF, BMP, PBM, JPEG).
+        mm_per_pixel: Side of a pixel [mm].
+        flip: Take the first row as the bottom: the default for a MAT file, as the toolbox scans upside down,
+            but not for a picture.
+        variable: Matrix of a MAT file to use; by default btmap1, or the only one.
+        solid: Value of solid pixels (MAT); by default 44.
+        name: Name of the playpen; by default the file's.
+        height_mm: Height of the blocks [mm].
+        robot: Pose of a robot [mm, mm, deg], or "none"; by default the free position nearest to the middle.
     """
     from khep_twin import playpen as playpens
     from khep_twin.errors import BitmapError

@@ -13,7 +13,7 @@ import typer
 
 from khep_twin.cli.completion import ports
 from khep_twin.cli.endpoints import EndpointOptions, line_baud, print_end, relay_robot
-from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, expand_groups, option_names
+from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, option_names, with_help
 from khep_twin.cli.options import (
     Faults,
     Viewer,
@@ -81,28 +81,16 @@ _LOGGED_OPTIONS = (option_names(RobotOptions) | {"playpen", "unpaced", "strict_l
 """Options that a resumed twin takes from its log."""
 
 
-@expand_groups
+@with_help
 def serve(
     context: typer.Context,
     *,
     playpen: PlaypenName = "default",
     endpoint: EndpointOptions,
     timing: TimingOptions,
-    relay: Annotated[
-        str | None,
-        typer.Option(
-            help="Relay the robot at this port instead of a twin, and log its line.", autocompletion=ports
-        ),
-    ] = None,
-    from_log: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            metavar="FILE.mcap[@SECONDS]",
-            help="Resume the run of this log at a time, or at its end, instead of a playpen.",
-        ),
-    ] = None,
-    robot: Annotated[int | None, typer.Option(help="Serve only this robot, counted from 0.")] = None,
+    relay: Annotated[str | None, typer.Option(autocompletion=ports)] = None,
+    from_log: Annotated[str | None, typer.Option("--from", metavar="FILE.mcap[@SECONDS]")] = None,
+    robot: int | None = None,
     twin: RobotOptions,
     fault: Faults = None,
     logging: LogOptions,
@@ -114,6 +102,11 @@ def serve(
     Its serial lines are pseudo-terminals or network ports.
 
     Standard output has one line per robot: the path or URL for its host to open.
+
+    Args:
+        relay: Relay the robot at this port instead of a twin, and log its line.
+        from_log: Resume the run of this log at a time, or at its end, instead of a playpen.
+        robot: Serve only this robot, counted from 0.
     """
     from khep_twin.host.opening import resolve_port
 
