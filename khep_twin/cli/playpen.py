@@ -257,9 +257,8 @@ def _pose_text(playpen: "Playpen", is_requested: bool) -> str:
 def _parse_pose(text: str) -> tuple[float, float, float]:
     """Return the numbers of X,Y,HEADING."""
     from khep_twin.errors import BitmapError
+    from khep_twin.lab.experiment.start_poses import parse_numbers
 
-    try:
-        x_mm, y_mm, heading_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise BitmapError(f'--robot {text}: expected X,Y,HEADING, such as 300,250,90, or "none"') from None
-    return x_mm, y_mm, heading_deg
+    if (numbers := parse_numbers(text, 3)) is None:
+        raise BitmapError(f'--robot {text}: expected X,Y,HEADING, such as 300,250,90, or "none"')
+    return numbers[0], numbers[1], numbers[2]

@@ -67,11 +67,6 @@ class DutyDrive:
         rates = np.diff(values[self.is_position], axis=0) / ticks[:, None]
         return np.concatenate([values[~self.is_position], rates], dtype=np.float64)
 
-    def align_to_phase(self, phase_ns: int) -> Self:
-        """Return the drive with its first line at this phase after a tick of the controller [ns]."""
-        # One additional tick, so that no line precedes the start of the world.
-        return self.shift_times(phase_ns + TICK_NS - self.requests[0][0])
-
     def shift_times(self, shift_ns: int) -> Self:
         """Return the drive with all times shifted [ns]."""
         requests = tuple((time_ns + shift_ns, text) for time_ns, text in self.requests)
@@ -159,7 +154,10 @@ def align(drive: DutyDrive, robot: Calibration) -> DutyDrive:
     def mean_square(candidate: DutyDrive) -> float:
         return float(np.mean((simulate(candidate, robot) - candidate.speeds(candidate.values)) ** 2))
 
-    candidates = {mean_square(drive): drive for drive in map(drive.align_to_phase, _PHASES_NS)}
+    # One additional tick, so that no line precedes the start of the world.
+    first_ns = drive.requests[0][0] - TICK_NS
+    phases = (drive.shift_times(phase_ns - first_ns) for phase_ns in _PHASES_NS)
+    candidates = {mean_square(candidate): candidate for candidate in phases}
     for step_ns in _FINE_STEPS_NS:
         best = candidates[min(candidates)]
         candidates |= {mean_square(drive): drive for drive in map(best.shift_times, (-step_ns, step_ns))}

@@ -45,10 +45,6 @@ class Quantity(NamedTuple):
     reader: Callable[[Khepera], Callable[[], Sequence[int]]]
 
 
-def _image_reader(robot: Khepera) -> Callable[[], Sequence[int]]:
-    return Vision(robot).image
-
-
 QUANTITIES: Mapping[QuantityName, Quantity] = {
     "proximity": Quantity(
         SENSOR_LABELS, "proximity", "proximity [counts]", COUNTS_LIMIT, attrgetter("proximity")
@@ -59,7 +55,7 @@ QUANTITIES: Mapping[QuantityName, Quantity] = {
         "vision",
         "line image [greys]",
         255,
-        _image_reader,
+        lambda robot: Vision(robot).image,
     ),
 }
 """Quantities by name."""
