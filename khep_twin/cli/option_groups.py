@@ -24,7 +24,6 @@ from khep_twin.cli.completion import models, playpens
 from khep_twin.cli.options import Force, Switch, notify, running_mode, usage
 
 if TYPE_CHECKING:
-    from khep_twin.log.foxglove_live import FoxgloveServer
     from khep_twin.log.log_file import FileRecorder
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import Twin, TwinOptions
@@ -212,31 +211,6 @@ class LiveViewOptions:
         typer.Option(metavar="HOST:PORT", help="Show it at this address instead; port 0 for any free port."),
     ] = None
 
-    def open(self, stack: ExitStack, name: str, *, allow_remote: bool = False) -> "FoxgloveServer | None":
-        """Open the server, and print its address; return None if no live view is requested.
-
-        Args:
-            stack: Context that closes the server.
-            name: Name that Foxglove shows.
-            allow_remote: Allow connections from other machines.
-
-        Raises:
-            MissingExtraError: foxglove-sdk is not installed.
-            PortError: The address cannot be used, or other machines could reach it.
-        """
-        if not self.foxglove and self.foxglove_at is None:
-            return None
-        from khep_twin.ports.network import listening_address
-
-        address = ADDRESS if self.foxglove_at is None else self.foxglove_at
-        option = "--allow-remote of khep-twin serve"
-        host, port = listening_address(address, "watch the run", allow_remote=allow_remote, option=option)
-        from khep_twin.log.foxglove_live import LAYOUT, FoxgloveServer
-
-        server = stack.enter_context(closing(FoxgloveServer(host, port, f"khep_twin {name}")))
-        notify(f"Foxglove connects to {server.address}; a layout to import there: {LAYOUT}")
-        return server
-
     def open_viewers(
         self, stack: ExitStack, name: str, *, viewer: bool, real_time: bool, allow_remote: bool = False
     ) -> "Callable[[Twin], None]":
@@ -248,8 +222,22 @@ class LiveViewOptions:
             viewer: True for MuJoCo's viewer.
             real_time: True to slow down a twin that runs ahead of the wall clock.
             allow_remote: Allow connections from other machines.
+
+        Raises:
+            MissingExtraError: foxglove-sdk is not installed.
+            PortError: The address cannot be used, or other machines could reach it.
         """
-        server, window = self.open(stack, name, allow_remote=allow_remote), None
+        server = window = None
+        if self.foxglove or self.foxglove_at is not None:
+            from khep_twin.ports.network import listening_address
+
+            address = ADDRESS if self.foxglove_at is None else self.foxglove_at
+            option = "--allow-remote of khep-twin serve"
+            host, port = listening_address(address, "watch the run", allow_remote=allow_remote, option=option)
+            from khep_twin.log.foxglove_live import LAYOUT, FoxgloveServer
+
+            server = stack.enter_context(closing(FoxgloveServer(host, port, f"khep_twin {name}")))
+            notify(f"Foxglove connects to {server.address}; a layout to import there: {LAYOUT}")
         if viewer:
             from khep_twin.drawing.mujoco_viewer import MujocoViewer
 

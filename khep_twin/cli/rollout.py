@@ -238,24 +238,17 @@ def _print_results(
     for line in metric_lines(robot_metrics):  # homing is undefined without a home
         typer.echo(line)
     if picture is not None:
-        _draw(playpen, times, paths, picture, force)
+        import numpy as np
+
+        from khep_twin.drawing.map import draw, save
+        from khep_twin.drawing.paths import DrawnPath
+
+        drawn_paths = [
+            DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
+            for robot, path in enumerate(paths)
+        ]
+        save(draw(playpen, drawn_paths), picture, force)
         typer.echo(f"picture  {picture}")
-
-
-def _draw(
-    playpen: "Playpen", times: list[float], paths: list[list[Pose]], picture: Path, force: bool
-) -> None:
-    """Draw the robots' paths."""
-    import numpy as np
-
-    from khep_twin.drawing.map import draw, save
-    from khep_twin.drawing.paths import DrawnPath
-
-    drawn_paths = [
-        DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
-        for robot, path in enumerate(paths)
-    ]
-    save(draw(playpen, drawn_paths), picture, force)
 
 
 def _call_controller(function: Callable[..., Any], *readings: list[int]) -> tuple[float, float]:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -129,7 +128,15 @@ def serve(
             raise usage(f"{option} is that of the log; expected only --seed, --fault and --robot with --from")
         path, start_ns = _parse_log_time(from_log)
         seed = twin.seed if "seed" in typed_options(context) else None
-        open_resumed = partial(_open_from_log, path, start_ns, seed, faults, robot, logging)
+
+        def open_resumed() -> "Twin":
+            from khep_twin.log.recorded import BranchPoint
+            from khep_twin.ports.branching import open_log
+            from khep_twin.ports.resume import run_end_ns
+
+            change = BranchPoint(run_end_ns(path) if start_ns is None else start_ns, seed=seed, faults=faults)
+            return open_log(path, change, robot, logging.log, all_robots=True, on_failure=logging.on_failure)
+
         _serve_twin(open_resumed, from_log, factor, endpoint, logging, live_view, viewer)
         return
     options = replace(
@@ -153,23 +160,6 @@ def _open_twin(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Tw
     if logging.log is not None:
         twin.record(logging.log, on_failure=logging.on_failure)
     return twin
-
-
-def _open_from_log(
-    path: Path,
-    start_ns: int | None,
-    seed: int | None,
-    faults: tuple[str, ...],
-    robot: int | None,
-    logging: LogOptions,
-) -> "Twin":
-    """Open the twin that resumes the run of a log."""
-    from khep_twin.log.recorded import BranchPoint
-    from khep_twin.ports.branching import open_log
-    from khep_twin.ports.resume import run_end_ns
-
-    change = BranchPoint(run_end_ns(path) if start_ns is None else start_ns, seed=seed, faults=faults)
-    return open_log(path, change, robot, logging.log, all_robots=True, on_failure=logging.on_failure)
 
 
 def _parse_log_time(text: str) -> tuple[Path, int | None]:

@@ -64,7 +64,6 @@ def branch(
     plan: BranchPlan,
     path: Path,
     *,
-    on_failure: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> Trajectory:
@@ -73,7 +72,6 @@ def branch(
     Args:
         plan: Plan of the branch.
         path: Path of the new log.
-        on_failure: Called with a message if the log can no longer be written; None to raise an error.
         progress: Called with the completed share of the time after the branch point, 0 to 1.
         stop: Returns whether to stop early.
 
@@ -90,7 +88,7 @@ def branch(
     source = plan.controller and source_of(plan.controller)
     description = LogDetails(source.facts, source.attachments) if source else LogDetails()
     is_unchanged = plan.controller is None and not plan.change.text
-    resumed = branch_off(plan.log, plan.change, path, description, on_failure, is_unchanged=is_unchanged)
+    resumed = branch_off(plan.log, plan.change, path, description, None, is_unchanged=is_unchanged)
     recorder = _PoseRecorder(resumed.twin.world)
     # As for any run that fails, the log is complete up to the error.
     with resumed.twin:

@@ -133,11 +133,9 @@ class GroundTruthMetrics(Observer):
         all_counts = np.hsplit(np.array(self._counts), 2)
         proximity, ambient = (counts[:, : self._n_around] for counts in all_counts)
         playpen = self._world.playpen
-        robot_entry = playpen.robots[self._robot_index]
-        body = robot_entry.body
-        radius = body.radius
+        body = playpen.robots[self._robot_index].body
         motion = statistics.motion(times_s, pose)
-        collisions = statistics.collisions(times_s, pose, playpen, radius)
+        collisions = statistics.collisions(times_s, pose, playpen, body.radius)
         return {
             "distance_m": motion.distance,
             "mean_speed_m_per_s": motion.mean_speed,
@@ -146,7 +144,7 @@ class GroundTruthMetrics(Observer):
             "collisions": float(len(collisions.times_s)),
             "collision_s": collisions.total_s,
             "light_gained": statistics.light(times_s, ambient, self._dark).mean,
-            "coverage": coverage(pose[:, :2], playpen, radius),
+            "coverage": coverage(pose[:, :2], playpen, body.radius),
         }
 
 
