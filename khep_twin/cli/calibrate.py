@@ -14,6 +14,7 @@ from khep_twin.cli.options import Force, ask_line, notify
 from khep_twin.errors import FitError
 from khep_twin.process.invocation import command
 from khep_twin.process.signals import stopping
+from khep_twin.robots.registry import default_model
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.placement import Ruler
@@ -59,7 +60,6 @@ def calibrate(
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.lab.fit.session import CalibrationSession
     from khep_twin.lab.fit.session_steps import WALLS_MM, steps
-    from khep_twin.robots.registry import default_model
     from khep_twin.sensing import calibration
 
     ruler, initial = Ruler(ruler_mm, bearing_deg), calibration.read_for(start, default_model())

@@ -20,6 +20,8 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.errors import ControllerError
+from khep_twin.files.atomic import write_atomic
 
 challenge_app = command_group("Score controller files in challenges, one or a whole class.")
 
@@ -116,7 +118,6 @@ def run(
         controller: Controller, FILE.py[:NAME] or a network's FILE.npz; by default the reference solution.
         log: Record the run in this MCAP file; several in NAME-001.mcap and so on.
     """
-    from khep_twin.errors import ControllerError
     from khep_twin.lab.challenge.attempt import score_file
     from khep_twin.lab.challenge.challenge import load
     from khep_twin.lab.experiment.series_run import run_files
@@ -167,7 +168,6 @@ def table(
     force: Force = False,
 ) -> None:
     """Score every controller file in a folder, and print them by rank."""
-    from khep_twin.files.atomic import write_atomic
     from khep_twin.lab.challenge.attempt import Attempt
     from khep_twin.lab.challenge.challenge import load
     from khep_twin.lab.challenge.results import participants, score_files, to_csv

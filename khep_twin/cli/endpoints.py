@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.board.rom import ROMS
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import notify, print_files, print_kept_log, usage
 from khep_twin.errors import PortError
@@ -94,8 +95,6 @@ class EndpointOptions:
 
 def line_baud(mode: int | None) -> int:
     """Return the baud rate of a Khepera II's line in a running mode; that of mode 1 for None."""
-    from khep_twin.board.rom import ROMS
-
     mode_number, rom = 1 if mode is None else mode, ROMS["khepera2"]
     if reason := rom.refusal_reason(mode_number):
         raise usage(f"--mode {mode_number:X}: {reason}")

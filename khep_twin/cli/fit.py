@@ -12,6 +12,7 @@ from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_atomic
 from khep_twin.files.text import escape_surrogates
+from khep_twin.robots.registry import default_model
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.fit_inputs import FitTests
@@ -62,7 +63,6 @@ def fit(
     """
     from khep_twin.lab.fit.fit_inputs import fit_inputs
     from khep_twin.lab.fit.placement import Ruler
-    from khep_twin.robots.registry import default_model
     from khep_twin.sensing import calibration
 
     if shadow_log is not None:

@@ -24,6 +24,7 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.errors import ControllerError, DivergedError
 
 if TYPE_CHECKING:
     from khep_twin.board.fault_injection import Fault
@@ -190,7 +191,6 @@ def _run_on_gpu(
 ) -> tuple[list[dict[str, float]], list[float], list[list[Pose]]]:
     """Run an episode on a GPU; return metrics, times [s] and the robot's path, as in `_run_episode`."""
     from khep_twin.episodes import Policy, batch
-    from khep_twin.errors import DivergedError
 
     if function is not None:
         decide = partial(_call_controller, function)
@@ -253,7 +253,6 @@ def _print_results(
 
 def _call_controller(function: Callable[..., Any], *readings: list[int]) -> tuple[float, float]:
     """Return the left and right speed computed by a user's function from readings [pulses/10 ms]."""
-    from khep_twin.errors import ControllerError
     from khep_twin.lab.experiment.controllers import call, name_of
 
     speeds = call(function, *readings)

@@ -39,6 +39,7 @@ from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.files.atomic import resolve
 from khep_twin.process.invocation import command
 from khep_twin.process.signals import handle_signals, stopping
+from khep_twin.robots.model import Feature
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controllers import AnyController
@@ -268,7 +269,6 @@ def _open_twins(
     from khep_twin.playpen.checks import require_feature
     from khep_twin.ports.protocol_khep import Serial
     from khep_twin.ports.twin import equip_playpen, open_twin
-    from khep_twin.robots.model import Feature
 
     playpen, robot_indices = equip_playpen(playpen, options)
     if needs_khepera(program):

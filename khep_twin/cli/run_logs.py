@@ -8,6 +8,7 @@ import typer
 
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import check_new, print_files, print_kept_log
+from khep_twin.errors import LogError
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controller_source import Source
@@ -57,7 +58,6 @@ class RunLogs:
 
     def _has_same_controller(self, path: Path) -> bool:
         """Return whether a file is a log of this controller."""
-        from khep_twin.errors import LogError
         from khep_twin.log.reader import read_label
 
         try:

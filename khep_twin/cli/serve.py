@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.board.rom import SELF_TEST_MODE
 from khep_twin.cli.completion import ports
 from khep_twin.cli.endpoints import EndpointOptions, line_baud, print_end, relay_robot
 from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, option_names, with_help
@@ -149,7 +150,6 @@ def serve(
 
 def _open_twin(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
     """Open the twin of a playpen, and start its log."""
-    from khep_twin.board.rom import SELF_TEST_MODE
     from khep_twin.ports.twin import open_twin
 
     twin = open_twin(playpen, options)
