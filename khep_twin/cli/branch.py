@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.completion import controllers, logs
 from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Faults, Force, check_inputs, check_new, check_picture, print_files, usage
@@ -102,10 +103,9 @@ def branch(
     if not trajectories:
         raise typer.Exit(130)
     if picture is not None:
-        from khep_twin.drawing.map import save
         from khep_twin.lab.experiment.figures import draw_fan
 
-        save(draw_fan(plan, trajectories), picture, force)
+        drawing.save(draw_fan(plan, trajectories), picture, force)
         typer.echo(f"picture  {picture}")
     print_files("log", paths[: len(trajectories)])
     if len(trajectories) < runs:

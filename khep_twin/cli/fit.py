@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.completion import calibrations, logs, playpens
 from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_inputs, check_new, check_picture, check_writable, refuse, usage
@@ -151,7 +152,6 @@ def fit_and_write(
         write_atomic(output, dump(calibration).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
     if picture is not None:
-        from khep_twin.drawing import map as drawing
         from khep_twin.lab.fit.fit_figure import draw_fit
 
         if (figure := draw_fit(data, robot_fit)) is not None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import drawing
 from khep_twin import playpen as playpens
 from khep_twin.cli import completion
 from khep_twin.cli.option_groups import with_help
@@ -95,7 +96,6 @@ def draw(
 
     The formats are PNG, SVG and PDF.
     """
-    from khep_twin.drawing import map as drawing
     from khep_twin.log.reader import read_label, read_log
 
     loaded_playpen = playpens.Playpen.load(playpen)

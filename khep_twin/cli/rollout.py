@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.completion import controllers
 from khep_twin.cli.option_groups import LengthOptions, LogOptions, RobotOptions, SceneOptions, with_help
 from khep_twin.cli.options import (
@@ -240,14 +241,11 @@ def _print_results(
     if picture is not None:
         import numpy as np
 
-        from khep_twin.drawing.map import draw, save
-        from khep_twin.drawing.paths import DrawnPath
-
         drawn_paths = [
-            DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
+            drawing.DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
             for robot, path in enumerate(paths)
         ]
-        save(draw(playpen, drawn_paths), picture, force)
+        drawing.save(drawing.draw(playpen, drawn_paths), picture, force)
         typer.echo(f"picture  {picture}")
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import check_new, print_files, print_kept_log
 from khep_twin.errors import LogError
@@ -79,7 +80,6 @@ class RunLogs:
         if not paths:
             return
         if self._picture is not None:
-            from khep_twin.drawing import map as drawing
             from khep_twin.log.reader import read_log
 
             runs = [read_log(log) for log in paths]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.completion import ports
 from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_new, check_picture, check_writable, notify
@@ -104,7 +105,6 @@ class PictureOptions:
         """Draw runs, if a picture is requested."""
         if self.picture is None or not runs:
             return
-        from khep_twin.drawing import map as drawing
         from khep_twin.lab.sensor_test import sensor_figure
 
         figure = sensor_figure.draw(runs, sensor=self.sensor, y_min=self.y_min or 0, grid=self.grid)
