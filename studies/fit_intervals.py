@@ -22,8 +22,8 @@ from khep_twin.lab.fit.fit_inputs import FitTests, SensorData, fit_inputs
 from khep_twin.lab.fit.infrared_fit import mean_counts
 from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
-from khep_twin.lab.fit.placement import Misplacement, Placement, Readings, Ruler
-from khep_twin.lab.fit.robot_fit import FittedValue, fit_robot
+from khep_twin.lab.fit.placement import FittedValue, Misplacement, Placement, Readings, Ruler
+from khep_twin.lab.fit.robot_fit import fit_robot
 from khep_twin.lab.fit.session import CalibrationSession
 from khep_twin.lab.fit.session_people import SimulatedPerson
 from khep_twin.lab.fit.session_steps import LAMPS_MM, WALLS_MM, steps

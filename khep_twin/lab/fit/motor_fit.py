@@ -22,6 +22,7 @@ from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.lab.fit.least_squares import Floats, Parameter, least_squares
+from khep_twin.lab.fit.placement import FittedValue
 from khep_twin.lab.fit.wheel_fit import read_transcript
 from khep_twin.log.channels import TextLine
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
@@ -41,6 +42,10 @@ _MIN_REPLIES = 20  # to E and H
 _OPEN_FLOOR_TEXT = 'version = 1\nname = "field"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
 _DERIVATIVE_STEP = 0.1
 """Step of the numeric derivatives in each parameter's scale; large, as slipping tyres add noise."""
+
+
+_KEYS = ("no_load_speed_rad_s", "stall_torque_n_m", "friction_torque_n_m")
+"""Keys of the fitted values in a calibration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,16 +89,12 @@ class MotorFit:
 
     Attributes:
         motors: Fitted calibration.
-        speed_interval: Half width of the no-load speed's 95 % confidence interval [rad/s].
-        torque_interval: Half width of the stall torque's 95 % confidence interval [N m].
-        friction_interval: Half width of the friction torque's 95 % confidence interval [N m].
+        values: Fitted values: no-load speed [rad/s], stall torque and friction torque [N m].
         drives: Drives in phase with the controller.
     """
 
     motors: MotorCalibration
-    speed_interval: float
-    torque_interval: float
-    friction_interval: float
+    values: tuple[FittedValue, ...]
     drives: tuple[DutyDrive, ...]
 
 
@@ -180,9 +181,13 @@ def _fit_aligned_drives(drives: Sequence[DutyDrive], start: Calibration) -> Moto
         return (twin_speeds - measured_speeds).ravel()
 
     estimate = least_squares(residuals, parameters, _EXPECTED_DATA, step=_DERIVATIVE_STEP)
-    speed_interval, torque_interval, friction_interval = estimate.intervals
-    intervals = float(speed_interval), float(torque_interval) / 1e3, float(friction_interval) / 1e3
-    return MotorFit(_motor_calibration(estimate.values.tolist()), *intervals, tuple(drives))
+    motors = _motor_calibration(estimate.values.tolist())
+    intervals = (estimate.intervals / [1, 1e3, 1e3]).tolist()
+    values = [
+        FittedValue(("motors", key), getattr(motors, key), interval)
+        for key, interval in zip(_KEYS, intervals, strict=True)
+    ]
+    return MotorFit(motors, tuple(values), tuple(drives))
 
 
 def simulate(drive: DutyDrive, robot: Calibration) -> Floats:
@@ -215,11 +220,8 @@ def simulate(drive: DutyDrive, robot: Calibration) -> Floats:
 def _motor_calibration(values: Sequence[float]) -> MotorCalibration:
     """Return motors with a no-load speed [rad/s], stall torque and friction torque [mN m]."""
     speed, stall, friction = values
-    return MotorCalibration(
-        no_load_speed_rad_s=round(speed, 2),
-        stall_torque_n_m=round(stall / 1e3, 6),
-        friction_torque_n_m=round(friction / 1e3, 6),
-    )
+    rounded_values = round(speed, 2), round(stall / 1e3, 6), round(friction / 1e3, 6)
+    return MotorCalibration(**dict(zip(_KEYS, rounded_values, strict=True)))
 
 
 def _parse_reply(line: TextLine) -> tuple[str, int, int] | None:

@@ -45,6 +45,10 @@ class Quantity(NamedTuple):
     reader: Callable[[Khepera], Callable[[], Sequence[int]]]
 
 
+def _image_reader(robot: Khepera) -> Callable[[], Sequence[int]]:
+    return Vision(robot).image
+
+
 QUANTITIES: Mapping[QuantityName, Quantity] = {
     "proximity": Quantity(
         SENSOR_LABELS, "proximity", "proximity [counts]", COUNTS_LIMIT, attrgetter("proximity")
@@ -55,7 +59,7 @@ QUANTITIES: Mapping[QuantityName, Quantity] = {
         "vision",
         "line image [greys]",
         255,
-        lambda robot: Vision(robot).image,
+        _image_reader,
     ),
 }
 """Quantities by name."""
