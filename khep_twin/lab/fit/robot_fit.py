@@ -57,19 +57,14 @@ def fit_robot(tests: FitTests, start: Calibration, ruler: Ruler | None = None) -
     misplacements: dict[str, Misplacement] = {}
     drives: dict[str, DutyDrive] = {}
     if tests.wheels:
-        wheels = fit_wheels(tests.wheels, ruler)
-        robot = robot.model_copy(update={"wheels": wheels.calibration()})
-        radius, base = ((x * 1e3) for x in (wheels.radius, wheels.base))
-        intervals = wheels.radius_interval * 1e3, wheels.base_interval * 1e3
-        values += [
-            FittedValue(("wheels", "radius_mm"), radius, intervals[0]),
-            FittedValue(("wheels", "base_mm"), base, intervals[1]),
-        ]
+        wheels, (radius, base) = fit_wheels(tests.wheels, ruler)
+        robot = robot.model_copy(update={"wheels": wheels})
+        values += radius, base
         lines += [
-            f"wheel radius   {radius:.3f} mm +- {intervals[0]:.3f} (95 %)",
-            f"wheel base     {base:.2f} mm +- {intervals[1]:.2f} (95 %)",
+            f"wheel radius   {radius.value:.3f} mm +- {radius.interval:.3f} (95 %)",
+            f"wheel base     {base.value:.2f} mm +- {base.interval:.2f} (95 %)",
         ]
-        ruler = replace(ruler, base=wheels.base_interval / CONFIDENCE / wheels.base)
+        ruler = replace(ruler, base=base.interval / CONFIDENCE / base.value)
     if tests.motors:
         motors = fit_motors(tests.motors, robot)
         drives = {drive.name: drive for drive in motors.drives}
