@@ -55,14 +55,14 @@ class HostMetrics:
 
     def __call__(self, request: str, reply: str) -> None:
         """Add one request and its reply."""
-        if (speed := _parse_numbers(request, "D", 2)) and reply == "d":
+        if (speed := parse_numbers(request, "D", 2)) and reply == "d":
             self._speed = speed[0], speed[1]
             if not self._cycle_values:
                 self._command_values.append(self._fitness_and_speed())
-        elif request == "N" and (counts := _parse_numbers(reply, "n", 8)):
+        elif request == "N" and (counts := parse_numbers(reply, "n", 8)):
             self._proximity = counts
             self._proximity_readings.append(counts)
-        elif request == "O" and (counts := _parse_numbers(reply, "o", 8)):
+        elif request == "O" and (counts := parse_numbers(reply, "o", 8)):
             self._ambient_readings.append(counts)
 
     def end_cycle(self) -> None:
@@ -163,7 +163,7 @@ def coverage(positions: statistics.Floats, playpen: Playpen, radius: float) -> f
     return float(free[visited].sum() / free.sum()) if free.any() else 0.0
 
 
-def _parse_numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
+def parse_numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
     """Return the numbers of a line; None for a line with another letter, or a garbled one."""
     first_field, *fields = line.split(",")
     if first_field != letter or len(fields) != count:

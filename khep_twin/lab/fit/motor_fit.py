@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
+from khep_twin.lab.experiment.measures import parse_numbers
 from khep_twin.lab.fit.least_squares import Floats, Parameter, least_squares
 from khep_twin.lab.fit.placement import FittedValue
 from khep_twin.lab.fit.wheel_fit import read_transcript
-from khep_twin.log.channels import TextLine
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
 from khep_twin.units import PULSES_PER_TURN, TICK_NS
 from khep_twin.world import World
@@ -108,7 +108,12 @@ def read_drive(log: Path) -> DutyDrive:
     lines = read_transcript(log)
     requests = tuple((line.time_ns, line.text) for line in lines if line.name == "host")
     queries = [(time_ns, text) for time_ns, text in requests if text in ("E", "H")]
-    replies = [values for line in lines if (values := _parse_reply(line))]
+    replies = [
+        (letter, *values)
+        for line in lines
+        for letter in "eh"
+        if line.name == "robot" and (values := parse_numbers(line.text, letter, 2))
+    ]
     duties = [text for _, text in requests if text.startswith("P,")]
     if not duties:
         raise FitError(
@@ -222,17 +227,6 @@ def _motor_calibration(values: Sequence[float]) -> MotorCalibration:
     speed, stall, friction = values
     rounded_values = round(speed, 2), round(stall / 1e3, 6), round(friction / 1e3, 6)
     return MotorCalibration(**dict(zip(_KEYS, rounded_values, strict=True)))
-
-
-def _parse_reply(line: TextLine) -> tuple[str, int, int] | None:
-    """Return a robot's reply to E or H; None for other lines and garbled ones."""
-    letter, *fields = line.text.split(",")
-    if line.name != "robot" or letter not in ("e", "h") or len(fields) != 2:
-        return None
-    try:
-        return letter, int(fields[0]), int(fields[1])
-    except ValueError:
-        return None
 
 
 def _largest_duty(command: str) -> int:
