@@ -123,12 +123,6 @@ class FittedValue:
     value: float
     interval: float
 
-    def value_in(self, calibration: Calibration) -> float:
-        """Return the value of another calibration at the same path."""
-        table, key, *sensor = self.path
-        values = np.atleast_1d(getattr(getattr(calibration, table) if table else calibration, str(key)))
-        return float(values[sensor[0] if len(values) > 1 else 0])
-
 
 @dataclass(frozen=True, slots=True)
 class SensorsFit:
