@@ -22,9 +22,9 @@ from khep_twin.host.host_robot import open_robot
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import DecodeError, printable
 from khep_twin.log.recorded import RecordedRun
+from khep_twin.log.robot_models import models_of
 from khep_twin.log.transcript import escape
-from khep_twin.playpen import parse
-from khep_twin.robots.registry import DEFAULT, find_model
+from khep_twin.robots.model import RobotModel
 
 QUANTITIES = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position", "r": "position"}
 """Quantities of the replies whose values are compared one by one, by letter."""
@@ -119,16 +119,10 @@ def replay_to_port(
     events = [event for _, index, event in recorded.events if index == robot]
     lines = [line for line in recorded.lines[robot] if line.name == "robot"]
     last_ns = lines[-1].time_ns if lines else 0
-    replies = _send(events, url, _baud(recorded, events), _model(recorded, robot), last_ns, progress)
-    return _compare_replies(recorded.label.robots[robot], lines, replies)
-
-
-def _model(recorded: RecordedRun, robot: int) -> str:
-    """Return the model of a robot; empty for a relay's, which is a Khepera."""
-    attachments = recorded.label.attachments
-    if "playpen.toml" not in attachments:
-        return ""
-    return parse(attachments["playpen.toml"], "playpen.toml", recorded=True).robots[robot].model
+    name = recorded.label.robots[robot]
+    model = models_of(recorded.label.attachments, [name])[name]
+    replies = _send(events, url, _baud(recorded, events), model, last_ns, progress)
+    return _compare_replies(name, lines, replies)
 
 
 def _baud(recorded: RecordedRun, events: Sequence[HostEvent]) -> int:
@@ -146,14 +140,14 @@ def _send(
     events: Sequence[HostEvent],
     url: str,
     baud: int,
-    model: str,
+    model: RobotModel,
     last_ns: int,
     progress: Callable[[float], None] | None,
 ) -> list[str]:
     """Repeat the host events at their times on a robot of this model; return the replies."""
     received = b""
     # The comparison reports a robot that sends no last reply.
-    with closing(open_robot(find_model(model or DEFAULT), url, timeout=0, baudrate=baud)) as khepera:
+    with closing(open_robot(model, url, timeout=0, baudrate=baud)) as khepera:
         port = khepera.port
         # A simulated port loses no bytes, and each read would take simulated time.
         is_simulated = hasattr(port, "time_ns")
