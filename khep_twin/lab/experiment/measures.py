@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.episodes.fitness import obstacle_avoidance
+from khep_twin.host.host_command import split_reply
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.observers import Observer
 from khep_twin.playpen import Playpen
@@ -165,10 +166,7 @@ def coverage(positions: statistics.Floats, playpen: Playpen, radius: float) -> f
 
 def parse_numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
     """Return the numbers of a line; None for a line with another letter, or a garbled one."""
-    first_field, *fields = line.split(",")
-    if first_field != letter or len(fields) != count:
-        return None
     try:
-        return tuple(int(field) for field in fields)
+        return tuple(map(int, split_reply(letter, count, line)))
     except ValueError:
         return None
