@@ -98,7 +98,7 @@ def branch(
             resumed.hosts.repeat(lambda time_ns: time_ns <= last_ns)
         else:
             _run_controller(resumed, plan, plan.controller, end_ns, progress, stop)
-    return recorder.trajectory()
+    return Trajectory(np.array(recorder.times_ns) / NS_PER_S, np.array(recorder.poses))
 
 
 def calibration_texts(log: Path, name: str, robot: int | None) -> dict[str, str]:
@@ -136,15 +136,11 @@ class _PoseRecorder(Observer):
     """Observer that records the robots' poses in memory."""
 
     def __init__(self, world: World) -> None:
-        self._times_ns: list[int] = []
-        self._poses: list[list[tuple[float, float, float]]] = []
+        self.times_ns: list[int] = []
+        self.poses: list[list[tuple[float, float, float]]] = []
         world.add_observer(self)
 
     def sample(self, world: World) -> None:
         """Record the poses."""
-        self._times_ns.append(world.time_ns)
-        self._poses.append(world.poses)
-
-    def trajectory(self) -> Trajectory:
-        """Return the trajectory so far."""
-        return Trajectory(np.array(self._times_ns) / NS_PER_S, np.array(self._poses))
+        self.times_ns.append(world.time_ns)
+        self.poses.append(world.poses)
