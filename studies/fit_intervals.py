@@ -22,8 +22,8 @@ from khep_twin.lab.fit.fit_inputs import FitTests, SensorData, fit_inputs
 from khep_twin.lab.fit.infrared_fit import mean_counts
 from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
-from khep_twin.lab.fit.placement import Misplacement, Placement, Readings, Ruler
-from khep_twin.lab.fit.robot_fit import FittedValue, fit_robot
+from khep_twin.lab.fit.placement import FittedValue, Misplacement, Placement, Readings, Ruler
+from khep_twin.lab.fit.robot_fit import fit_robot
 from khep_twin.lab.fit.session import CalibrationSession
 from khep_twin.lab.fit.session_people import SimulatedPerson
 from khep_twin.lab.fit.session_steps import LAMPS_MM, WALLS_MM, steps
@@ -163,6 +163,13 @@ class Person:
         return math.radians(self.ruler.bearing_deg * float(self.rng.standard_normal()))
 
 
+def value_in(robot: Calibration, fitted: FittedValue) -> float:
+    """Return the value of a calibration at the place of a fitted value."""
+    table, key, *sensor = fitted.path
+    values = np.atleast_1d(getattr(getattr(robot, table) if table else robot, str(key)))
+    return float(values[sensor[0] if len(values) > 1 else 0])
+
+
 def study(
     start: Calibration, robots: int, seed: int = 0, period: float = PERIOD
 ) -> Iterator[list[tuple[FittedValue, float]]]:
@@ -170,7 +177,7 @@ def study(
     for number in range(robots):
         robot = draw_robot(start, stream(seed, "fit_intervals", number, "robot"))
         person = Person(robot, Ruler(), stream(seed, "fit_intervals", number, "person"), period)
-        yield [(value, value.value_in(robot)) for value in fit_robot(person.tests(), start, Ruler()).values]
+        yield [(value, value_in(robot, value)) for value in fit_robot(person.tests(), start, Ruler()).values]
 
 
 def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tuple[FittedValue, float]]]:
@@ -193,7 +200,7 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
                 todo = steps(WALLS_MM, None, POWER_W, FILAMENT * 1e3)
                 session.run(todo, host, person, lambda _: None, lambda: False)
             fit = fit_robot(fit_inputs(session.words_with_folder), start, Ruler())
-        yield [(value, value.value_in(robot)) for value in fit.values]
+        yield [(value, value_in(robot, value)) for value in fit.values]
 
 
 def errors(values: Sequence[tuple[FittedValue, float]]) -> Iterator[tuple[str, float]]:

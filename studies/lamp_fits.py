@@ -72,7 +72,7 @@ def main() -> None:
         place = Placement(test.placement.poses[used], distances[used], BULB_RADIUS)
         thinned = replace(test, placement=place, counts=test.counts[used])
         # The set-up's bearings are corrected already.
-        ambient = fit_lamps([thinned], start, Ruler(0, 0, 0)).ambient
+        ambient = fit_lamps([thinned], start, Ruler(0, 0, 0)).calibration.ambient
         errors = residuals(test, ambient)
         parts = (np.sqrt(np.mean(errors[part] ** 2)) for part in (far, ~far))
         print("filament {:.1f} mm up: rms {:.1f} from 113 mm, {:.1f} nearer".format(height * 1e3, *parts))

@@ -21,6 +21,7 @@ from khep_twin.shadow.following import Follower
 from khep_twin.shadow.recording import read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from stand_ins.recordings import record
+from studies.fit_intervals import value_in
 from tools.command_table import command_line
 
 
@@ -62,10 +63,10 @@ def main() -> None:
             for value, _ in learned_values(shadow.learned, start):
                 _, key, *sensor = value.path
                 part = (
-                    value.value_in(robot_calibration) / value.value_in(start),
-                    value.value / value.value_in(start),
+                    value_in(robot_calibration, value) / value_in(start, value),
+                    value.value / value_in(start, value),
                 )
-                deviation = value.interval / value.value_in(start) / CONFIDENCE
+                deviation = value.interval / value_in(start, value) / CONFIDENCE
                 errors[key].append((part[0], part[1], deviation))
                 print(
                     f"{seed} {key}{sensor or ''}: {part[0]:.4f}, found {part[1]:.4f} +- {deviation:.4f}",

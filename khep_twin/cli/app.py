@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -88,16 +89,14 @@ def main() -> None:
     leave(exit_code(128 + first_signal() if code == 130 and first_signal() else code))
 
 
-def _warning_printer(show_others: Callable[..., None]) -> Callable[..., None]:
-    """Return a `showwarning` that prints a `UserWarning` as one line and passes others to `show_others`."""
-
-    def print_warning(message: Warning | str, category: type[Warning], *location: Any) -> None:
-        if category is UserWarning:
-            notify(str(message))
-        else:
-            show_others(message, category, *location)
-
-    return print_warning
+def _print_warning(
+    show_others: Callable[..., None], message: Warning | str, category: type[Warning], *location: Any
+) -> None:
+    """Print a `UserWarning` as one line; pass others to `show_others`."""
+    if category is UserWarning:
+        notify(str(message))
+    else:
+        show_others(message, category, *location)
 
 
 _WRITE_ERRORS = errno.EROFS, errno.EACCES, errno.ENOSPC
@@ -107,7 +106,7 @@ def _run_app() -> int:
     """Run the command; print its error, if any; return the exit code."""
     try:
         with handle_signals(), warnings.catch_warnings():
-            warnings.showwarning = _warning_printer(warnings.showwarning)
+            warnings.showwarning = partial(_print_warning, warnings.showwarning)
             return app(prog_name="khep-twin", standalone_mode=False) or 0
     except KeyboardInterrupt:
         return 130

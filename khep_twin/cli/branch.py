@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.completion import controllers, logs
-from khep_twin.cli.option_groups import expand_groups
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Faults, Force, check_inputs, check_new, check_picture, print_files, usage
 from khep_twin.cli.progress import part_bar
 from khep_twin.cli.progress import progress as progress_bar
@@ -21,25 +22,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ChangeOptions:
-    """Options that change a resumed run."""
+    """Options that change a resumed run.
 
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="Draw from another seed; with --runs, branch n uses this seed + n - 1."),
-    ] = None
+    Attributes:
+        seed: Draw from another seed; with --runs, branch n uses this seed + n - 1.
+        calibration: Use another calibration for the robots on the line: a shipped name, or a path.
+        set_values: Change the playpen: block.3.x_mm=250 for the third [[block]]; repeatable.
+    """
+
+    seed: Annotated[int | None, typer.Option(min=0)] = None
     fault: Faults = None
-    calibration: Annotated[
-        str | None,
-        typer.Option(help="Use another calibration for the robots on the line: a shipped name, or a path."),
-    ] = None
-    set_values: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="TABLE.N.KEY=VALUE",
-            help="Change the playpen: block.3.x_mm=250 for the third [[block]]; repeatable.",
-        ),
-    ] = None
+    calibration: str | None = None
+    set_values: Annotated[list[str] | None, typer.Option("--set", metavar="TABLE.N.KEY=VALUE")] = None
 
     def branch_point(self, time_s: float, log: Path, robot: int | None) -> "BranchPoint":
         """Return the branch point of a log at a time [s]; `robot` is the one whose calibration changes."""
@@ -56,37 +50,19 @@ class ChangeOptions:
         )
 
 
-@expand_groups
+@with_help
 def branch(
     *,
-    log: Annotated[Path, typer.Argument(help="Log of the run, FILE.mcap.", autocompletion=logs)],
-    time_s: Annotated[float, typer.Option("--at", help="Time from which to resume the run [s].")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Log to write; with --runs, NAME-001.mcap and so on.")
-    ],
-    controller: Annotated[
-        str | None,
-        typer.Option(
-            help="Replace the recorded hosts by this controller: a built-in one, or FILE.py[:NAME]; by "
-            "default they are replayed.",
-            autocompletion=controllers,
-        ),
-    ] = None,
-    robot: Annotated[
-        int | None, typer.Option(help="Robot of --controller and --calibration, counted from 0.")
-    ] = None,
+    log: Annotated[Path, typer.Argument(autocompletion=logs)],
+    time_s: Annotated[float, typer.Option("--at")],
+    output: Annotated[Path, typer.Option("--output", "-o")],
+    controller: Annotated[str | None, typer.Option(autocompletion=controllers)] = None,
+    robot: int | None = None,
     change: ChangeOptions,
-    seconds: Annotated[
-        float | None, typer.Option(help="Continue for this time [s]; by default to the end of the log's run.")
-    ] = None,
-    cycles: Annotated[
-        int | None, typer.Option(min=1, help="Continue for this number of controller cycles.")
-    ] = None,
-    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Number of branches, with a seed each.")] = 1,
-    picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw the paths in this PNG, SVG or PDF file; NAME.png by default with --runs."),
-    ] = None,
+    seconds: float | None = None,
+    cycles: Annotated[int | None, typer.Option(min=1)] = None,
+    runs: Annotated[int, typer.Option(min=1, max=10_000)] = 1,
+    picture: Path | None = None,
     force: Force = False,
 ) -> None:
     """Resume a logged run at a given time, with a change.
@@ -94,6 +70,18 @@ def branch(
     The controller, seed, faults, calibration or playpen may change.
 
     Up to that time the new log equals the old one. Without --seconds or --cycles, both end at the same time.
+
+    Args:
+        log: Log of the run, FILE.mcap.
+        time_s: Time from which to resume the run [s].
+        output: Log to write; with --runs, NAME-001.mcap and so on.
+        controller: Replace the recorded hosts by this controller: a built-in one, or FILE.py[:NAME]; by
+            default they are replayed.
+        robot: Robot of --controller and --calibration, counted from 0.
+        seconds: Continue for this time [s]; by default to the end of the log's run.
+        cycles: Continue for this number of controller cycles.
+        runs: Number of branches, with a seed each.
+        picture: Draw the paths in this PNG, SVG or PDF file; NAME.png by default with --runs.
     """
     from khep_twin.lab.experiment.branch import BranchPlan
     from khep_twin.lab.experiment.controller_files import find_controller
@@ -115,10 +103,9 @@ def branch(
     if not trajectories:
         raise typer.Exit(130)
     if picture is not None:
-        from khep_twin.drawing.map import save
         from khep_twin.lab.experiment.figures import draw_fan
 
-        save(draw_fan(plan, trajectories), picture, force)
+        drawing.save(draw_fan(plan, trajectories), picture, force)
         typer.echo(f"picture  {picture}")
     print_files("log", paths[: len(trajectories)])
     if len(trajectories) < runs:

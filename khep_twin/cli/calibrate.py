@@ -9,10 +9,12 @@ import typer
 
 from khep_twin.cli.completion import calibrations, ports
 from khep_twin.cli.fit import BearingDeg, RulerMm, check_outputs, fit_and_write
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, ask_line, notify
 from khep_twin.errors import FitError
 from khep_twin.process.invocation import command
 from khep_twin.process.signals import stopping
+from khep_twin.robots.registry import default_model
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.placement import Ruler
@@ -20,58 +22,44 @@ if TYPE_CHECKING:
     from khep_twin.lab.fit.session_steps import Step
 
 
+@with_help
 def calibrate(
-    port: Annotated[
-        str,
-        typer.Argument(
-            help="Port of a robot or a twin, such as /dev/ttyUSB0. On khep://bench.toml, an empty playpen, "
-            "the twin is placed and measured automatically.",
-            autocompletion=ports,
-        ),
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write.")],
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the fit over the data in this PNG, SVG or PDF file.")
-    ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the recordings, from which an interrupted session resumes; "
-            "by default mine-session for mine.toml."
-        ),
-    ] = None,
-    start: Annotated[
-        str, typer.Option(help="Calibration of all values that are not fitted.", autocompletion=calibrations)
-    ] = "khepera1",
-    walls: Annotated[
-        str | None,
-        typer.Option(metavar="MM,MM,...", help="Distances of the white wall from the robot's edge."),
-    ] = None,
-    cylinder: Annotated[
-        float | None, typer.Option(metavar="MM", help="Radius of a white cylinder to measure as well.")
-    ] = None,
-    lamp: Annotated[
-        float | None, typer.Option(metavar="W", help="Power of a lamp, to fit the light receivers.")
-    ] = None,
-    lamp_height: Annotated[
-        float, typer.Option(metavar="MM", help="Height of the lamp's filament above the floor.")
-    ] = 15.0,
+    port: Annotated[str, typer.Argument(autocompletion=ports)],
+    output: Annotated[Path, typer.Option("--output", "-o")],
+    picture: Path | None = None,
+    folder: Path | None = None,
+    start: Annotated[str, typer.Option(autocompletion=calibrations)] = "khepera1",
+    walls: Annotated[str | None, typer.Option(metavar="MM,MM,...")] = None,
+    cylinder: Annotated[float | None, typer.Option(metavar="MM")] = None,
+    lamp: Annotated[float | None, typer.Option(metavar="W")] = None,
+    lamp_height: Annotated[float, typer.Option(metavar="MM")] = 15.0,
     ruler_mm: RulerMm = 0.5,
     bearing_deg: BearingDeg = 1.5,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Do not wait for Enter; ask only for lengths and turns.")
-    ] = False,
+    yes: bool = False,
     force: Force = False,
 ) -> None:
     """Calibrate a robot in a guided session.
 
     It instructs you where to place objects, drives, measures, fits, and draws a picture.
+
+    Args:
+        port: Port of a robot or a twin, such as /dev/ttyUSB0. On khep://bench.toml, an empty playpen, the
+            twin is placed and measured automatically.
+        output: Calibration file to write.
+        picture: Draw the fit over the data in this PNG, SVG or PDF file.
+        folder: Folder of the recordings, from which an interrupted session resumes; by default mine-session
+            for mine.toml.
+        start: Calibration of all values that are not fitted.
+        walls: Distances of the white wall from the robot's edge.
+        cylinder: Radius of a white cylinder to measure as well.
+        lamp: Power of a lamp, to fit the light receivers.
+        lamp_height: Height of the lamp's filament above the floor.
+        yes: Do not wait for Enter; ask only for lengths and turns.
     """
     from khep_twin.lab.fit.fit_inputs import FitTests, fit_inputs
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.lab.fit.session import CalibrationSession
     from khep_twin.lab.fit.session_steps import WALLS_MM, steps
-    from khep_twin.robots.registry import default_model
     from khep_twin.sensing import calibration
 
     ruler, initial = Ruler(ruler_mm, bearing_deg), calibration.read_for(start, default_model())

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli import completion
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import (
     Force,
     check_new,
@@ -19,6 +20,8 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.errors import ControllerError
+from khep_twin.files.atomic import write_atomic
 
 challenge_app = command_group("Score controller files in challenges, one or a whole class.")
 
@@ -95,30 +98,26 @@ def show(
 
 
 @challenge_app.command()
+@with_help
 def run(
     name: ChallengeName,
     controller: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FILE.py",
-            help="Controller, FILE.py[:NAME] or a network's FILE.npz; by default the reference solution.",
-            autocompletion=completion.controllers,
-        ),
+        str | None, typer.Argument(metavar="FILE.py", autocompletion=completion.controllers)
     ] = None,
     runs: Runs = None,
     seed: Seed = None,
-    log: Annotated[
-        Path | None,
-        typer.Option(help="Record the run in this MCAP file; several in NAME-001.mcap and so on."),
-    ] = None,
+    log: Path | None = None,
     real_seconds: RealSeconds = 60.0,
     force: Force = False,
 ) -> None:
     """Score a controller in a challenge.
 
     The exit code is 4 if it does not pass.
+
+    Args:
+        controller: Controller, FILE.py[:NAME] or a network's FILE.npz; by default the reference solution.
+        log: Record the run in this MCAP file; several in NAME-001.mcap and so on.
     """
-    from khep_twin.errors import ControllerError
     from khep_twin.lab.challenge.attempt import score_file
     from khep_twin.lab.challenge.challenge import load
     from khep_twin.lab.experiment.series_run import run_files
@@ -169,7 +168,6 @@ def table(
     force: Force = False,
 ) -> None:
     """Score every controller file in a folder, and print them by rank."""
-    from khep_twin.files.atomic import write_atomic
     from khep_twin.lab.challenge.attempt import Attempt
     from khep_twin.lab.challenge.challenge import load
     from khep_twin.lab.challenge.results import participants, score_files, to_csv

@@ -4,6 +4,8 @@ from typing import Annotated
 
 import typer
 
+from khep_twin import playpen as playpens
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import usage
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.robots.registry import default_model, find_family, installed_families
@@ -12,18 +14,15 @@ _ARENA = 'version = 1\nname = "compile"\n[arena]\nwidth_mm = {width}\nheight_mm 
 _ROBOT = '[[robot]]\nmodel = "{model}"\nx_mm = {x}\ny_mm = 300\nheading_deg = 0\n'
 
 
-def compile_all(
-    parts: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="world, episodes, plane, vision or shadow, all of them by default; or world.FAMILY, with "
-            "further families behind dots, for worlds of these robots."
-        ),
-    ] = None,
-) -> None:
+@with_help
+def compile_all(parts: Annotated[list[str] | None, typer.Argument()] = None) -> None:
     """Compile the stepping core with numba, for later commands.
 
     They load it from numba's cache.
+
+    Args:
+        parts: world, episodes, plane, vision or shadow, all of them by default; or world.FAMILY, with further
+            families behind dots, for worlds of these robots.
     """
     from khep_twin.simulation import ready
 
@@ -46,10 +45,8 @@ def _compile_part(part: str) -> None:
     """Call the functions of a part, a key of `ready.CODE`, once, which compiles them."""
     import numpy as np
 
-    from khep_twin import playpen as playpens
     from khep_twin.episodes.episode import Episode
     from khep_twin.episodes.episode_setup import EpisodeSetup
-    from khep_twin.playpen import Playpen
     from khep_twin.shadow.sensor_model import SensorModel
     from khep_twin.shadow.start import PUBLISHED, draw_particles
     from khep_twin.shadow.wheel_commands import SPEED
@@ -67,7 +64,7 @@ def _compile_part(part: str) -> None:
     elif part == "vision":
         take_test_image()
     elif part == "shadow":
-        setup, rng = EpisodeSetup(Playpen.load("two-lamps"), planar=True), np.random.default_rng(0)
+        setup, rng = EpisodeSetup(playpens.Playpen.load("two-lamps"), planar=True), np.random.default_rng(0)
         particles = draw_particles(setup, None, PUBLISHED, 1, rng)
         particles.twins.command(SPEED, 0, 0)
         particles.twins.advance(1)

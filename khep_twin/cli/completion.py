@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from khep_twin.errors import KhepTwinError, choices
+from khep_twin.robots.registry import installed_models
 
 Completion = tuple[str, str]
 """Completed value and its description."""
@@ -47,8 +48,6 @@ def controllers() -> list[Completion]:
 
 def models() -> list[Completion]:
     """Return the models of robots."""
-    from khep_twin.robots.registry import installed_models
-
     return [(name, model.title) for name, model in installed_models().items()]
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs, models, ports
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_new, refuse, usage
 from khep_twin.errors import PortError
 from khep_twin.files.atomic import unusable, write_atomic
@@ -15,32 +16,26 @@ _PORT_OPTIONS = {"move", "baudrate", "model"}
 """Options that do not apply to a log, by their parameters' names."""
 
 
+@with_help
 def conform(
     context: typer.Context,
-    port: Annotated[
-        str,
-        typer.Argument(
-            help="Port of a robot or a twin, such as khep://default, or a log, FILE.mcap.",
-            autocompletion=lambda: ports() + logs(),
-        ),
-    ],
-    move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
-    model: Annotated[
-        str,
-        typer.Option(
-            help="Model of the robot, or its family, such as khepera.",
-            autocompletion=models,
-        ),
-    ] = DEFAULT,
-    baudrate: Annotated[
-        int | None, typer.Option(help="Baud rate of the line; by default the usual one of the model.")
-    ] = None,
-    report: Annotated[Path | None, typer.Option(help="Also write the report to this JSON file.")] = None,
+    port: Annotated[str, typer.Argument(autocompletion=lambda: ports() + logs())],
+    move: bool = False,
+    model: Annotated[str, typer.Option(autocompletion=models)] = DEFAULT,
+    baudrate: int | None = None,
+    report: Path | None = None,
     force: Force = False,
 ) -> None:
     """Check that a robot speaks the protocol, at a port or in a log.
 
     The exit code is 1 if it does not.
+
+    Args:
+        port: Port of a robot or a twin, such as khep://default, or a log, FILE.mcap.
+        move: Also run the checks that move the robot.
+        model: Model of the robot, or its family, such as khepera.
+        baudrate: Baud rate of the line; by default the usual one of the model.
+        report: Also write the report to this JSON file.
     """
     if report is not None and (reason := unusable(report)):
         raise usage(f"--report {report}: cannot be written: {reason}")

@@ -5,8 +5,9 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -58,10 +59,14 @@ def drive(
     ):
         versions = robot.versions()
         operation = Teleoperation(robot, speed)
-        with _run_in_thread(operation, stop) as (ended, failures):
-            _run_on_screen(lambda window: _drive(window, operation, f"{port}  BIOS {versions.bios}", ended))
-        if failures:
-            raise failures[0]
+        name, quit_event = f"{port}  BIOS {versions.bios}", threading.Event()
+        with ThreadPoolExecutor(1) as pool:
+            thread = pool.submit(operation.run, lambda: quit_event.is_set() or stop())
+            try:
+                _run_on_screen(lambda window: _drive(window, operation, name, thread.done))
+            finally:
+                quit_event.set()
+        thread.result()  # raises its error
         is_stopped = stop()
     typer.echo("the motors were stopped")
     if log is not None:
@@ -84,29 +89,6 @@ def _url_with_log(port: str, log: Path | None) -> str:
             f"--log {log}: is for a twin at khep://; expected serve --log, or serve --relay {port} --log"
         )
     return f"{port}{'&' if '?' in port else '?'}log={quote(str(log))}"
-
-
-@contextmanager
-def _run_in_thread(
-    operation: "Teleoperation", stop: Callable[[], bool]
-) -> Generator[tuple[Callable[[], bool], list[BaseException]], None, None]:
-    """Drive in a separate thread; yield a function that returns whether it has ended, and its errors."""
-    quit_event = threading.Event()
-    failures: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            operation.run(lambda: quit_event.is_set() or stop())
-        except BaseException as error:  # raised by the thread that waits for this one
-            failures.append(error)
-
-    thread = threading.Thread(target=run, name="robot")
-    thread.start()
-    try:
-        yield lambda: not thread.is_alive(), failures
-    finally:
-        quit_event.set()
-        thread.join()
 
 
 def _run_on_screen(function: Callable[["curses.window"], None]) -> None:

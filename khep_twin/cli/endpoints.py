@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.board.rom import ROMS
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import notify, print_files, print_kept_log, usage
 from khep_twin.errors import PortError
@@ -25,26 +26,22 @@ ListenerMaker = Callable[[Callable[[], int]], "LineListener"]
 
 @dataclass(frozen=True, slots=True)
 class EndpointOptions:
-    """Endpoints that hosts open."""
+    """Endpoints that hosts open.
 
-    link: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PATH",
-            help="Create this link to the pseudo-terminal, and print its path. A bare NAME is created in a "
-            "private directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME in the current directory.",
-        ),
-    ] = None
-    tcp: Annotated[str | None, typer.Option(help="Serve TCP at HOST:PORT, for socket://HOST:PORT.")] = None
-    rfc2217: Annotated[
-        str | None, typer.Option(help="Serve RFC 2217 at HOST:PORT, for rfc2217://HOST:PORT.")
-    ] = None
-    allow_remote: Annotated[
-        bool, typer.Option("--allow-remote", help="Also let other machines connect to the network ports.")
-    ] = False
-    ready_fd: Annotated[
-        int | None, typer.Option(help="Also write the printed paths to this descriptor, and close it.")
-    ] = None
+    Attributes:
+        link: Create this link to the pseudo-terminal, and print its path. A bare NAME is created in a private
+            directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME in the current directory.
+        tcp: Serve TCP at HOST:PORT, for socket://HOST:PORT.
+        rfc2217: Serve RFC 2217 at HOST:PORT, for rfc2217://HOST:PORT.
+        allow_remote: Also let other machines connect to the network ports.
+        ready_fd: Also write the printed paths to this descriptor, and close it.
+    """
+
+    link: Annotated[str | None, typer.Option(metavar="PATH")] = None
+    tcp: str | None = None
+    rfc2217: str | None = None
+    allow_remote: bool = False
+    ready_fd: int | None = None
 
     def open(self, bauds: Mapping[int, int]) -> AbstractContextManager[Sequence["HostPort"]]:
         """Open one serial cable per robot, by the baud rates of their lines."""
@@ -98,8 +95,6 @@ class EndpointOptions:
 
 def line_baud(mode: int | None) -> int:
     """Return the baud rate of a Khepera II's line in a running mode; that of mode 1 for None."""
-    from khep_twin.board.rom import ROMS
-
     mode_number, rom = 1 if mode is None else mode, ROMS["khepera2"]
     if reason := rom.refusal_reason(mode_number):
         raise usage(f"--mode {mode_number:X}: {reason}")

@@ -5,12 +5,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.completion import calibrations, logs, playpens
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_inputs, check_new, check_picture, check_writable, refuse, usage
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_atomic
 from khep_twin.files.text import escape_surrogates
+from khep_twin.robots.registry import default_model
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.fit_inputs import FitTests
@@ -29,53 +32,38 @@ _TEST_OPTIONS = {"tests", "check", "start", "ruler_mm", "bearing_deg", "picture"
 _NO_TESTS = "nothing to fit; expected tests such as straight.mcap=998mm, or --from LOG with a shadow's log"
 
 
+@with_help
 def fit(
     context: typer.Context,
-    tests: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="FILE=MEASURED...",
-            help="Recorded tests, each with the measured value: straight.mcap=998mm, "
-            "spin.mcap=5turns (counter-clockwise), steps.mcap=duty (steps of command P), and tests of "
-            "`khep-twin sense` that start with an object straight ahead: run.csv=wall@22mm, "
-            "run.csv=cylinder:27mm@15mm (radius), run.csv=lamp:2W@150mm or, with height, lamp:2W:60mm@150mm.",
-        ),
-    ] = None,
-    shadow_log: Annotated[
-        Path | None,
-        typer.Option(
-            "--from",
-            metavar="LOG",
-            help="Use the values learned by a shadow instead: its log, or a relay's log with --playpen.",
-            autocompletion=logs,
-        ),
-    ] = None,
-    playpen: Annotated[
-        str | None,
-        typer.Option(help="Playpen in which a shadow follows a relay's log.", autocompletion=playpens),
-    ] = None,
-    check: Annotated[
-        list[str] | None,
-        typer.Option(help="Print how well the fit predicts this test, which is not fitted; repeatable."),
-    ] = None,
-    start: Annotated[
-        str, typer.Option(help="Calibration of all values that are not fitted.", autocompletion=calibrations)
-    ] = "khepera1",
+    tests: Annotated[list[str] | None, typer.Argument(metavar="FILE=MEASURED...")] = None,
+    shadow_log: Annotated[Path | None, typer.Option("--from", metavar="LOG", autocompletion=logs)] = None,
+    playpen: Annotated[str | None, typer.Option(autocompletion=playpens)] = None,
+    check: list[str] | None = None,
+    start: Annotated[str, typer.Option(autocompletion=calibrations)] = "khepera1",
     ruler_mm: RulerMm = 0.5,
     bearing_deg: BearingDeg = 1.5,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Calibration file to write.")] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the fit over the data in this PNG, SVG or PDF file.")
-    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o")] = None,
+    picture: Path | None = None,
     force: Force = False,
 ) -> None:
     """Fit one robot's wheels, motors and sensors.
 
     The data are recorded tests and ruler measurements.
+
+    Args:
+        tests: Recorded tests, each with the measured value: straight.mcap=998mm, spin.mcap=5turns
+            (counter-clockwise), steps.mcap=duty (steps of command P), and tests of `khep-twin sense` that
+            start with an object straight ahead: run.csv=wall@22mm, run.csv=cylinder:27mm@15mm (radius),
+            run.csv=lamp:2W@150mm or, with height, lamp:2W:60mm@150mm.
+        shadow_log: Use the values learned by a shadow instead: its log, or a relay's log with --playpen.
+        playpen: Playpen in which a shadow follows a relay's log.
+        check: Print how well the fit predicts this test, which is not fitted; repeatable.
+        start: Calibration of all values that are not fitted.
+        output: Calibration file to write.
+        picture: Draw the fit over the data in this PNG, SVG or PDF file.
     """
     from khep_twin.lab.fit.fit_inputs import fit_inputs
     from khep_twin.lab.fit.placement import Ruler
-    from khep_twin.robots.registry import default_model
     from khep_twin.sensing import calibration
 
     if shadow_log is not None:
@@ -164,7 +152,6 @@ def fit_and_write(
         write_atomic(output, dump(calibration).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
     if picture is not None:
-        from khep_twin.drawing import map as drawing
         from khep_twin.lab.fit.fit_figure import draw_fit
 
         if (figure := draw_fit(data, robot_fit)) is not None:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs, ports
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import notify
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.clock import NS_PER_S
@@ -29,19 +30,18 @@ def recover(
         raise typer.Exit(3)
 
 
+@with_help
 def repeat(
-    log: Annotated[Path, typer.Argument(help="A log, FILE.mcap.", autocompletion=logs)],
-    port: Annotated[
-        str | None,
-        typer.Option(
-            help="Send the log's host bytes to this robot or twin instead, and compare its replies.",
-            autocompletion=ports,
-        ),
-    ] = None,
+    log: Annotated[Path, typer.Argument(autocompletion=logs)],
+    port: Annotated[str | None, typer.Option(autocompletion=ports)] = None,
 ) -> None:
     """Repeat a log's run and compare.
 
     The exit code is 0 if it is the same, 3 if not, 1 if it cannot be repeated.
+
+    Args:
+        log: A log, FILE.mcap.
+        port: Send the log's host bytes to this robot or twin instead, and compare its replies.
     """
     from khep_twin.lab.experiment.repeat import repeat as run_again
     from khep_twin.lab.experiment.repeat import require_states

@@ -1,19 +1,22 @@
-"""Groups of options that several commands share, as dataclasses that are expanded in a signature.
+"""Options of commands, and groups of them that several commands share.
 
-    @grouped
-    def run(context: typer.Context, *, robot: RobotOptions, log: LogOptions) -> None: ...
+    @with_help
+    def run(*, seconds: float = 60.0, robot: RobotOptions, log: LogOptions) -> None: ...
 
-Each field is an option, with typer's `Annotated` and a default.
+A group is a dataclass: each field is an option. The help text of an option is in the docstring of its command
+or group (`Args`, `Attributes`), or in typer's `Annotated`.
 """
 
 import inspect
 import math
+import re
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from copy import copy
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import typer
 
@@ -21,7 +24,6 @@ from khep_twin.cli.completion import models, playpens
 from khep_twin.cli.options import Force, Switch, notify, running_mode, usage
 
 if TYPE_CHECKING:
-    from khep_twin.log.foxglove_live import FoxgloveServer
     from khep_twin.log.log_file import FileRecorder
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import Twin, TwinOptions
@@ -31,8 +33,8 @@ ADDRESS = "127.0.0.1:8765"
 """Default address, which Foxglove also proposes."""
 
 
-def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Expand groups of options in a command's signature: each field of a dataclass becomes an option."""
+def with_help(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose options have the help texts of its docstring; groups of options are expanded."""
     signature = inspect.signature(command)
     groups: dict[str, Any] = {
         name: parameter.annotation
@@ -48,13 +50,33 @@ def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
         }
         command(**option_values, **group_values)
 
+    command_with_options.__doc__, options = _described_options(command)
     parameters = [
-        option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for name, parameter in signature.parameters.items()
-        for option in (inspect.signature(groups[name]).parameters.values() if name in groups else [parameter])
+        option
+        for name in signature.parameters
+        for option in (_described_options(groups[name])[1].values() if name in groups else [options[name]])
     ]
     command_with_options.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
     return command_with_options
+
+
+def _described_options(target: Callable[..., object]) -> tuple[str, dict[str, inspect.Parameter]]:
+    """Return the docstring of a command or a group without its options, and these with their help texts."""
+    text, *section = re.split(r"\n\n(?:Args|Attributes):\n", inspect.getdoc(target) or "")
+    entries = re.findall(r"^    (\w+): (.*(?:\n {5,}.*)*)", "".join(section), re.MULTILINE)
+    help_texts = {name: " ".join(entry.split()) for name, entry in entries}
+    options: dict[str, inspect.Parameter] = {}
+    for name, option in inspect.signature(target).parameters.items():
+        annotation = option.annotation
+        if name in help_texts:
+            flags = [f"--{name.replace('_', '-')}"] if option.annotation is bool else []
+            plain = option.annotation, typer.Option(*flags)
+            kind, info = get_args(annotation) if get_origin(annotation) is Annotated else plain
+            info = copy(info)
+            info.help = help_texts[name]
+            annotation = Annotated[kind, info]
+        options[name] = option.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=annotation)
+    return text, options
 
 
 def option_names(*groups: type) -> set[str]:
@@ -64,34 +86,26 @@ def option_names(*groups: type) -> set[str]:
 
 @dataclass(frozen=True, slots=True)
 class RobotOptions:
-    """Options of a simulated robot."""
+    """Options of a simulated robot.
 
-    seed: Annotated[int, typer.Option(help="Seed of every random stream of the run.")] = 0
-    noise: Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")] = Switch.ON
-    vary: Annotated[Switch, typer.Option(help="Draw another robot of the same model, by the seed.")] = (
-        Switch.OFF
-    )
-    mode: Annotated[
-        str | None,
-        typer.Option(
-            help="Running mode: 1, 2, 3 for 9600, 19200, 38400 baud, with rom khepera2 also 8, 9 for "
-            "57600, 115200; 0 demo; 7 self-test."
-        ),
-    ] = None
-    rom: Annotated[str | None, typer.Option(help="Version of the firmware: 5.02, 4.06 or khepera2.")] = None
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="Model of the robot: body, sensors and, without --rom, firmware.",
-            autocompletion=models,
-        ),
-    ] = None
-    battery_used_min: Annotated[
-        float | None,
-        typer.Option(
-            min=0, max=1000, help="Run on cells used for this number of minutes; by default on the charger."
-        ),
-    ] = None
+    Attributes:
+        seed: Seed of every random stream of the run.
+        noise: Add noise to the sensors, as on the robot.
+        vary: Draw another robot of the same model, by the seed.
+        mode: Running mode: 1, 2, 3 for 9600, 19200, 38400 baud, with rom khepera2 also 8, 9 for 57600,
+            115200; 0 demo; 7 self-test.
+        rom: Version of the firmware: 5.02, 4.06 or khepera2.
+        model: Model of the robot: body, sensors and, without --rom, firmware.
+        battery_used_min: Run on cells used for this number of minutes; by default on the charger.
+    """
+
+    seed: int = 0
+    noise: Switch = Switch.ON
+    vary: Switch = Switch.OFF
+    mode: str | None = None
+    rom: str | None = None
+    model: Annotated[str | None, typer.Option(autocompletion=models)] = None
+    battery_used_min: Annotated[float | None, typer.Option(min=0, max=1000)] = None
 
     def options(self, robot: int | None = 0) -> "TwinOptions":
         """Return the options of a twin with this robot on the line; all robots for None."""
@@ -197,31 +211,6 @@ class LiveViewOptions:
         typer.Option(metavar="HOST:PORT", help="Show it at this address instead; port 0 for any free port."),
     ] = None
 
-    def open(self, stack: ExitStack, name: str, *, allow_remote: bool = False) -> "FoxgloveServer | None":
-        """Open the server, and print its address; return None if no live view is requested.
-
-        Args:
-            stack: Context that closes the server.
-            name: Name that Foxglove shows.
-            allow_remote: Allow connections from other machines.
-
-        Raises:
-            MissingExtraError: foxglove-sdk is not installed.
-            PortError: The address cannot be used, or other machines could reach it.
-        """
-        if not self.foxglove and self.foxglove_at is None:
-            return None
-        from khep_twin.ports.network import listening_address
-
-        address = ADDRESS if self.foxglove_at is None else self.foxglove_at
-        option = "--allow-remote of khep-twin serve"
-        host, port = listening_address(address, "watch the run", allow_remote=allow_remote, option=option)
-        from khep_twin.log.foxglove_live import LAYOUT, FoxgloveServer
-
-        server = stack.enter_context(closing(FoxgloveServer(host, port, f"khep_twin {name}")))
-        notify(f"Foxglove connects to {server.address}; a layout to import there: {LAYOUT}")
-        return server
-
     def open_viewers(
         self, stack: ExitStack, name: str, *, viewer: bool, real_time: bool, allow_remote: bool = False
     ) -> "Callable[[Twin], None]":
@@ -233,8 +222,22 @@ class LiveViewOptions:
             viewer: True for MuJoCo's viewer.
             real_time: True to slow down a twin that runs ahead of the wall clock.
             allow_remote: Allow connections from other machines.
+
+        Raises:
+            MissingExtraError: foxglove-sdk is not installed.
+            PortError: The address cannot be used, or other machines could reach it.
         """
-        server, window = self.open(stack, name, allow_remote=allow_remote), None
+        server = window = None
+        if self.foxglove or self.foxglove_at is not None:
+            from khep_twin.ports.network import listening_address
+
+            address = ADDRESS if self.foxglove_at is None else self.foxglove_at
+            option = "--allow-remote of khep-twin serve"
+            host, port = listening_address(address, "watch the run", allow_remote=allow_remote, option=option)
+            from khep_twin.log.foxglove_live import LAYOUT, FoxgloveServer
+
+            server = stack.enter_context(closing(FoxgloveServer(host, port, f"khep_twin {name}")))
+            notify(f"Foxglove connects to {server.address}; a layout to import there: {LAYOUT}")
         if viewer:
             from khep_twin.drawing.mujoco_viewer import MujocoViewer
 

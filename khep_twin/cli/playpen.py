@@ -1,5 +1,6 @@
 """`khep-twin playpen COMMAND`: playpen files listed, checked, compiled, drawn and imported."""
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,14 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import drawing
+from khep_twin import playpen as playpens
 from khep_twin.cli import completion
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_inputs, check_new, command_group
-from khep_twin.errors import CalibrationError, KhepTwinError
+from khep_twin.errors import BitmapError, CalibrationError, KhepTwinError
 from khep_twin.files.atomic import write_atomic
 from khep_twin.files.drawings import write_drawing
 
 if TYPE_CHECKING:
-    from khep_twin.playpen import Playpen
     from khep_twin.playpen.bitmap import BitmapPlaypen
     from khep_twin.playpen.bitmap_files import Bitmap
 
@@ -33,8 +36,6 @@ Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to wri
 @playpen_app.command("list")
 def list_playpens() -> None:
     """List the shipped playpens, one per line."""
-    from khep_twin import playpen as playpens
-
     names = playpens.names()
     for name in names:
         typer.echo(f"{name:{max(map(len, names))}}  {completion.summary(name)}")
@@ -43,11 +44,10 @@ def list_playpens() -> None:
 @playpen_app.command()
 def check(playpen: PlaypenName) -> None:
     """Check a playpen; print one line per problem."""
-    from khep_twin.playpen import Playpen
     from khep_twin.playpen.model import MANY_ROBOTS
     from khep_twin.sensing import calibration
 
-    loaded_playpen = Playpen.load(playpen)
+    loaded_playpen = playpens.Playpen.load(playpen)
     for index, robot in enumerate(loaded_playpen.robots, 1):
         try:
             calibration.read_for(robot.calibration, robot.robot_model)
@@ -72,12 +72,11 @@ def compile_playpen(
 
     MuJoCo loads the file without khep_twin.
     """
-    from khep_twin.playpen import Playpen, at_spots
     from khep_twin.playpen_to_mjcf import to_mjcf
 
     check_inputs([playpen], output)
     check_new(force, output)
-    _write(to_mjcf(at_spots(Playpen.load(playpen), seed)), output, "scene", force)
+    _write(to_mjcf(playpens.at_spots(playpens.Playpen.load(playpen), seed)), output, "scene", force)
 
 
 @playpen_app.command()
@@ -97,11 +96,9 @@ def draw(
 
     The formats are PNG, SVG and PDF.
     """
-    from khep_twin.drawing import map as drawing
     from khep_twin.log.reader import read_label, read_log
-    from khep_twin.playpen import Playpen, at_spots
 
-    loaded_playpen = Playpen.load(playpen)
+    loaded_playpen = playpens.Playpen.load(playpen)
     output_path = output or Path(f"{loaded_playpen.name}.png")
     check_inputs([playpen, *([] if log is None else [log])], output_path)
     check_new(force, output_path)
@@ -110,14 +107,14 @@ def draw(
 
         if log is not None:
             raise KhepTwinError("--log draws on a map; expected no --perspective")
-        write_drawing(output_path, render(at_spots(loaded_playpen, seed), output_path), force)
+        write_drawing(output_path, render(playpens.at_spots(loaded_playpen, seed), output_path), force)
     else:
         paths = ()
         if log is not None:
             if (name := read_label(log).metadata.get("playpen", loaded_playpen.name)) != loaded_playpen.name:
                 raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {loaded_playpen.name}")
             paths = read_log(log).paths
-        drawing.save(drawing.draw(at_spots(loaded_playpen, seed), paths), output_path, force)
+        drawing.save(drawing.draw(playpens.at_spots(loaded_playpen, seed), paths), output_path, force)
     typer.echo(f"picture  {output_path}")
 
 
@@ -127,10 +124,6 @@ def schema(output: Output = None, force: Force = False) -> None:
 
     The default is standard output.
     """
-    import json
-
-    from khep_twin import playpen as playpens
-
     check_new(force, output)
     _write(json.dumps(playpens.schema(), indent=2) + "\n", output, "schema", force)
 
@@ -148,7 +141,6 @@ def random_playpen(
 
     The default is standard output.
     """
-    from khep_twin import playpen as playpens
     from khep_twin.playpen.random_obstacles import obstacle_field
     from khep_twin.randomness import stream
 
@@ -170,45 +162,34 @@ def _write(text: str, output: Path | None, kind: str, force: bool, details: str 
 
 
 @playpen_app.command("import")
+@with_help
 def import_bitmap(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            help="Scan of the Khepera Toolbox (MAT), or a picture (PNG, TIFF, GIF, BMP, PBM, JPEG)."
-        ),
-    ],
+    file: Annotated[Path, typer.Argument()],
     output: Output = None,
-    mm_per_pixel: Annotated[float, typer.Option(metavar="MM", help="Side of a pixel [mm].")] = 1.0,
-    flip: Annotated[
-        bool | None,
-        typer.Option(
-            "--flip/--no-flip",
-            help="Take the first row as the bottom: the default for a MAT file, as the toolbox scans upside "
-            "down, but not for a picture.",
-        ),
-    ] = None,
-    variable: Annotated[
-        str | None, typer.Option(help="Matrix of a MAT file to use; by default btmap1, or the only one.")
-    ] = None,
-    solid: Annotated[int | None, typer.Option(help="Value of solid pixels (MAT); by default 44.")] = None,
-    name: Annotated[str | None, typer.Option(help="Name of the playpen; by default the file's.")] = None,
-    height_mm: Annotated[float, typer.Option(metavar="MM", help="Height of the blocks [mm].")] = 50.0,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,HEADING",
-            help='Pose of a robot [mm, mm, deg], or "none"; by default the free position nearest to the '
-            "middle.",
-        ),
-    ] = None,
+    mm_per_pixel: Annotated[float, typer.Option(metavar="MM")] = 1.0,
+    flip: Annotated[bool | None, typer.Option("--flip/--no-flip")] = None,
+    variable: str | None = None,
+    solid: int | None = None,
+    name: str | None = None,
+    height_mm: Annotated[float, typer.Option(metavar="MM")] = 50.0,
+    robot: Annotated[str | None, typer.Option(metavar="X,Y,HEADING")] = None,
     force: Force = False,
 ) -> None:
     """Make a playpen from a scanned or painted bitmap.
 
     The output is NAME.toml by default.
+
+    Args:
+        file: Scan of the Khepera Toolbox (MAT), or a picture (PNG, TIFF, GIF, BMP, PBM, JPEG).
+        mm_per_pixel: Side of a pixel [mm].
+        flip: Take the first row as the bottom: the default for a MAT file, as the toolbox scans upside down,
+            but not for a picture.
+        variable: Matrix of a MAT file to use; by default btmap1, or the only one.
+        solid: Value of solid pixels (MAT); by default 44.
+        name: Name of the playpen; by default the file's.
+        height_mm: Height of the blocks [mm].
+        robot: Pose of a robot [mm, mm, deg], or "none"; by default the free position nearest to the middle.
     """
-    from khep_twin import playpen as playpens
-    from khep_twin.errors import BitmapError
     from khep_twin.files import toml_files
     from khep_twin.playpen import bitmap, bitmap_files
 
@@ -255,7 +236,7 @@ def _describe(image: "Bitmap", result: "BitmapPlaypen", upside_down: bool, pixel
     yield f"blocks   {len(result.playpen.blocks)}"
 
 
-def _pose_text(playpen: "Playpen", is_requested: bool) -> str:
+def _pose_text(playpen: "playpens.Playpen", is_requested: bool) -> str:
     """Return the first robot's pose as text, or why there is no robot."""
     for robot in playpen.robots:
         return f"at ({robot.x_mm:g}, {robot.y_mm:g}), heading {robot.heading_deg:g} degrees"
@@ -264,10 +245,8 @@ def _pose_text(playpen: "Playpen", is_requested: bool) -> str:
 
 def _parse_pose(text: str) -> tuple[float, float, float]:
     """Return the numbers of X,Y,HEADING."""
-    from khep_twin.errors import BitmapError
+    from khep_twin.lab.experiment.start_poses import parse_numbers
 
-    try:
-        x_mm, y_mm, heading_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise BitmapError(f'--robot {text}: expected X,Y,HEADING, such as 300,250,90, or "none"') from None
-    return x_mm, y_mm, heading_deg
+    if (numbers := parse_numbers(text, 3)) is None:
+        raise BitmapError(f'--robot {text}: expected X,Y,HEADING, such as 300,250,90, or "none"')
+    return numbers[0], numbers[1], numbers[2]

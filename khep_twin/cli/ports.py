@@ -1,24 +1,22 @@
 """`khep-twin ports`: the ports of robots and twins."""
 
-from typing import Annotated
-
 import typer
 
+from khep_twin.cli.option_groups import with_help
 from khep_twin.errors import PortError, PortInUse
 from khep_twin.process.invocation import command
 
 
+@with_help
 def ports(
-    probe: Annotated[
-        bool,
-        typer.Option(
-            "--probe", help="Query each port for a robot at every baud rate, except for ports in use."
-        ),
-    ] = False,
+    probe: bool = False,
 ) -> None:
     """List the ports of robots and twins.
 
     These are services of khep-twin on this machine, and serial ports.
+
+    Args:
+        probe: Query each port for a robot at every baud rate, except for ports in use.
     """
     from khep_twin.host.discovery import found_ports
 

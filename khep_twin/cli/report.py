@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_new, check_writable
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import LogError
@@ -17,48 +18,30 @@ from khep_twin.files.drawings import write_drawing
 LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
 
 
+@with_help
 def export(
-    log: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...", help="A log, FILE.mcap; several for a dataset.", autocompletion=logs
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Table to write: .csv, .parquet or .mat; with --minari a folder of datasets.",
-        ),
-    ] = None,
-    channels: Annotated[
-        str | None,
-        typer.Option(help="Write only these, such as proximity,speed; by default all but registers."),
-    ] = None,
-    robot: Annotated[
-        str | None, typer.Option(help="Name of the robot, such as khepera1; by default all robots.")
-    ] = None,
-    transcript: Annotated[
-        Path | None, typer.Option(help="Write the transcript of the serial line as this CSV file.")
-    ] = None,
-    minari: Annotated[
-        str | None,
-        typer.Option(
-            help="Write a Minari dataset with this id, such as khepera/avoid-v0, for offline learning."
-        ),
-    ] = None,
-    task: Annotated[
-        str | None,
-        typer.Option(help="Task of the dataset's observations and rewards, such as ObstacleAvoidance."),
-    ] = None,
-    period: Annotated[
-        float | None,
-        typer.Option(help="Control period of the dataset [ms]; by default 50.", show_default=False),
-    ] = None,
+    log: Annotated[list[Path], typer.Argument(metavar="FILE...", autocompletion=logs)],
+    output: Annotated[Path | None, typer.Option("--output", "-o")] = None,
+    channels: str | None = None,
+    robot: str | None = None,
+    transcript: Path | None = None,
+    minari: str | None = None,
+    task: str | None = None,
+    period: Annotated[float | None, typer.Option(show_default=False)] = None,
     force: Force = False,
 ) -> None:
-    """Write the data of logs as tables or as a dataset."""
+    """Write the data of logs as tables or as a dataset.
+
+    Args:
+        log: A log, FILE.mcap; several for a dataset.
+        output: Table to write: .csv, .parquet or .mat; with --minari a folder of datasets.
+        channels: Write only these, such as proximity,speed; by default all but registers.
+        robot: Name of the robot, such as khepera1; by default all robots.
+        transcript: Write the transcript of the serial line as this CSV file.
+        minari: Write a Minari dataset with this id, such as khepera/avoid-v0, for offline learning.
+        task: Task of the dataset's observations and rewards, such as ObstacleAvoidance.
+        period: Control period of the dataset [ms]; by default 50.
+    """
     for name, value in (("--task", task), ("--period", period)):
         if minari is None and value is not None:
             raise LogError(f"{name} {value}: expected it with --minari alone")

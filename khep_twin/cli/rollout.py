@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.completion import controllers
-from khep_twin.cli.option_groups import LengthOptions, LogOptions, RobotOptions, SceneOptions, expand_groups
+from khep_twin.cli.option_groups import LengthOptions, LogOptions, RobotOptions, SceneOptions, with_help
 from khep_twin.cli.options import (
     Faults,
     check_inputs,
@@ -24,6 +25,7 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.errors import ControllerError, DivergedError
 
 if TYPE_CHECKING:
     from khep_twin.board.fault_injection import Fault
@@ -44,27 +46,21 @@ _PROGRESS_NS = 2_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class PhysicsOptions:
-    """Options of the physics and of the controller's timing."""
+    """Options of the physics and of the controller's timing.
 
-    period: Annotated[
-        float | None, typer.Option(help="Period of the controller [ms]; by default the network's, or 20.")
-    ] = None
-    step: Annotated[
-        float | None,
-        typer.Option(
-            help="Time step of the physics [ms]: 2.5, 5 or 10; by default 2.5, or 10 with --planar."
-        ),
-    ] = None
-    line: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Simulate the delays of a serial line at this baud rate; by default there are none."
-        ),
-    ] = None
-    planar: Annotated[bool, typer.Option("--planar", help="Simulate a 2-D model, not MuJoCo.")] = False
-    device: Annotated[
-        str, typer.Option(help="Run on the cpu, or, with --planar, on an NVIDIA GPU: cuda.")
-    ] = "cpu"
+    Attributes:
+        period: Period of the controller [ms]; by default the network's, or 20.
+        step: Time step of the physics [ms]: 2.5, 5 or 10; by default 2.5, or 10 with --planar.
+        line: Simulate the delays of a serial line at this baud rate; by default there are none.
+        planar: Simulate a 2-D model, not MuJoCo.
+        device: Run on the cpu, or, with --planar, on an NVIDIA GPU: cuda.
+    """
+
+    period: float | None = None
+    step: float | None = None
+    line: Annotated[int | None, typer.Option(min=1)] = None
+    planar: bool = False
+    device: str = "cpu"
 
     def setup(
         self, playpen: "Playpen", driver: object, faults: "Iterable[Fault]", log: Path | None
@@ -89,28 +85,26 @@ class PhysicsOptions:
         )
 
 
-@expand_groups
+@with_help
 def rollout(
     *,
-    controller: Annotated[
-        str,
-        typer.Argument(
-            help="braitenberg, a network's FILE.npz, or FILE.py[:NAME], a function of proximity and ambient "
-            "light that returns both speeds.",
-            autocompletion=controllers,
-        ),
-    ] = "braitenberg",
+    controller: Annotated[str, typer.Argument(autocompletion=controllers)] = "braitenberg",
     scene: SceneOptions,
     length: LengthOptions,
     twin: RobotOptions,
     physics: PhysicsOptions,
     fault: Faults = None,
-    picture: Annotated[Path | None, typer.Option(help="Draw playpen and path as PNG, SVG or PDF.")] = None,
+    picture: Path | None = None,
     logging: LogOptions,
 ) -> None:
     """Run one episode without a serial line and print its metrics.
 
     The metrics of several robots are printed side by side.
+
+    Args:
+        controller: braitenberg, a network's FILE.npz, or FILE.py[:NAME], a function of proximity and ambient
+            light that returns both speeds.
+        picture: Draw playpen and path as PNG, SVG or PDF.
     """
     from khep_twin.board.fault_injection import parse_fault
     from khep_twin.episodes import Episode, EpisodeOptions, Policy
@@ -198,7 +192,6 @@ def _run_on_gpu(
 ) -> tuple[list[dict[str, float]], list[float], list[list[Pose]]]:
     """Run an episode on a GPU; return metrics, times [s] and the robot's path, as in `_run_episode`."""
     from khep_twin.episodes import Policy, batch
-    from khep_twin.errors import DivergedError
 
     if function is not None:
         decide = partial(_call_controller, function)
@@ -246,29 +239,18 @@ def _print_results(
     for line in metric_lines(robot_metrics):  # homing is undefined without a home
         typer.echo(line)
     if picture is not None:
-        _draw(playpen, times, paths, picture, force)
+        import numpy as np
+
+        drawn_paths = [
+            drawing.DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
+            for robot, path in enumerate(paths)
+        ]
+        drawing.save(drawing.draw(playpen, drawn_paths), picture, force)
         typer.echo(f"picture  {picture}")
-
-
-def _draw(
-    playpen: "Playpen", times: list[float], paths: list[list[Pose]], picture: Path, force: bool
-) -> None:
-    """Draw the robots' paths."""
-    import numpy as np
-
-    from khep_twin.drawing.map import draw, save
-    from khep_twin.drawing.paths import DrawnPath
-
-    drawn_paths = [
-        DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
-        for robot, path in enumerate(paths)
-    ]
-    save(draw(playpen, drawn_paths), picture, force)
 
 
 def _call_controller(function: Callable[..., Any], *readings: list[int]) -> tuple[float, float]:
     """Return the left and right speed computed by a user's function from readings [pulses/10 ms]."""
-    from khep_twin.errors import ControllerError
     from khep_twin.lab.experiment.controllers import call, name_of
 
     speeds = call(function, *readings)

@@ -16,8 +16,8 @@ from khep_twin.cli.option_groups import (
     LogOptions,
     RobotOptions,
     SceneOptions,
-    expand_groups,
     option_names,
+    with_help,
 )
 from khep_twin.cli.options import (
     Faults,
@@ -39,6 +39,7 @@ from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.files.atomic import resolve
 from khep_twin.process.invocation import command
 from khep_twin.process.signals import handle_signals, stopping
+from khep_twin.robots.model import Feature
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controllers import AnyController
@@ -86,17 +87,15 @@ class SeriesOptions:
 
 @dataclass(frozen=True, slots=True)
 class PortOptions:
-    """Options of the line to a robot."""
+    """Options of the line to a robot.
 
-    port: Annotated[
-        str | None,
-        typer.Option(
-            help="Port of a robot or a served twin; by default a twin in this process.", autocompletion=ports
-        ),
-    ] = None
-    baudrate: Annotated[
-        int, typer.Option(min=0, help="Baud rate of the line to --port; 0 tries all rates of the robots.")
-    ] = 9600
+    Attributes:
+        port: Port of a robot or a served twin; by default a twin in this process.
+        baudrate: Baud rate of the line to --port; 0 tries all rates of the robots.
+    """
+
+    port: Annotated[str | None, typer.Option(autocompletion=ports)] = None
+    baudrate: Annotated[int, typer.Option(min=0)] = 9600
 
     def check(self, context: typer.Context) -> None:
         """Refuse options of a twin for a robot behind a port, and vice versa."""
@@ -106,32 +105,30 @@ class PortOptions:
             raise usage("--baudrate is that of a line to a robot; expected --port with it")
 
 
-@expand_groups
+@with_help
 def run(
     context: typer.Context,
     *,
-    controller: Annotated[
-        str,
-        typer.Argument(
-            help="A built-in controller (braitenberg), FILE.py[:NAME], or a network's FILE.npz.",
-            autocompletion=controllers,
-        ),
-    ] = "braitenberg",
+    controller: Annotated[str, typer.Argument(autocompletion=controllers)] = "braitenberg",
     scene: SceneOptions,
     line: PortOptions,
     length: LengthOptions,
     series: SeriesOptions,
-    robot: Annotated[int, typer.Option(help="Number of the robot in the playpen, counted from 0.")] = 0,
+    robot: int = 0,
     twin: RobotOptions,
     fault: Faults = None,
     logging: LogOptions,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw playpen and path in this PNG, SVG or PDF file; needs --log.")
-    ] = None,
+    picture: Path | None = None,
     live_view: LiveViewOptions,
     viewer: Viewer = False,
 ) -> None:
-    """Run a controller on a twin or a robot, once or in a series."""
+    """Run a controller on a twin or a robot, once or in a series.
+
+    Args:
+        controller: A built-in controller (braitenberg), FILE.py[:NAME], or a network's FILE.npz.
+        robot: Number of the robot in the playpen, counted from 0.
+        picture: Draw playpen and path in this PNG, SVG or PDF file; needs --log.
+    """
     from khep_twin.host import Khepera
     from khep_twin.host.opening import PORT_IDS
     from khep_twin.lab.experiment.controller_files import find_controller, find_on_run_end
@@ -272,7 +269,6 @@ def _open_twins(
     from khep_twin.playpen.checks import require_feature
     from khep_twin.ports.protocol_khep import Serial
     from khep_twin.ports.twin import equip_playpen, open_twin
-    from khep_twin.robots.model import Feature
 
     playpen, robot_indices = equip_playpen(playpen, options)
     if needs_khepera(program):

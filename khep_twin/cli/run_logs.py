@@ -1,14 +1,15 @@
 """Logs of `khep-twin run`, one in all or one per new twin, and the picture drawn from them."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import check_new, print_files, print_kept_log
+from khep_twin.errors import LogError
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controller_source import Source
@@ -58,7 +59,6 @@ class RunLogs:
 
     def _has_same_controller(self, path: Path) -> bool:
         """Return whether a file is a log of this controller."""
-        from khep_twin.errors import LogError
         from khep_twin.log.reader import read_label
 
         try:
@@ -80,18 +80,12 @@ class RunLogs:
         if not paths:
             return
         if self._picture is not None:
-            draw_logs(paths, self._picture, self._options.force)
+            from khep_twin.log.reader import read_log
+
+            runs = [read_log(log) for log in paths]
+            # With several logs, each path is labelled by its log's name.
+            tracks = [replace(path, robot=run.source.stem) for run in runs for path in run.paths]
+            figure = drawing.draw(runs[0].playpen, runs[0].paths if len(runs) == 1 else tracks)
+            drawing.save(figure, self._picture, self._options.force)
             typer.echo(f"picture  {self._picture}")
         print_files("log", paths)
-
-
-def draw_logs(logs: Sequence[Path], picture: Path, force: bool) -> None:
-    """Draw the playpen and the driven paths of logs."""
-    from khep_twin.drawing import map as drawing
-    from khep_twin.log.reader import read_log
-
-    runs = [read_log(log) for log in logs]
-    # With several logs, each path is labelled by its log's name.
-    paths = [replace(path, robot=run.source.stem) for run in runs for path in run.paths]
-    figure = drawing.draw(runs[0].playpen, runs[0].paths if len(runs) == 1 else paths)
-    drawing.save(figure, picture, force)

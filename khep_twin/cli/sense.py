@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.completion import ports
-from khep_twin.cli.option_groups import expand_groups
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_new, check_picture, check_writable, notify
 from khep_twin.cli.progress import part_bar
 from khep_twin.cli.progress import progress as progress_bar
@@ -33,33 +34,27 @@ class Sensors(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DriveOptions:
-    """Options of the driven tests."""
+    """Options of the driven tests.
 
-    linear: Annotated[
-        float | None,
-        typer.Option(metavar="CM", help="Drive straight, 5 to 60 cm forwards, or -5 to -60 cm backwards."),
-    ] = None
-    rotate: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", help="Turn on the spot, 15 to 360 degrees, or clockwise, -15 to -360."),
-    ] = None
-    speed: Annotated[
-        int | None, typer.Option(help="Highest speed, 1 to 127 pulses/10 ms of 8 mm/s each; by default 20.")
-    ] = None
-    acceleration: Annotated[
-        int | None, typer.Option(help="Acceleration, 1 to 255 times 3.125 mm/s^2; by default 64.")
-    ] = None
-    return_to_zero: Annotated[
-        bool, typer.Option("--return", help="Wait 5 s at the end and drive back; always between runs.")
-    ] = False
-    runs: Annotated[
-        int | None, typer.Option(help="Number of runs, 1 to 100; files are numbered -1, -2, ...")
-    ] = None
-    text: Annotated[str | None, typer.Option(help="Description to store with the data.")] = None
-    output: Annotated[
-        list[Path] | None,
-        typer.Option("--output", "-o", help="File to write, .csv, .mat or .mcap; repeatable."),
-    ] = None
+    Attributes:
+        linear: Drive straight, 5 to 60 cm forwards, or -5 to -60 cm backwards.
+        rotate: Turn on the spot, 15 to 360 degrees, or clockwise, -15 to -360.
+        speed: Highest speed, 1 to 127 pulses/10 ms of 8 mm/s each; by default 20.
+        acceleration: Acceleration, 1 to 255 times 3.125 mm/s^2; by default 64.
+        return_to_zero: Wait 5 s at the end and drive back; always between runs.
+        runs: Number of runs, 1 to 100; files are numbered -1, -2, ...
+        text: Description to store with the data.
+        output: File to write, .csv, .mat or .mcap; repeatable.
+    """
+
+    linear: Annotated[float | None, typer.Option(metavar="CM")] = None
+    rotate: Annotated[float | None, typer.Option(metavar="DEG")] = None
+    speed: int | None = None
+    acceleration: int | None = None
+    return_to_zero: Annotated[bool, typer.Option("--return")] = False
+    runs: int | None = None
+    text: str | None = None
+    output: Annotated[list[Path] | None, typer.Option("--output", "-o")] = None
 
     def tests(self, sensors: Sensors | None) -> "list[SensorTest]":
         """Return the tests to drive, in order."""
@@ -110,7 +105,6 @@ class PictureOptions:
         """Draw runs, if a picture is requested."""
         if self.picture is None or not runs:
             return
-        from khep_twin.drawing import map as drawing
         from khep_twin.lab.sensor_test import sensor_figure
 
         figure = sensor_figure.draw(runs, sensor=self.sensor, y_min=self.y_min or 0, grid=self.grid)
@@ -118,19 +112,10 @@ class PictureOptions:
         typer.echo(f"picture  {self.picture}")
 
 
-@expand_groups
+@with_help
 def sense(
-    port: Annotated[
-        str | None,
-        typer.Argument(
-            help="Port of a robot or a twin, such as /dev/ttyUSB0 or khep://default; without it, earlier "
-            "runs are drawn.",
-            autocompletion=ports,
-        ),
-    ] = None,
-    sensors: Annotated[
-        Sensors | None, typer.Option("--what", help="Quantity to read: proximity (default), light or vision.")
-    ] = None,
+    port: Annotated[str | None, typer.Argument(autocompletion=ports)] = None,
+    sensors: Annotated[Sensors | None, typer.Option("--what")] = None,
     *,
     drive: DriveOptions,
     picture_options: PictureOptions,
@@ -139,6 +124,11 @@ def sense(
     """Read a robot's sensors while it drives straight or turns.
 
     The readings are written to files and drawn in a picture.
+
+    Args:
+        port: Port of a robot or a twin, such as /dev/ttyUSB0 or khep://default; without it, earlier runs are
+            drawn.
+        sensors: Quantity to read: proximity (default), light or vision.
     """
     from khep_twin.lab.sensor_test import sensor_files
     from khep_twin.lab.sensor_test.sensor_test import BrokenOffError

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from khep_twin import drawing
 from khep_twin.cli.options import Force, check_new, check_picture, usage
 from khep_twin.errors import ControllerError
 from khep_twin.process.invocation import command
@@ -49,11 +50,10 @@ def series(
         labels = [str(folder) for folder in folders]
     typer.echo(table(labels, series_rows, names))
     if picture is not None:
-        from khep_twin.drawing.map import save
         from khep_twin.lab.experiment.figures import default_columns, draw
 
         drawn_names = default_columns(names) if column_names is None else names
-        save(draw(labels, series_rows, drawn_names), picture, force)
+        drawing.save(draw(labels, series_rows, drawn_names), picture, force)
         typer.echo(f"picture  {picture}")
 
 

@@ -5,15 +5,15 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from khep_twin.board.rom import SELF_TEST_MODE
 from khep_twin.cli.completion import ports
 from khep_twin.cli.endpoints import EndpointOptions, line_baud, print_end, relay_robot
-from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, expand_groups, option_names
+from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, option_names, with_help
 from khep_twin.cli.options import (
     Faults,
     Viewer,
@@ -81,28 +81,16 @@ _LOGGED_OPTIONS = (option_names(RobotOptions) | {"playpen", "unpaced", "strict_l
 """Options that a resumed twin takes from its log."""
 
 
-@expand_groups
+@with_help
 def serve(
     context: typer.Context,
     *,
     playpen: PlaypenName = "default",
     endpoint: EndpointOptions,
     timing: TimingOptions,
-    relay: Annotated[
-        str | None,
-        typer.Option(
-            help="Relay the robot at this port instead of a twin, and log its line.", autocompletion=ports
-        ),
-    ] = None,
-    from_log: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            metavar="FILE.mcap[@SECONDS]",
-            help="Resume the run of this log at a time, or at its end, instead of a playpen.",
-        ),
-    ] = None,
-    robot: Annotated[int | None, typer.Option(help="Serve only this robot, counted from 0.")] = None,
+    relay: Annotated[str | None, typer.Option(autocompletion=ports)] = None,
+    from_log: Annotated[str | None, typer.Option("--from", metavar="FILE.mcap[@SECONDS]")] = None,
+    robot: int | None = None,
     twin: RobotOptions,
     fault: Faults = None,
     logging: LogOptions,
@@ -114,6 +102,11 @@ def serve(
     Its serial lines are pseudo-terminals or network ports.
 
     Standard output has one line per robot: the path or URL for its host to open.
+
+    Args:
+        relay: Relay the robot at this port instead of a twin, and log its line.
+        from_log: Resume the run of this log at a time, or at its end, instead of a playpen.
+        robot: Serve only this robot, counted from 0.
     """
     from khep_twin.host.opening import resolve_port
 
@@ -136,7 +129,15 @@ def serve(
             raise usage(f"{option} is that of the log; expected only --seed, --fault and --robot with --from")
         path, start_ns = _parse_log_time(from_log)
         seed = twin.seed if "seed" in typed_options(context) else None
-        open_resumed = partial(_open_from_log, path, start_ns, seed, faults, robot, logging)
+
+        def open_resumed() -> "Twin":
+            from khep_twin.log.recorded import BranchPoint
+            from khep_twin.ports.branching import open_log
+            from khep_twin.ports.resume import run_end_ns
+
+            change = BranchPoint(run_end_ns(path) if start_ns is None else start_ns, seed=seed, faults=faults)
+            return open_log(path, change, robot, logging.log, all_robots=True, on_failure=logging.on_failure)
+
         _serve_twin(open_resumed, from_log, factor, endpoint, logging, live_view, viewer)
         return
     options = replace(
@@ -149,7 +150,6 @@ def serve(
 
 def _open_twin(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
     """Open the twin of a playpen, and start its log."""
-    from khep_twin.board.rom import SELF_TEST_MODE
     from khep_twin.ports.twin import open_twin
 
     twin = open_twin(playpen, options)
@@ -160,23 +160,6 @@ def _open_twin(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Tw
     if logging.log is not None:
         twin.record(logging.log, on_failure=logging.on_failure)
     return twin
-
-
-def _open_from_log(
-    path: Path,
-    start_ns: int | None,
-    seed: int | None,
-    faults: tuple[str, ...],
-    robot: int | None,
-    logging: LogOptions,
-) -> "Twin":
-    """Open the twin that resumes the run of a log."""
-    from khep_twin.log.recorded import BranchPoint
-    from khep_twin.ports.branching import open_log
-    from khep_twin.ports.resume import run_end_ns
-
-    change = BranchPoint(run_end_ns(path) if start_ns is None else start_ns, seed=seed, faults=faults)
-    return open_log(path, change, robot, logging.log, all_robots=True, on_failure=logging.on_failure)
 
 
 def _parse_log_time(text: str) -> tuple[Path, int | None]:

@@ -12,7 +12,7 @@ import typer
 
 from khep_twin.cli.completion import logs, ports
 from khep_twin.cli.endpoints import EndpointOptions, line_baud, relay_robot
-from khep_twin.cli.option_groups import LogOptions, expand_groups, option_names
+from khep_twin.cli.option_groups import LogOptions, option_names, with_help
 from khep_twin.cli.options import check_inputs, check_new, check_writable, notify, refuse, running_mode, usage
 from khep_twin.cli.playpen import PlaypenName
 from khep_twin.cli.progress import progress as progress_bar
@@ -38,29 +38,19 @@ _ROBOT_OPTIONS = option_names(EndpointOptions) | {"mode", "poll", "view", "web",
 """Options of a robot at --relay that do not apply to a log, by their parameters' names."""
 
 
-@expand_groups
+@with_help
 def shadow(
     context: typer.Context,
     *,
     playpen: PlaypenName,
-    recording: Annotated[
-        Path | None,
-        typer.Argument(metavar="LOG", help="Log of a relay, or of a twin, FILE.mcap.", autocompletion=logs),
-    ] = None,
-    relay: Annotated[
-        str | None,
-        typer.Option(
-            help="Follow the robot at this port, and relay its line to its host.", autocompletion=ports
-        ),
-    ] = None,
+    recording: Annotated[Path | None, typer.Argument(metavar="LOG", autocompletion=logs)] = None,
+    relay: Annotated[str | None, typer.Option(autocompletion=ports)] = None,
     endpoint: EndpointOptions,
-    mode: Annotated[
-        str | None, typer.Option(help="Running mode of the robot, which sets the baud rate of its line.")
-    ] = None,
-    poll: Annotated[bool, typer.Option("--poll", help="Poll the robot while its host is idle.")] = False,
-    robot: Annotated[int, typer.Option(min=0, help="Number of the robot in playpen and log, from 0.")] = 0,
+    mode: str | None = None,
+    poll: bool = False,
+    robot: Annotated[int, typer.Option(min=0)] = 0,
     options: ShadowOptions,
-    end_s: Annotated[float | None, typer.Option("--until", min=0, help="Stop at this log time [s].")] = None,
+    end_s: Annotated[float | None, typer.Option("--until", min=0)] = None,
     exit_on: Annotated[
         list[ExitOn] | None,
         typer.Option(
@@ -68,12 +58,9 @@ def shadow(
             f"robot is lost, with {EXIT_CODES[ExitOn.LOST]}; repeatable."
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Log to write, FILE.mcap, of poses, residuals and alarms."),
-    ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Show the shadow live in rerun.")] = False,
-    web: Annotated[bool, typer.Option("--web", help="With --view: in a browser, not a window.")] = False,
+    output: Annotated[Path | None, typer.Option("--output", "-o")] = None,
+    view: bool = False,
+    web: bool = False,
     logging: LogOptions,
     line_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
@@ -83,6 +70,17 @@ def shadow(
 
     Standard output has a line for each start and end of an alarm, and when the robot is lost or found again;
     with --relay, after the line for the host.
+
+    Args:
+        recording: Log of a relay, or of a twin, FILE.mcap.
+        relay: Follow the robot at this port, and relay its line to its host.
+        mode: Running mode of the robot, which sets the baud rate of its line.
+        poll: Poll the robot while its host is idle.
+        robot: Number of the robot in playpen and log, from 0.
+        end_s: Stop at this log time [s].
+        output: Log to write, FILE.mcap, of poses, residuals and alarms.
+        view: Show the shadow live in rerun.
+        web: With --view: in a browser, not a window.
     """
     settings = options.settings(line_baud(running_mode(mode)))
     check_writable(output)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import studies
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import notify, usage
 from khep_twin.cli.progress import duration_text, progress
 from khep_twin.cli.rollout import check_compiled
@@ -23,31 +24,28 @@ SECONDS_BETWEEN_LINES = 60.0
 """Interval of progress lines if there is no terminal [s]."""
 
 
+@with_help
 def sweep(
-    study: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="Study to run.", autocompletion=studies)
-    ],
-    ray: Annotated[
-        bool, typer.Option("--ray", help="Run on Ray, in processes that may die; by default in threads.")
-    ] = False,
-    address: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT", help="Address of a running Ray cluster, or auto; by default this machine."
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Threads, or Ray workers here; by default one per core.")
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder of the results; by default the study's.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume a sweep: run only missing tasks.")] = False,
-    check: Annotated[bool, typer.Option("--check", help="Only check the study, and count episodes.")] = False,
+    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", autocompletion=studies)],
+    ray: bool = False,
+    address: Annotated[str | None, typer.Option(metavar="HOST:PORT")] = None,
+    workers: Annotated[int | None, typer.Option(min=1)] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output")] = None,
+    resume: bool = False,
+    check: bool = False,
 ) -> None:
     """Run all episodes of a study.
 
     The results are stored in a Parquet table, one row per episode.
+
+    Args:
+        study: Study to run.
+        ray: Run on Ray, in processes that may die; by default in threads.
+        address: Address of a running Ray cluster, or auto; by default this machine.
+        workers: Threads, or Ray workers here; by default one per core.
+        output: Folder of the results; by default the study's.
+        resume: Resume a sweep: run only missing tasks.
+        check: Only check the study, and count episodes.
     """
     from khep_twin.episodes.episode import SlowerWarning
     from khep_twin.sweep import study as studies

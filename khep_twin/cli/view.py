@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs as known_logs
+from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_new, notify, print_files, usage
 from khep_twin.cli.progress import duration_text, progress
 from khep_twin.clock import NS_PER_S
@@ -16,36 +17,29 @@ from khep_twin.process.invocation import command
 from khep_twin.process.signals import stopping
 
 
+@with_help
 def view(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="LOG", help="Log, FILE.mcap, or several to compare.", autocompletion=known_logs
-        ),
-    ],
-    save: Annotated[
-        Path | None, typer.Option(help="Write a rerun recording, FILE.rrd, instead of opening it.")
-    ] = None,
-    png: Annotated[
-        Path | None, typer.Option(help="Render a still as this PNG file instead, without a screen.")
-    ] = None,
-    at: Annotated[
-        float | None, typer.Option(min=0, help="Simulated time of the still [s]; by default the run's end.")
-    ] = None,
-    live: Annotated[
-        bool, typer.Option("--live", help="Follow the log of a running `run` or `serve` while it is written.")
-    ] = False,
-    web: Annotated[
-        bool, typer.Option("--web", help="Show it in a browser on this machine instead of a window.")
-    ] = False,
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="With --web: only print the page's address.")
-    ] = False,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG", autocompletion=known_logs)],
+    save: Path | None = None,
+    png: Path | None = None,
+    at: Annotated[float | None, typer.Option(min=0)] = None,
+    live: bool = False,
+    web: bool = False,
+    no_browser: bool = False,
     force: Force = False,
 ) -> None:
     """Show a log in rerun, or several side by side.
 
     The views are arena, robots from above, curves and transcript.
+
+    Args:
+        logs: Log, FILE.mcap, or several to compare.
+        save: Write a rerun recording, FILE.rrd, instead of opening it.
+        png: Render a still as this PNG file instead, without a screen.
+        at: Simulated time of the still [s]; by default the run's end.
+        live: Follow the log of a running `run` or `serve` while it is written.
+        web: Show it in a browser on this machine instead of a window.
+        no_browser: With --web: only print the page's address.
     """
     _check_options(logs, save, png, live, web, no_browser)
     check_new(force, save, png)

@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
 
 from khep_twin.drawing.labels import Labels
 from khep_twin.drawing.paths import DrawnPath, Paths, drawn_paths
@@ -163,29 +164,25 @@ def save(figure: Figure, file: StrPath, replace: bool = True) -> None:
     write_drawing(file, picture(figure, kind), replace)
 
 
-def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:
-    """Return a drawing as the bytes of a file; `kind` is "png", "svg" or "pdf"."""
+def picture(figure: Figure, kind: str, dpi: float = 160, box: Bbox | None = None) -> bytes:
+    """Return a drawing, or a box of it [inch], as a file's bytes; `kind` is "png", "svg" or "pdf"."""
     data = BytesIO()
     with matplotlib.style.context(STYLE):
-        figure.savefig(data, format=kind, dpi=dpi, metadata=METADATA[kind])
+        figure.savefig(data, format=kind, dpi=dpi, bbox_inches=box, metadata=METADATA[kind])
     return data.getvalue()
 
 
 def thumbnail(playpen: Playpen, longer_side: int = 200) -> bytes:
     """Return a small map without text, as PNG; the longer side in pixels."""
     figure = draw(playpen)
-    axes, data = figure.axes[0], BytesIO()
-    with matplotlib.style.context(STYLE):
-        axes.set_axis_off()
-        axes.set_title("", loc="left")
-        figure.legends.clear()
-        for text in list(axes.texts):
-            text.remove()
-        box = axes.get_window_extent().transformed(figure.dpi_scale_trans.inverted())
-        figure.savefig(
-            data, format="png", dpi=longer_side / LONGER_SIDE, bbox_inches=box, metadata=METADATA["png"]
-        )
-    return data.getvalue()
+    axes = figure.axes[0]
+    axes.set_axis_off()
+    axes.set_title("", loc="left")
+    figure.legends.clear()
+    for text in list(axes.texts):
+        text.remove()
+    box = axes.get_window_extent().transformed(figure.dpi_scale_trans.inverted())
+    return picture(figure, "png", longer_side / LONGER_SIDE, box)
 
 
 def blank_figure(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:

@@ -65,18 +65,14 @@ def draw_arena(axes: Axes, playpen: Playpen) -> None:
         for shape in walls_around(arena.outline_mm, wall):
             _draw_shape(axes, shape, facecolor=colour, edgecolor=INK, lw=0.8)
     elif not arena.table:
-        axes.add_patch(
-            Rectangle(
-                (-wall, -wall), width + 2 * wall, height + 2 * wall, facecolor=colour, edgecolor=INK, lw=0.8
-            )
-        )
+        outside: Look = {"facecolor": colour, "edgecolor": INK, "lw": 0.8}
+        axes.add_patch(Rectangle((-wall, -wall), width + 2 * wall, height + 2 * wall, **outside))
     axes.add_patch(floor)
     if playpen.lamps:
         step = max(width, height) / _GLOW_CELLS
         columns, rows = max(round(width / step), 1), max(round(height / step), 1)
-        x, y = np.meshgrid(
-            (np.arange(columns) + 0.5) * width / columns, (np.arange(rows) + 0.5) * height / rows
-        )
+        xs, ys = (np.arange(columns) + 0.5) * width / columns, (np.arange(rows) + 0.5) * height / rows
+        x, y = np.meshgrid(xs, ys)
         light = _light_at_start(playpen, x, y)
         glow = np.empty((rows, columns, 4))
         glow[..., :3] = _GLOW
@@ -139,17 +135,10 @@ def draw_patch(axes: Axes, playpen: Playpen, patch: parts.Patch) -> None:
 def draw_spot(axes: Axes, labels: Labels, spot: Spot) -> None:
     """Draw a spot, a start pose of robots: outline, heading and name."""
     radius, heading = 1000 * BODY_RADIUS, np.radians(spot.heading_deg)
-    axes.add_patch(
-        Circle(
-            (spot.x_mm, spot.y_mm), radius, fill=False, edgecolor=_BOARD, lw=0.9, ls=(0, (2, 2)), zorder=4.5
-        )
-    )
-    tip = radius * np.array((np.cos(heading), np.sin(heading)))
-    axes.add_line(
-        Line2D(
-            [spot.x_mm, spot.x_mm + tip[0]], [spot.y_mm, spot.y_mm + tip[1]], color=_BOARD, lw=1.2, zorder=4.5
-        )
-    )
+    outline = Circle((spot.x_mm, spot.y_mm), radius, fill=False, edgecolor=_BOARD, lw=0.9, ls=(0, (2, 2)))
+    axes.add_patch(outline).set_zorder(4.5)
+    tip_x, tip_y = spot.x_mm + radius * np.cos(heading), spot.y_mm + radius * np.sin(heading)
+    axes.add_line(Line2D([spot.x_mm, tip_x], [spot.y_mm, tip_y], color=_BOARD, lw=1.2, zorder=4.5))
     labels.add(spot.x_mm, spot.y_mm, radius + 4, spot.name)
 
 

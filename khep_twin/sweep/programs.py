@@ -38,12 +38,7 @@ class Program:
 
 def driver_of(driver: Driver | Program) -> Driver:
     """Return a controller; a program is executed and cached."""
-    return _cached_driver(driver) if isinstance(driver, Program) else driver
-
-
-@lru_cache(maxsize=16)
-def _cached_driver(program: Program) -> Driver:
-    return Function(function_of(program), program.memory)
+    return Function(function_of(driver), driver.memory) if isinstance(driver, Program) else driver
 
 
 @lru_cache(maxsize=32)

@@ -25,14 +25,7 @@ import pyarrow.parquet as pq
 
 from khep_twin import __version__
 from khep_twin.errors import StudyError
-from khep_twin.files.atomic import (
-    is_part,
-    name_taken_message,
-    open_regular,
-    read_regular,
-    rename_into_place,
-    write_atomic,
-)
+from khep_twin.files.atomic import atomic_file, is_part, open_regular, read_regular, write_atomic
 from khep_twin.process.machine import FOLDER_LOCK, lock, open_folder
 from khep_twin.sweep.run_shard import Columns
 from khep_twin.sweep.shards import Shard, Work
@@ -106,10 +99,14 @@ class SweepFolder:
         """Join all parts into one table; return its path.
 
         Raises:
-            StudyError: The table cannot be written, or an episode is missing or duplicate; parts are kept.
+            StudyError: An episode is missing or duplicate; parts are kept.
+            KhepTwinError: The table cannot be written; likewise.
         """
         if not self.table.exists():
-            self._join_parts()
+            schema = self._read_part(self._work.tasks[0]).schema
+            with atomic_file(self.table, False) as file, pq.ParquetWriter(file, schema) as writer:
+                for task in self._work.tasks:
+                    writer.write_table(self._read_part(task))
         shutil.rmtree(self._parts, ignore_errors=True)
         return self.table
 
@@ -126,9 +123,9 @@ class SweepFolder:
         """Write study.json into a new folder, or check that of the previous sweep."""
         file, work = self._path / "study.json", self._work
         previous = _read_json(file)
-        # A sweep killed at its start may have left an incomplete study.json.
+        # A sweep that was killed may have left an incomplete study.json or table.
         entries = sorted(path for path in self._path.iterdir() if path.name != FOLDER_LOCK)
-        leftovers = [path for path in entries if is_part(path, file)]
+        leftovers = [path for path in entries if is_part(path, file) or is_part(path, self.table)]
         files = [path for path in entries if path not in leftovers]
         if previous is None and files:
             raise StudyError(f"{self._path}: holds {files[0].name} and no study.json; expected a new folder")
@@ -177,24 +174,6 @@ class SweepFolder:
         metadata = footer.metadata or {}
         is_same_work = metadata.get(_STUDY) == self._work.digest.encode() and metadata.get(_TASK) == task
         return is_same_work and footer.num_rows == n_episodes
-
-    def _join_parts(self) -> None:
-        part_table = self.table.with_name(f".{self.table.name}.part")
-        schema = self._read_part(self._work.tasks[0]).schema
-        try:
-            with pq.ParquetWriter(part_table, schema) as writer:
-                for task in self._work.tasks:
-                    writer.write_table(self._read_part(task))
-            # The table must be on disk before the parts are deleted, in case of a power failure.
-            with part_table.open("r+b") as file:  # Windows flushes only files that may be written
-                os.fsync(file.fileno())
-            written_path = rename_into_place(part_table, self.table, None)
-        except OSError as error:
-            raise StudyError(f"{self.table}: cannot be written: {error.strerror or error}") from error
-        finally:
-            part_table.unlink(missing_ok=True)
-        if written_path != self.table:
-            raise StudyError(name_taken_message(self.table, written_path))
 
     def _read_part(self, task: Shard) -> pa.Table:
         """Return a part; check that it holds each of its episodes once."""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin import drawing
 from khep_twin.errors import SensorTestError
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.sensor_test.sensor_test import (
@@ -126,8 +127,6 @@ def dataprnt(file: StrPath = "graph_data.pdf") -> Path:
         SensorTestError: There is no graph yet.
         KhepTwinError: The file cannot be written, or has another suffix, or a file is kept.
     """
-    from khep_twin.drawing import map as drawing
-
     if not _latest_graph:
         raise SensorTestError("there is no graph yet; expected ddl, ddlg, ddr, ddrg or disonel before")
     drawing.save(_latest_graph[-1], Path(file), replace=str(file) not in ("graph_data.pdf", "graph_data.svg"))

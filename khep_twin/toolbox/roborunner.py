@@ -15,6 +15,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from khep_twin import drawing
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.files.atomic import write_atomic
 from khep_twin.files.paths import StrPath
@@ -122,7 +123,6 @@ def plotrun(
         ControllerError: There are no runs, or a metric does not exist.
         KhepTwinError: The picture cannot be written.
     """
-    from khep_twin.drawing import map as drawing
     from khep_twin.lab.experiment.figures import default_columns, draw
 
     rows = _table_rows(runs)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from khep_twin import drawing
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.drawings import is_replaceable, write_drawing
 from khep_twin.files.paths import StrPath
@@ -113,8 +114,6 @@ class _View:
         if self._window:
             refresh(self.figure)
             return None
-        from khep_twin.drawing import map as drawing
-
         write_drawing(self._picture, drawing.picture(self.figure, "png", _DPI))
         return self._picture
 

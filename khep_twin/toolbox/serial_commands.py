@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import PortError, ProtocolError
+from khep_twin.host.host_command import query
 from khep_twin.host.khepera import Khepera
 from khep_twin.host.opening import PORT_IDS, VARIABLE
 
@@ -166,16 +167,8 @@ def rmc(port_id: Port) -> Row:
     toolbox's ROM 4.06 it is 0 for position and 1 for speed. E is the controller's error.
     """
     # As the robot reports them: `Khepera.status` converts the modes of all ROMs to one form.
-    robot = robot_at(port_id)
-    answer = robot.ask("K")
-    try:
-        letter, *fields = answer.split(",")
-        values = [int(field) for field in fields]
-    except ValueError:
-        letter, values = "", []
-    if letter != "k" or len(values) != 6:
-        raise ProtocolError(f"{robot.name}: 'K' was answered {answer!r}; expected 'k' and 6 integers")
-    return _to_row(tuple(values))
+    (values,) = robot_at(port_id).burst(query("K", 6, tuple))
+    return _to_row(values)
 
 
 def rad(port_id: Port, channel_number: SupportsFloat) -> int:

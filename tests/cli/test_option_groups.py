@@ -9,7 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from khep_twin.cli.option_groups import LogOptions, RobotOptions, expand_groups, option_names
+from khep_twin.cli.option_groups import LogOptions, RobotOptions, option_names, with_help
 from khep_twin.cli.options import typed_options
 
 ARGUMENTS: list[object] = []
@@ -27,7 +27,7 @@ class Size:
             raise typer.Exit(2)
 
 
-@expand_groups
+@with_help
 def box(
     context: typer.Context,
     *,

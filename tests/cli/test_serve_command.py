@@ -7,6 +7,8 @@ import pytest
 from command_line import good
 
 import khep_twin.cli.app  # noqa: F401
+from khep_twin.log.recorded import BranchPoint
+from khep_twin.ports import branching
 
 SERVE = sys.modules["khep_twin.cli.serve"]
 
@@ -17,13 +19,13 @@ def test_a_resumed_run_keeps_its_seed_unless_one_is_given(
 ) -> None:
     seeds: list[int | None] = []
 
-    def note_seed(path: object, start_ns: object, seed: int | None, *_: object) -> None:
-        seeds.append(seed)
+    def note_seed(path: object, change: BranchPoint, *_: object, **__: object) -> None:
+        seeds.append(change.seed)
 
     def open_only(open_twin: Callable[[], object], *_: object) -> None:
         open_twin()
 
-    monkeypatch.setattr(SERVE, "_open_from_log", note_seed)
+    monkeypatch.setattr(branching, "open_log", note_seed)
     monkeypatch.setattr(SERVE, "_serve_twin", open_only)
     assert good("serve", "--from", "run.mcap@1.5", *words) == ""
     assert seeds == [seed]

@@ -275,6 +275,7 @@ def away(proximity, ambient, memory, genes):
     return (60.0, -60.0) if max(proximity) > 200 else (100.0, 100.0)
 
 
+@pytest.mark.filterwarnings("ignore:.*overflow encountered in scalar multiply:RuntimeWarning")
 def test_toys_run_in_rollouts_alike_plain_compiled_and_on_a_simulated_gpu(toys: Playpen) -> None:
     one = toys.model_copy(update={"robots": toys.robots[:1]})
     network = Network(hidden=(3,), model="toy")

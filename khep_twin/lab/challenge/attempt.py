@@ -23,6 +23,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from khep_twin.errors import KhepTwinError, StoppedError
 from khep_twin.files.atomic import write_atomic
 from khep_twin.files.paths import StrPath
@@ -127,14 +129,14 @@ def score_file(
             is_finished = _read_output(process, output, deadline, stop or (lambda: False))
         finally:
             _terminate(process)
-        content = _read_result(result_path)
-    if (result_score := _parse_score(content)) is not None:
+        result = _read_result(result_path)
+    if result.score is not None:
         reason = ""
     elif output.size > PRINTED_MB * 10**6:
         reason = f"{controller}: printed {output.lines} lines; expected at most {PRINTED_MB} MB of text"
-    elif "reason" in content:
+    elif result.reason:
         path = controller.partition(":")[0]
-        reason = str(content["reason"]).replace(os.path.abspath(path), path)
+        reason = result.reason.replace(os.path.abspath(path), path)
         if "MemoryError" in reason:
             reason = f"{reason.rstrip(': ')}; expected at most {MEMORY_GIB} GiB"
     elif not is_finished:
@@ -142,7 +144,15 @@ def score_file(
         reason = f"{controller}: not finished after {real_seconds:g} s of real time; expected {expected}"
     else:
         reason = f"{controller}: {_describe_exit(process.returncode)}; expected a controller that returns"
-    return Attempt(controller, result_score, reason, output.lines, output.last_line)
+    return Attempt(controller, result.score, reason, output.lines, output.last_line)
+
+
+@dataclass(frozen=True, slots=True)
+class _Result:
+    """Result that the process writes: a score, or the reason why there is none."""
+
+    score: Score | None = None
+    reason: str = ""
 
 
 class _PrintedText:
@@ -228,22 +238,12 @@ def _terminate(process: "subprocess.Popen[bytes]") -> None:
         process.stdout.close()
 
 
-def _read_result(result_path: Path) -> dict[str, Any]:
-    """Return the result that the process wrote; empty if it is missing or damaged."""
+def _read_result(result_path: Path) -> _Result:
+    """Return the result that the process wrote; an empty one if it is missing or damaged."""
     try:
-        content = json.loads(result_path.read_bytes())
+        return TypeAdapter(_Result).validate_json(result_path.read_bytes())
     except (OSError, ValueError):
-        content = None
-    return content if isinstance(content, dict) else {}  # pyright: ignore[reportUnknownVariableType]
-
-
-def _parse_score(content: dict[str, Any]) -> Score | None:
-    """Return the score in a result; None without."""
-    try:
-        fields = content["score"]
-        return Score(float(fields["value"]), tuple(map(float, fields["runs"])), dict(fields["metrics"]))
-    except (LookupError, TypeError, ValueError):
-        return None
+        return _Result()
 
 
 def _describe_exit(code: int) -> str:
@@ -268,11 +268,11 @@ def _main(settings: dict[str, Any]) -> None:
                 with redirect_stderr(StringIO()):  # numba's notes are not output of the file
                     when_ready("world")
                     when_ready("vision")
-            file_score = score(challenge, settings["controller"], settings["runs"], settings["seed"], log)
-            content: dict[str, Any] = {"score": asdict(file_score)}
+            arguments = settings["controller"], settings["runs"], settings["seed"], log
+            result = _Result(score(challenge, *arguments))
     except KhepTwinError as error:
-        content = {"reason": "; ".join(str(error).splitlines())}
-    write_atomic(result_path, json.dumps(content).encode("utf-8"))
+        result = _Result(reason="; ".join(str(error).splitlines()))
+    write_atomic(result_path, json.dumps(asdict(result)).encode("utf-8"))
 
 
 if __name__ == "__main__":

@@ -118,13 +118,8 @@ def write_dataset(
 
 def _buffer(episode: OfflineEpisode) -> Any:
     # Minari's annotations name only lists, but it also accepts arrays.
-    arrays: dict[str, Any] = {
-        "observations": episode.observations,
-        "actions": episode.actions,
-        "rewards": episode.rewards,
-        "terminations": episode.terminations,
-        "truncations": episode.truncations,
-    }
+    names = ("observations", "actions", "rewards", "terminations", "truncations")
+    arrays: dict[str, Any] = {name: getattr(episode, name) for name in names}
     # Minari cannot read back one-dimensional arrays.
     infos = {name: values.tolist() for name, values in episode.infos.items()}
     return EpisodeBuffer(seed=episode.seed, infos=infos, **arrays)

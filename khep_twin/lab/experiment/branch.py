@@ -64,7 +64,6 @@ def branch(
     plan: BranchPlan,
     path: Path,
     *,
-    on_failure: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> Trajectory:
@@ -73,7 +72,6 @@ def branch(
     Args:
         plan: Plan of the branch.
         path: Path of the new log.
-        on_failure: Called with a message if the log can no longer be written; None to raise an error.
         progress: Called with the completed share of the time after the branch point, 0 to 1.
         stop: Returns whether to stop early.
 
@@ -90,7 +88,7 @@ def branch(
     source = plan.controller and source_of(plan.controller)
     description = LogDetails(source.facts, source.attachments) if source else LogDetails()
     is_unchanged = plan.controller is None and not plan.change.text
-    resumed = branch_off(plan.log, plan.change, path, description, on_failure, is_unchanged=is_unchanged)
+    resumed = branch_off(plan.log, plan.change, path, description, None, is_unchanged=is_unchanged)
     recorder = _PoseRecorder(resumed.twin.world)
     # As for any run that fails, the log is complete up to the error.
     with resumed.twin:
@@ -100,7 +98,7 @@ def branch(
             resumed.hosts.repeat(lambda time_ns: time_ns <= last_ns)
         else:
             _run_controller(resumed, plan, plan.controller, end_ns, progress, stop)
-    return recorder.trajectory()
+    return Trajectory(np.array(recorder.times_ns) / NS_PER_S, np.array(recorder.poses))
 
 
 def calibration_texts(log: Path, name: str, robot: int | None) -> dict[str, str]:
@@ -138,15 +136,11 @@ class _PoseRecorder(Observer):
     """Observer that records the robots' poses in memory."""
 
     def __init__(self, world: World) -> None:
-        self._times_ns: list[int] = []
-        self._poses: list[list[tuple[float, float, float]]] = []
+        self.times_ns: list[int] = []
+        self.poses: list[list[tuple[float, float, float]]] = []
         world.add_observer(self)
 
     def sample(self, world: World) -> None:
         """Record the poses."""
-        self._times_ns.append(world.time_ns)
-        self._poses.append(world.poses)
-
-    def trajectory(self) -> Trajectory:
-        """Return the trajectory so far."""
-        return Trajectory(np.array(self._times_ns) / NS_PER_S, np.array(self._poses))
+        self.times_ns.append(world.time_ns)
+        self.poses.append(world.poses)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.episodes.fitness import obstacle_avoidance
+from khep_twin.host.host_command import split_reply
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.observers import Observer
 from khep_twin.playpen import Playpen
@@ -55,14 +56,14 @@ class HostMetrics:
 
     def __call__(self, request: str, reply: str) -> None:
         """Add one request and its reply."""
-        if (speed := _parse_numbers(request, "D", 2)) and reply == "d":
+        if (speed := parse_numbers(request, "D", 2)) and reply == "d":
             self._speed = speed[0], speed[1]
             if not self._cycle_values:
                 self._command_values.append(self._fitness_and_speed())
-        elif request == "N" and (counts := _parse_numbers(reply, "n", 8)):
+        elif request == "N" and (counts := parse_numbers(reply, "n", 8)):
             self._proximity = counts
             self._proximity_readings.append(counts)
-        elif request == "O" and (counts := _parse_numbers(reply, "o", 8)):
+        elif request == "O" and (counts := parse_numbers(reply, "o", 8)):
             self._ambient_readings.append(counts)
 
     def end_cycle(self) -> None:
@@ -133,11 +134,9 @@ class GroundTruthMetrics(Observer):
         all_counts = np.hsplit(np.array(self._counts), 2)
         proximity, ambient = (counts[:, : self._n_around] for counts in all_counts)
         playpen = self._world.playpen
-        robot_entry = playpen.robots[self._robot_index]
-        body = robot_entry.body
-        radius = body.radius
+        body = playpen.robots[self._robot_index].body
         motion = statistics.motion(times_s, pose)
-        collisions = statistics.collisions(times_s, pose, playpen, radius)
+        collisions = statistics.collisions(times_s, pose, playpen, body.radius)
         return {
             "distance_m": motion.distance,
             "mean_speed_m_per_s": motion.mean_speed,
@@ -146,7 +145,7 @@ class GroundTruthMetrics(Observer):
             "collisions": float(len(collisions.times_s)),
             "collision_s": collisions.total_s,
             "light_gained": statistics.light(times_s, ambient, self._dark).mean,
-            "coverage": coverage(pose[:, :2], playpen, radius),
+            "coverage": coverage(pose[:, :2], playpen, body.radius),
         }
 
 
@@ -165,12 +164,9 @@ def coverage(positions: statistics.Floats, playpen: Playpen, radius: float) -> f
     return float(free[visited].sum() / free.sum()) if free.any() else 0.0
 
 
-def _parse_numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
+def parse_numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
     """Return the numbers of a line; None for a line with another letter, or a garbled one."""
-    first_field, *fields = line.split(",")
-    if first_field != letter or len(fields) != count:
-        return None
     try:
-        return tuple(int(field) for field in fields)
+        return tuple(map(int, split_reply(letter, count, line)))
     except ValueError:
         return None

@@ -14,6 +14,7 @@ scripts and seed yield the same run, bit for bit.
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
@@ -65,7 +66,7 @@ def drive_together(twin: Twin, scripts: Mapping[int, Callable[[Khepera], ResultT
         with _open_robot(twin, index, twin.time_source) as robot:
             return [script(robot)]
     threads = [_ScriptThread(twin, index, script) for index, script in scripts.items()]
-    while active := [thread for thread in threads if not thread.is_done]:
+    while active := [thread for thread in threads if not thread.outcome.done()]:
         thread = min(active, key=lambda seat: (seat.wake_ns, seat.index))
         try:
             twin.advance_to(thread.wake_ns)
@@ -75,10 +76,7 @@ def drive_together(twin: Twin, scripts: Mapping[int, Callable[[Khepera], ResultT
             for thread in active:
                 thread.abort_error = error
         thread.resume()
-    for thread in threads:
-        if thread.error is not None:
-            raise thread.error
-    return [thread.result for thread in threads]
+    return [thread.outcome.result() for thread in threads]
 
 
 def _open_robot(twin: Twin, index: int, time_source: TimeSource) -> Khepera:
@@ -93,9 +91,7 @@ class _ScriptThread(Generic[ResultType]):
     def __init__(self, twin: Twin, index: int, script: Callable[[Khepera], ResultType]) -> None:
         self.index = index
         self.wake_ns = 0
-        self.is_done = False
-        self.result: ResultType
-        self.error: BaseException | None = None
+        self.outcome = Future[ResultType]()
         self.abort_error: KhepTwinError | None = None
         self._is_abort_raised = False
         self._world = twin.world
@@ -129,9 +125,9 @@ class _ScriptThread(Generic[ResultType]):
         self._turn.acquire()
         try:
             with self._robot:
-                self.result = self._script(self._robot)
+                result = self._script(self._robot)
+            self.outcome.set_result(result)
         except BaseException as error:  # raised again by run_together
-            self.error = error
+            self.outcome.set_exception(error)
         finally:
-            self.is_done = True
             self._paused.release()

@@ -8,6 +8,7 @@ of a branch. The state at every sample and every line of the transcript must equ
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import zip_longest
+from operator import attrgetter
 
 import numpy as np
 
@@ -136,9 +137,8 @@ class _Comparison(Observer):
         for name, recorded_lines in zip(self._names, recorded.lines, strict=True):
             topic = f"/{name}/serial"
             # A tool that sorts a log by time changes the order of lines at different times.
-            old_lines, new_lines = (
-                sorted(lines, key=_line_order) for lines in (recorded_lines, self._lines[topic])
-            )
+            pair = recorded_lines, self._lines[topic]
+            old_lines, new_lines = (sorted(lines, key=attrgetter("time_ns", "name")) for lines in pair)
             for old, new in zip_longest(old_lines, new_lines):
                 if (old and (old.name, old.text)) == (new and (new.name, new.text)) and (
                     old is None or new is None or old.time_ns == new.time_ns or old.time_ns >= recorded.end_ns
@@ -151,10 +151,6 @@ class _Comparison(Observer):
                     differences.append(Divergence(time_ns, topic, _format_line(old), _format_line(new)))
                 break
         return differences
-
-
-def _line_order(line: TextLine) -> tuple[int, str]:
-    return line.time_ns, line.name
 
 
 def _format_line(line: TextLine | None) -> str:

@@ -22,10 +22,9 @@ from khep_twin.host.host_robot import open_robot
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import DecodeError, printable
 from khep_twin.log.recorded import RecordedRun
+from khep_twin.log.robot_models import models_of
 from khep_twin.log.transcript import escape
-from khep_twin.playpen import parse
 from khep_twin.robots.model import RobotModel
-from khep_twin.robots.registry import default_model
 
 QUANTITIES = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position", "r": "position"}
 """Quantities of the replies whose values are compared one by one, by letter."""
@@ -120,20 +119,13 @@ def replay_to_port(
     events = [event for _, index, event in recorded.events if index == robot]
     lines = [line for line in recorded.lines[robot] if line.name == "robot"]
     last_ns = lines[-1].time_ns if lines else 0
-    model = _model(recorded, robot)
+    name = recorded.label.robots[robot]
+    model = models_of(recorded.label.attachments, [name])[name]
     framing = model.dialect.framing
     received = _send(events, url, _baud(recorded, events), model, last_ns, progress)
     messages, rest = framing.split(received, to_robot=False)
     replies = [escape(framing.decode(message).encode("latin-1")) for message in (*messages, rest) if message]
-    return _compare_replies(recorded.label.robots[robot], lines, replies, framing.command)
-
-
-def _model(recorded: RecordedRun, robot: int) -> RobotModel:
-    """Return the model of a robot; the default one for a relay's."""
-    attachments = recorded.label.attachments
-    if "playpen.toml" not in attachments:
-        return default_model()
-    return parse(attachments["playpen.toml"], "playpen.toml", recorded=True).robots[robot].robot_model
+    return _compare_replies(name, lines, replies, framing.command)
 
 
 def _baud(recorded: RecordedRun, events: Sequence[HostEvent]) -> int:

@@ -14,7 +14,6 @@ and seed, so that it does not depend on the others.
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.host.host_robot import HostRobot, open_robot
@@ -38,21 +37,6 @@ from khep_twin.robots.model import Feature
 
 _STOP_CHECK_S = 0.1
 """Interval at which a pause calls `stop` [s]."""
-
-
-class RobotSource(Protocol):
-    """Source of the robots of a series."""
-
-    def first_run(self, n_saved: int, controller: AnyController) -> int:
-        """Return the number of the run at which a series with `n_saved` runs resumes."""
-        ...
-
-    def sessions(self, numbers: range) -> Iterator["Session"]:
-        """Yield the sessions of these runs, in order."""
-        ...
-
-    def hold(self) -> None:
-        """Stop the motors of the running robot, from another thread."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +130,10 @@ class FreshTwins:
             yield self._robot
 
 
+RobotSource = OneRobot | FreshTwins
+"""Source of the robots of a series."""
+
+
 @renamed_arguments(before="before_run", broken_off="on_abort")
 def run_series(
     controller: AnyController,
@@ -174,19 +162,21 @@ def run_series(
         ControllerError: The controller failed, or lets no time pass.
         KhepTwinError: The port failed.
     """
-    controller = as_controller(controller)
+    controller, should_stop = as_controller(controller), stop or (lambda: False)
     for session in source.sessions(range(first, plan.runs + 1)):
-        if stop is not None and stop():
+        if should_stop():
             return
         with session.robot_context as robot, stopped_at_end(controller, robot):
             for number in session.numbers:
                 if number > session.numbers[0]:
-                    _pause(robot, plan.pause, stop)
+                    _pause(robot, plan.pause, should_stop)
                 if before_run is not None:
                     before_run(number)
-                if stop is not None and stop():
+                if should_stop():
                     break
-                completed = _run_one(controller, robot, session.start, number, plan, progress, stop, on_abort)
+                completed = _run_one(
+                    controller, robot, session.start, number, plan, progress, should_stop, on_abort
+                )
                 if completed is None:
                     break
                 yield completed
@@ -199,7 +189,7 @@ def _run_one(
     number: int,
     plan: Plan,
     progress: Callable[[float], None] | None,
-    stop: Callable[[], bool] | None,
+    stop: Callable[[], bool],
     on_abort: Callable[[SeriesRun], None] | None,
 ) -> SeriesRun | None:
     """Return one run; None for an aborted run, which is passed to `on_abort`."""
@@ -241,7 +231,7 @@ def _run_one(
                 ground_truth.end()
     except KhepTwinError:
         # The error may be due to `stop` within a cycle.
-        if on_abort is not None and stop is not None and stop():
+        if on_abort is not None and stop():
             on_abort(make_series_run(Outcome(n_cycles, robot.time - start_time, complete=False)))
         raise
     _log_event(twin, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
@@ -252,10 +242,10 @@ def _run_one(
     return None
 
 
-def _pause(robot: HostRobot, duration: float, stop: Callable[[], bool] | None) -> None:
+def _pause(robot: HostRobot, duration: float, stop: Callable[[], bool]) -> None:
     """Wait for a duration in the port's time [s], or until `stop` returns True."""
     remaining = duration
-    while remaining > 0 and not (stop is not None and stop()):
+    while remaining > 0 and not stop():
         robot.sleep(min(remaining, _STOP_CHECK_S))
         remaining -= _STOP_CHECK_S
 

@@ -2,6 +2,7 @@
 
 # scipy is not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false
 
 import math
 from collections.abc import Sequence
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t as student
+from scipy.stats import ttest_ind
 
 from khep_twin.errors import ControllerError, choices
 from khep_twin.lab.experiment.measures import UNITS
@@ -65,16 +67,11 @@ def summarize(values: Sequence[float]) -> Summary:
 def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
     """Return the mean of `after` less the mean of `before`."""
     summary_before, summary_after = summarize(before), summarize(after)
-    variances = [summary.sd**2 / summary.count for summary in (summary_before, summary_after)]
-    standard_error = math.sqrt(sum(variances))
-    if not standard_error:
-        return Difference(summary_after.mean - summary_before.mean, 0.0)
-    # Degrees of freedom (dof) by Welch and Satterthwaite.
-    dof = math.nan
-    if not math.isnan(standard_error):
-        pairs = zip(variances, (summary_before, summary_after), strict=True)
-        dof = sum(variances) ** 2 / sum(variance**2 / (summary.count - 1) for variance, summary in pairs)
-    return Difference(summary_after.mean - summary_before.mean, _ci95(standard_error, dof))
+    mean = summary_after.mean - summary_before.mean
+    if min(len(before), len(after)) < 2 or not summary_before.sd + summary_after.sd:
+        return Difference(mean, summary_before.sd + summary_after.sd)  # NaN for a single run, or 0
+    low, high = ttest_ind(after, before, equal_var=False).confidence_interval(CONFIDENCE)
+    return Difference(mean, float(high - low) / 2)
 
 
 def finite_values(rows: Sequence[Row], name: str) -> list[float]:

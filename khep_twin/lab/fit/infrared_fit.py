@@ -12,7 +12,7 @@ with the counts x before clipping and the sensor's noise s, weighted by the read
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,10 +29,12 @@ from khep_twin.lab.fit.least_squares import (
 from khep_twin.lab.fit.placement import (
     IN_PLACE,
     SCAN_LAG_S,
+    FittedValue,
     Misplacement,
     Placement,
     Readings,
     Ruler,
+    SensorsFit,
     error_parameters,
     jacobian_sparsity,
     misplacements,
@@ -60,40 +62,14 @@ _MAX_INTERVAL = 0.3
 _N_PARAMETERS = 4
 """Number of parameters of a sensor: gain, threshold, heading, lobe exponent."""
 
-
-@dataclass(frozen=True, slots=True)
-class SensorFit:
-    """Fit of one sensor; each interval is the half width of a 95 % confidence interval.
-
-    Attributes:
-        optics: Fitted optics.
-        heading_deg: Heading, counter-clockwise from ahead [deg].
-        noise_counts: Standard deviation of a reading [counts].
-        gain_interval: Interval of the gain, relative.
-        threshold_interval: Interval of the threshold [counts].
-        heading_interval: Interval of the heading [deg]; None if not fitted.
-        lobe_interval: Interval of the lobe exponent; None if not fitted.
-        noise_interval: Interval of the noise [counts]; None if not fitted.
-        rms: Root mean square of the residuals [counts].
-    """
-
-    optics: Optics
-    heading_deg: float
-    noise_counts: float
-    gain_interval: float
-    threshold_interval: float
-    heading_interval: float | None
-    lobe_interval: float | None
-    noise_interval: float | None
-    rms: float
-
-
-@dataclass(frozen=True, slots=True)
-class InfraredFit:
-    """Fit of all sensors, and the misplacement of the object in each test."""
-
-    sensors: tuple[SensorFit, ...]
-    misplacements: tuple[Misplacement, ...]
+_PATHS = (
+    ("proximity", "gain_counts_mm2"),
+    ("proximity", "threshold_counts"),
+    ("", "heading_deg"),
+    ("proximity", "lobe_exponent"),
+    ("proximity", "noise_counts"),
+)
+"""Locations of these parameters and of the noise in a calibration."""
 
 
 def sensor_counts(
@@ -123,7 +99,7 @@ def mean_counts(placement: Placement, robot: Calibration, misplacement: Misplace
     return np.column_stack(columns)
 
 
-def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> InfraredFit:
+def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> SensorsFit:
     """Fit the sensors to the readings.
 
     Args:
@@ -173,39 +149,32 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
     weights = np.ones(N_SENSORS)  # residuals in counts
     final_residuals = residuals(estimate.values).reshape(counts.shape)
     lag_deg = max(CONFIDENCE * math.degrees(test.placement.turn_rate * SCAN_LAG_S) for test in tests)
-    values, widths = (x[:n_values].reshape(N_SENSORS, -1) for x in (estimate.values, estimate.intervals))
-    fixed = estimate.fixed[:n_values].reshape(N_SENSORS, -1)
-    pairs = zip(noise.tolist(), n_used, strict=True)
-    noise_intervals = [CONFIDENCE * sd / math.sqrt(2 * count) if count else None for sd, count in pairs]
-    fits = [
-        SensorFit(
-            optics=_replace_values(old, row),
-            heading_deg=float(row[2]),
-            noise_counts=float(noise[sensor]),
-            gain_interval=float(width[0] / row[0]),
-            threshold_interval=float(width[1]),
-            heading_interval=None if is_fixed[2] else math.hypot(width[2], lag_deg),
-            lobe_interval=None if is_fixed[3] else float(width[3]),
-            noise_interval=noise_intervals[sensor],
-            rms=float(np.sqrt(np.mean(final_residuals[:, sensor] ** 2))),
-        )
-        for sensor, (row, width, is_fixed, old) in enumerate(zip(values, widths, fixed, initial, strict=True))
-    ]
-    return InfraredFit(tuple(fits), tuple(misplacements(estimate.values[n_values:])))
-
-
-def apply_fit(start: Calibration, infrared: InfraredFit) -> Calibration:
-    """Return a calibration with the fitted values, rounded."""
-    fits = infrared.sensors
+    arrays = estimate.values, estimate.intervals, estimate.fixed
+    values, widths, fixed = (x[:n_values].reshape(N_SENSORS, -1) for x in arrays)
+    widths = np.where(fixed, np.nan, np.hypot(widths, [0, 0, lag_deg, 0]))
+    noise_widths = CONFIDENCE * noise / np.sqrt(2 * n_used)
+    rows = zip(np.column_stack([values, noise]), np.column_stack([widths, noise_widths]), strict=True)
+    fitted_values = tuple(
+        FittedValue((*path, sensor), value, width)
+        for sensor, (row, row_widths) in enumerate(rows)
+        for path, value, width in zip(_PATHS, row.tolist(), row_widths.tolist(), strict=True)
+        if math.isfinite(width)
+    )
+    gains, thresholds, headings, lobes = values.T.tolist()
     update = {
-        "gain_counts_mm2": tuple(round(fit.optics.gain_counts_mm2) for fit in fits),
-        "threshold_counts": tuple(round(fit.optics.threshold_counts, 1) for fit in fits),
-        "lobe_exponent": tuple(round(fit.optics.lobe_exponent, 3) for fit in fits),
-        "noise_counts": tuple(round(fit.noise_counts, 1) for fit in fits),
+        "gain_counts_mm2": tuple(map(round, gains)),
+        "threshold_counts": tuple(round(threshold, 1) for threshold in thresholds),
+        "lobe_exponent": tuple(round(lobe, 3) for lobe in lobes),
+        "noise_counts": tuple(round(sd, 1) for sd in noise.tolist()),
     }
-    headings = tuple(round(fit.heading_deg, 2) for fit in fits)
-    proximity = start.proximity.model_copy(update=update)
-    return start.model_copy(update={"heading_deg": headings, "proximity": proximity})
+    calibration = start.model_copy(
+        update={
+            "heading_deg": tuple(round(heading, 2) for heading in headings),
+            "proximity": proximity.model_copy(update=update),
+        }
+    )
+    rms = tuple(np.sqrt(np.mean(final_residuals**2, axis=0)).tolist())
+    return SensorsFit(calibration, fitted_values, rms, tuple(misplacements(estimate.values[n_values:])))
 
 
 def _check_readings(counts: Floats, noise: Floats, limit: float) -> None:
@@ -239,11 +208,11 @@ def _replace_values(initial: Optics, x: Floats) -> Optics:
     return replace(initial, gain_counts_mm2=gain, threshold_counts=threshold, lobe_exponent=lobe)
 
 
-def _fit_noise(levels: Floats, residuals: Floats, noise: Floats, limit: float) -> tuple[Floats, list[int]]:
-    """Return each sensor's noise [counts], and its number of readings far from both ends; 0 if too few."""
+def _fit_noise(levels: Floats, residuals: Floats, noise: Floats, limit: float) -> tuple[Floats, Floats]:
+    """Return each sensor's noise [counts], and its number of readings far from both ends; NaN if too few."""
     is_inside = (levels > 2 * noise) & (levels < limit - 2 * noise)
     n_readings = is_inside.sum(axis=0)
     # Degrees of freedom: the readings less the sensor's four parameters.
     variances = np.where(is_inside, residuals**2, 0).sum(axis=0) / np.maximum(n_readings - _N_PARAMETERS, 1)
     is_enough = n_readings >= _MIN_NOISE_READINGS
-    return np.where(is_enough, np.sqrt(variances), noise), np.where(is_enough, n_readings, 0).tolist()
+    return np.where(is_enough, np.sqrt(variances), noise), np.where(is_enough, n_readings, np.nan)

@@ -17,9 +17,11 @@ from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, Parameter, expec
 from khep_twin.lab.fit.placement import (
     IN_PLACE,
     SCAN_LAG_S,
+    FittedValue,
     Misplacement,
     Readings,
     Ruler,
+    SensorsFit,
     error_parameters,
     jacobian_sparsity,
     misplacements,
@@ -54,31 +56,6 @@ class LampPositions:
         return cls(np.column_stack(positions), test.power or 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class LampFit:
-    """Fit of the receivers.
-
-    Attributes:
-        ambient: Fitted calibration.
-        gain_intervals: Half widths of the gains' 95 % confidence intervals, relative (8,).
-        heading_intervals: Half widths of the headings' 95 % confidence intervals (8,) [deg].
-        lobe_intervals: Half widths of the lobe exponents' 95 % confidence intervals (8,).
-        dark_interval: Half width of the dark level's 95 % confidence interval [counts].
-        diffuse_interval: Half width of the diffuse part's 95 % confidence interval.
-        rms: Root mean square of the residuals [counts].
-        misplacements: Misplacement of the lamp in each test.
-    """
-
-    ambient: AmbientCalibration
-    gain_intervals: tuple[float, ...]
-    heading_intervals: tuple[float, ...]
-    lobe_intervals: tuple[float, ...]
-    dark_interval: float
-    diffuse_interval: float
-    rms: float
-    misplacements: tuple[Misplacement, ...]
-
-
 def ambient_counts(lamp: LampPositions, channel: int, calibration: AmbientCalibration) -> Floats:
     """Return the readings of a receiver without noise, for an unobstructed lamp, not rounded (n,)."""
     columns = (calibration.heading_deg, calibration.gain_counts_mm2_per_w, calibration.lobe_exponent)
@@ -87,7 +64,7 @@ def ambient_counts(lamp: LampPositions, channel: int, calibration: AmbientCalibr
     return _counts(lamp, channel, receiver, levels, calibration.offset_mm)
 
 
-def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> LampFit:
+def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> SensorsFit:
     """Fit the receivers to the readings.
 
     Args:
@@ -146,16 +123,23 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
         "diffuse": round(diffuse, 3),
     }
     lag_deg = max(CONFIDENCE * math.degrees(test.placement.turn_rate * SCAN_LAG_S) for test in tests)
-    return LampFit(
-        initial.model_copy(update=update),
-        tuple((intervals[:, 1] / receivers[:, 1]).tolist()),
-        tuple(np.hypot(intervals[:, 0], lag_deg).tolist()),
-        tuple(intervals[:, 2].tolist()),
-        float(estimate.intervals[0]),
-        float(estimate.intervals[1]),
-        estimate.rms * noise,
-        tuple(misplacements(estimate.values[n_levels:])),
-    )
+    ambient = initial.model_copy(update=update)
+    relative_gain_widths = intervals[:, 1] / receivers[:, 1]
+    widths = {
+        "heading_deg": np.hypot(intervals[:, 0], lag_deg),
+        "gain_counts_mm2_per_w": relative_gain_widths * ambient.gain_counts_mm2_per_w,
+        "lobe_exponent": intervals[:, 2],
+    }
+    values = [
+        FittedValue(("ambient", key, sensor), getattr(ambient, key)[sensor], width)
+        for key, sensor_widths in widths.items()
+        for sensor, width in enumerate(sensor_widths.tolist())
+    ]
+    for key, width in zip(("dark_counts", "diffuse"), estimate.intervals.tolist(), strict=False):
+        values.append(FittedValue(("ambient", key), getattr(ambient, key), width))
+    calibration = start.model_copy(update={"ambient": ambient})
+    rms = (estimate.rms * noise,)
+    return SensorsFit(calibration, tuple(values), rms, tuple(misplacements(estimate.values[n_levels:])))
 
 
 def _shared_parameters(initial: AmbientCalibration, is_saturated: bool) -> list[Parameter]:

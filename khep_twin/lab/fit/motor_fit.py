@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
+from khep_twin.lab.experiment.measures import parse_numbers
 from khep_twin.lab.fit.least_squares import Floats, Parameter, least_squares
+from khep_twin.lab.fit.placement import FittedValue
 from khep_twin.lab.fit.wheel_fit import read_transcript
-from khep_twin.log.channels import TextLine
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
 from khep_twin.units import PULSES_PER_TURN, TICK_NS
 from khep_twin.world import World
@@ -41,6 +42,10 @@ _MIN_REPLIES = 20  # to E and H
 _OPEN_FLOOR_TEXT = 'version = 1\nname = "field"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
 _DERIVATIVE_STEP = 0.1
 """Step of the numeric derivatives in each parameter's scale; large, as slipping tyres add noise."""
+
+
+_KEYS = ("no_load_speed_rad_s", "stall_torque_n_m", "friction_torque_n_m")
+"""Keys of the fitted values in a calibration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +72,6 @@ class DutyDrive:
         rates = np.diff(values[self.is_position], axis=0) / ticks[:, None]
         return np.concatenate([values[~self.is_position], rates], dtype=np.float64)
 
-    def align_to_phase(self, phase_ns: int) -> Self:
-        """Return the drive with its first line at this phase after a tick of the controller [ns]."""
-        # One additional tick, so that no line precedes the start of the world.
-        return self.shift_times(phase_ns + TICK_NS - self.requests[0][0])
-
     def shift_times(self, shift_ns: int) -> Self:
         """Return the drive with all times shifted [ns]."""
         requests = tuple((time_ns + shift_ns, text) for time_ns, text in self.requests)
@@ -89,16 +89,12 @@ class MotorFit:
 
     Attributes:
         motors: Fitted calibration.
-        speed_interval: Half width of the no-load speed's 95 % confidence interval [rad/s].
-        torque_interval: Half width of the stall torque's 95 % confidence interval [N m].
-        friction_interval: Half width of the friction torque's 95 % confidence interval [N m].
+        values: Fitted values: no-load speed [rad/s], stall torque and friction torque [N m].
         drives: Drives in phase with the controller.
     """
 
     motors: MotorCalibration
-    speed_interval: float
-    torque_interval: float
-    friction_interval: float
+    values: tuple[FittedValue, ...]
     drives: tuple[DutyDrive, ...]
 
 
@@ -112,7 +108,12 @@ def read_drive(log: Path) -> DutyDrive:
     lines = read_transcript(log)
     requests = tuple((line.time_ns, line.text) for line in lines if line.name == "host")
     queries = [(time_ns, text) for time_ns, text in requests if text in ("E", "H")]
-    replies = [values for line in lines if (values := _parse_reply(line))]
+    replies = [
+        (letter, *values)
+        for line in lines
+        for letter in "eh"
+        if line.name == "robot" and (values := parse_numbers(line.text, letter, 2))
+    ]
     duties = [text for _, text in requests if text.startswith("P,")]
     if not duties:
         raise FitError(
@@ -159,7 +160,10 @@ def align(drive: DutyDrive, robot: Calibration) -> DutyDrive:
     def mean_square(candidate: DutyDrive) -> float:
         return float(np.mean((simulate(candidate, robot) - candidate.speeds(candidate.values)) ** 2))
 
-    candidates = {mean_square(drive): drive for drive in map(drive.align_to_phase, _PHASES_NS)}
+    # One additional tick, so that no line precedes the start of the world.
+    first_ns = drive.requests[0][0] - TICK_NS
+    phases = (drive.shift_times(phase_ns - first_ns) for phase_ns in _PHASES_NS)
+    candidates = {mean_square(candidate): candidate for candidate in phases}
     for step_ns in _FINE_STEPS_NS:
         best = candidates[min(candidates)]
         candidates |= {mean_square(drive): drive for drive in map(best.shift_times, (-step_ns, step_ns))}
@@ -182,9 +186,13 @@ def _fit_aligned_drives(drives: Sequence[DutyDrive], start: Calibration) -> Moto
         return (twin_speeds - measured_speeds).ravel()
 
     estimate = least_squares(residuals, parameters, _EXPECTED_DATA, step=_DERIVATIVE_STEP)
-    speed_interval, torque_interval, friction_interval = estimate.intervals
-    intervals = float(speed_interval), float(torque_interval) / 1e3, float(friction_interval) / 1e3
-    return MotorFit(_motor_calibration(estimate.values.tolist()), *intervals, tuple(drives))
+    motors = _motor_calibration(estimate.values.tolist())
+    intervals = (estimate.intervals / [1, 1e3, 1e3]).tolist()
+    values = [
+        FittedValue(("motors", key), getattr(motors, key), interval)
+        for key, interval in zip(_KEYS, intervals, strict=True)
+    ]
+    return MotorFit(motors, tuple(values), tuple(drives))
 
 
 def simulate(drive: DutyDrive, robot: Calibration) -> Floats:
@@ -217,22 +225,8 @@ def simulate(drive: DutyDrive, robot: Calibration) -> Floats:
 def _motor_calibration(values: Sequence[float]) -> MotorCalibration:
     """Return motors with a no-load speed [rad/s], stall torque and friction torque [mN m]."""
     speed, stall, friction = values
-    return MotorCalibration(
-        no_load_speed_rad_s=round(speed, 2),
-        stall_torque_n_m=round(stall / 1e3, 6),
-        friction_torque_n_m=round(friction / 1e3, 6),
-    )
-
-
-def _parse_reply(line: TextLine) -> tuple[str, int, int] | None:
-    """Return a robot's reply to E or H; None for other lines and garbled ones."""
-    letter, *fields = line.text.split(",")
-    if line.name != "robot" or letter not in ("e", "h") or len(fields) != 2:
-        return None
-    try:
-        return letter, int(fields[0]), int(fields[1])
-    except ValueError:
-        return None
+    rounded_values = round(speed, 2), round(stall / 1e3, 6), round(friction / 1e3, 6)
+    return MotorCalibration(**dict(zip(_KEYS, rounded_values, strict=True)))
 
 
 def _largest_duty(command: str) -> int:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import Floats, Parameter
+from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import BODY_RADIUS, N_SENSORS, SCAN_NS
 
 SCAN_LAG_S = SCAN_NS * 1e-9 / math.sqrt(12)
@@ -106,6 +107,38 @@ class Readings:
     counts: Floats
     power: float | None = None
     height: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FittedValue:
+    """Fitted value of a calibration.
+
+    Attributes:
+        path: Location in the calibration: table, key, and number of the sensor.
+        value: Fitted value, in the calibration's unit.
+        interval: Half width of its 95 % confidence interval.
+    """
+
+    path: tuple[str, str] | tuple[str, str, int]
+    value: float
+    interval: float
+
+
+@dataclass(frozen=True, slots=True)
+class SensorsFit:
+    """Fit of sensors to readings of objects.
+
+    Attributes:
+        calibration: Calibration with the fitted values, rounded.
+        values: Fitted values; those that the readings do not determine are left out.
+        rms: Root mean square of the residuals of each sensor, or of all [counts].
+        misplacements: Misplacement of the object in each test.
+    """
+
+    calibration: Calibration
+    values: tuple[FittedValue, ...]
+    rms: tuple[float, ...]
+    misplacements: tuple[Misplacement, ...]
 
 
 def error_parameters(tests: Sequence[Readings], ruler: Ruler) -> list[Parameter]:

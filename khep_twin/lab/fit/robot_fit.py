@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from khep_twin.lab.fit.fit_inputs import FitTests, SensorData
-from khep_twin.lab.fit.infrared_fit import InfraredFit, apply_fit, fit_infrared, mean_counts
-from khep_twin.lab.fit.lamp_fit import LampFit, LampPositions, ambient_counts, fit_lamps
+from khep_twin.lab.fit.infrared_fit import fit_infrared, mean_counts
+from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, expected_readings, reading_deviations
 from khep_twin.lab.fit.motor_fit import DutyDrive, align, fit_motors, simulate
-from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Ruler
+from khep_twin.lab.fit.placement import IN_PLACE, FittedValue, Misplacement, Ruler, SensorsFit
 from khep_twin.lab.fit.wheel_fit import drive_residual, fit_wheels
 from khep_twin.renamed import renamed_attribute
 from khep_twin.sensing.calibration import Calibration
@@ -20,27 +20,6 @@ from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 _MAX_MISPLACEMENT = 4.0
 """Smallest misplacement of an object to be reported, in the ruler's standard deviations."""
-
-
-@dataclass(frozen=True, slots=True)
-class FittedValue:
-    """Fitted value of a calibration.
-
-    Attributes:
-        path: Location in the calibration: table, key, and number of the sensor.
-        value: Fitted value, in the calibration's unit.
-        interval: Half width of its 95 % confidence interval.
-    """
-
-    path: tuple[str, str] | tuple[str, str, int]
-    value: float
-    interval: float
-
-    def value_in(self, calibration: Calibration) -> float:
-        """Return the value of another calibration at the same path."""
-        table, key, *sensor = self.path
-        values = np.atleast_1d(getattr(getattr(calibration, table) if table else calibration, str(key)))
-        return float(values[sensor[0] if len(values) > 1 else 0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,114 +57,76 @@ def fit_robot(tests: FitTests, start: Calibration, ruler: Ruler | None = None) -
     misplacements: dict[str, Misplacement] = {}
     drives: dict[str, DutyDrive] = {}
     if tests.wheels:
-        wheels = fit_wheels(tests.wheels, ruler)
-        robot = robot.model_copy(update={"wheels": wheels.calibration()})
-        radius, base = ((x * 1e3) for x in (wheels.radius, wheels.base))
-        intervals = wheels.radius_interval * 1e3, wheels.base_interval * 1e3
-        values += [
-            FittedValue(("wheels", "radius_mm"), radius, intervals[0]),
-            FittedValue(("wheels", "base_mm"), base, intervals[1]),
-        ]
+        wheels, (radius, base) = fit_wheels(tests.wheels, ruler)
+        robot = robot.model_copy(update={"wheels": wheels})
+        values += radius, base
         lines += [
-            f"wheel radius   {radius:.3f} mm +- {intervals[0]:.3f} (95 %)",
-            f"wheel base     {base:.2f} mm +- {intervals[1]:.2f} (95 %)",
+            f"wheel radius   {radius.value:.3f} mm +- {radius.interval:.3f} (95 %)",
+            f"wheel base     {base.value:.2f} mm +- {base.interval:.2f} (95 %)",
         ]
-        ruler = replace(ruler, base=wheels.base_interval / CONFIDENCE / wheels.base)
+        ruler = replace(ruler, base=base.interval / CONFIDENCE / base.value)
     if tests.motors:
         motors = fit_motors(tests.motors, robot)
         drives = {drive.name: drive for drive in motors.drives}
         robot = robot.model_copy(update={"motors": motors.motors})
-        speed, torque = motors.motors.no_load_speed_rad_s, motors.motors.stall_torque_n_m
-        friction = motors.motors.friction_torque_n_m
-        values += [
-            FittedValue(("motors", "no_load_speed_rad_s"), speed, motors.speed_interval),
-            FittedValue(("motors", "stall_torque_n_m"), torque, motors.torque_interval),
-            FittedValue(("motors", "friction_torque_n_m"), friction, motors.friction_interval),
-        ]
+        values += motors.values
+        speed, torque, friction = motors.values
         lines += [
-            f"no-load speed  {speed:.1f} rad/s +- {motors.speed_interval:.1f} (95 %)",
-            f"stall torque   {torque * 1e3:.2f} mN m +- {motors.torque_interval * 1e3:.2f} (95 %)",
-            f"gear friction  {friction * 1e3:.3f} mN m +- {motors.friction_interval * 1e3:.3f} (95 %)",
+            f"no-load speed  {speed.value:.1f} rad/s +- {speed.interval:.1f} (95 %)",
+            f"stall torque   {torque.value * 1e3:.2f} mN m +- {torque.interval * 1e3:.2f} (95 %)",
+            f"gear friction  {friction.value * 1e3:.3f} mN m +- {friction.interval * 1e3:.3f} (95 %)",
         ]
         if not tests.wheels:
             lines.append("               with wheels as in --start; measured wheels improve the torque")
-    if tests.objects:
-        infrared = fit_infrared([test.readings(robot.wheels) for test in tests.objects], robot, ruler)
-        robot = apply_fit(robot, infrared)
-        values += _infrared_values(infrared)
-        lines += _infrared_lines(infrared)
-        misplacements |= zip((test.name for test in tests.objects), infrared.misplacements, strict=True)
-    if tests.lamps:
-        lamps = fit_lamps([test.readings(robot.wheels) for test in tests.lamps], robot, ruler)
-        robot = robot.model_copy(update={"ambient": lamps.ambient})
-        values += _lamp_values(lamps)
-        lines += _lamp_lines(lamps)
-        misplacements |= zip((test.name for test in tests.lamps), lamps.misplacements, strict=True)
+    for sensor_tests, fit_sensors, describe in (
+        (tests.objects, fit_infrared, _infrared_lines),
+        (tests.lamps, fit_lamps, _lamp_lines),
+    ):
+        if sensor_tests:
+            fit = fit_sensors([test.readings(robot.wheels) for test in sensor_tests], robot, ruler)
+            robot = fit.calibration
+            values += fit.values
+            lines += describe(fit)
+            misplacements |= zip((test.name for test in sensor_tests), fit.misplacements, strict=True)
     return RobotFit(robot, tuple(values), tuple(lines), misplacements, drives)
 
 
-def _infrared_values(infrared: InfraredFit) -> Iterator[FittedValue]:
-    for sensor, fit in enumerate(infrared.sensors):
-        optics, gain = fit.optics, fit.optics.gain_counts_mm2
-        for table, key, value, interval in (
-            ("proximity", "gain_counts_mm2", gain, fit.gain_interval * gain),
-            ("proximity", "threshold_counts", optics.threshold_counts, fit.threshold_interval),
-            ("", "heading_deg", fit.heading_deg, fit.heading_interval),
-            ("proximity", "lobe_exponent", optics.lobe_exponent, fit.lobe_interval),
-            ("proximity", "noise_counts", fit.noise_counts, fit.noise_interval),
-        ):
-            if interval is not None:
-                yield FittedValue((table, key, sensor), value, interval)
-
-
-def _infrared_lines(infrared: InfraredFit) -> Iterator[str]:
+def _infrared_lines(infrared: SensorsFit) -> Iterator[str]:
+    values = {value.path[1:]: value for value in infrared.values}
     undetermined: list[str] = []
-    for name, fit in zip(SENSOR_LABELS, infrared.sensors, strict=True):
-        values = [
-            f"gain {fit.optics.gain_counts_mm2:.4g} +- {fit.gain_interval:.1%}",
-            f"threshold {fit.optics.threshold_counts:.0f} +- {fit.threshold_interval:.0f}",
-        ]
-        for quantity, value, interval, digits in (
-            ("heading", fit.heading_deg, fit.heading_interval, 1),
-            ("lobe", fit.optics.lobe_exponent, fit.lobe_interval, 2),
-            ("noise", fit.noise_counts, fit.noise_interval, 1),
+    for sensor, (name, rms) in enumerate(zip(SENSOR_LABELS, infrared.rms, strict=True)):
+        gain = values["gain_counts_mm2", sensor]
+        texts = [f"gain {gain.value:.4g} +- {gain.interval / gain.value:.1%}"]
+        for quantity, key, digits in (
+            ("threshold", "threshold_counts", 0),
+            ("heading", "heading_deg", 1),
+            ("lobe", "lobe_exponent", 2),
+            ("noise", "noise_counts", 1),
         ):
-            if interval is None:
+            if (fitted := values.get((key, sensor))) is None:
                 undetermined.append(f"{quantity} of {name}")
             else:
-                values.append(f"{quantity} {value:.{digits}f} +- {interval:.{digits}f}")
-        yield f"{name:10}     {', '.join(values)} (95 %), {fit.rms:.1f} counts rms left"
+                texts.append(f"{quantity} {fitted.value:.{digits}f} +- {fitted.interval:.{digits}f}")
+        yield f"{name:10}     {', '.join(texts)} (95 %), {rms:.1f} counts rms left"
     if undetermined:
         yield f"as in --start  not determined by these tests: {', '.join(undetermined)}"
 
 
-def _lamp_values(lamps: LampFit) -> Iterator[FittedValue]:
-    ambient = lamps.ambient
-    gains = np.array(lamps.gain_intervals) * ambient.gain_counts_mm2_per_w
-    for key, intervals in (
-        ("heading_deg", lamps.heading_intervals),
-        ("gain_counts_mm2_per_w", gains.tolist()),
-        ("lobe_exponent", lamps.lobe_intervals),
-    ):
-        for sensor, interval in enumerate(intervals):
-            yield FittedValue(("ambient", key, sensor), getattr(ambient, key)[sensor], interval)
-    yield FittedValue(("ambient", "dark_counts"), ambient.dark_counts, lamps.dark_interval)
-    yield FittedValue(("ambient", "diffuse"), ambient.diffuse, lamps.diffuse_interval)
-
-
-def _lamp_lines(lamps: LampFit) -> Iterator[str]:
-    ambient = lamps.ambient
+def _lamp_lines(lamps: SensorsFit) -> Iterator[str]:
+    values = {value.path[1:]: value for value in lamps.values}
     for sensor, name in enumerate(SENSOR_LABELS):
-        heading, gain = ambient.heading_deg[sensor], ambient.gain_counts_mm2_per_w[sensor]
+        heading, gain = values["heading_deg", sensor], values["gain_counts_mm2_per_w", sensor]
+        lobe = values["lobe_exponent", sensor]
         yield (
-            f"{name:10}     heading to lamps {heading:.1f} +- {lamps.heading_intervals[sensor]:.1f} degrees, "
-            f"gain {gain:.4g} +- {lamps.gain_intervals[sensor]:.1%}, "
-            f"lobe {ambient.lobe_exponent[sensor]:.2f} +- {lamps.lobe_intervals[sensor]:.2f} (95 %)"
+            f"{name:10}     heading to lamps {heading.value:.1f} +- {heading.interval:.1f} degrees, "
+            f"gain {gain.value:.4g} +- {gain.interval / gain.value:.1%}, "
+            f"lobe {lobe.value:.2f} +- {lobe.interval:.2f} (95 %)"
         )
+    dark, diffuse = values["dark_counts",], values["diffuse",]
     yield (
-        f"light          dark {ambient.dark_counts:g} +- {lamps.dark_interval:.1f}, brightest "
-        f"{ambient.floor_counts:g}, diffuse part {ambient.diffuse:g} +- {lamps.diffuse_interval:.3f} (95 %), "
-        f"{lamps.rms:.1f} counts rms left"
+        f"light          dark {dark.value:g} +- {dark.interval:.1f}, brightest "
+        f"{lamps.calibration.ambient.floor_counts:g}, diffuse part {diffuse.value:g} +- "
+        f"{diffuse.interval:.3f} (95 %), {lamps.rms[0]:.1f} counts rms left"
     )
 
 

@@ -7,7 +7,6 @@ served twin, a person at a terminal follows instructions.
 
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 from khep_twin.errors import FitError
 from khep_twin.interventions.move_robot import place_robot
@@ -26,18 +25,6 @@ _MIN_ARENA_MM = 900.0
 """Smallest size of the arena [mm]: walls 170 mm aside add up to 7 counts 12 mm from the wall (measured)."""
 
 
-class Person(Protocol):
-    """Person who places and measures."""
-
-    def place(self, step: Step) -> float | None:
-        """Place the robot and an object; return the measured distance [mm], None to skip the step."""
-        ...
-
-    def measure(self, step: Step) -> float | None:
-        """Return the length of the drive [mm] or the number of turns; None to repeat the drive."""
-        ...
-
-
 class PersonAtTerminal:
     """Person who reads instructions and types answers.
 
@@ -51,7 +38,7 @@ class PersonAtTerminal:
         self._show, self._ask, self._wait = show, ask, wait
 
     def place(self, step: Step) -> float | None:
-        """Show the instruction; wait for Enter, another distance, or s."""
+        """Show the instruction; return the distance [mm], or None if the answer is s."""
         self._show(step.instruction)
         if not self._wait:
             return step.distance_mm
@@ -65,7 +52,7 @@ class PersonAtTerminal:
             self._show(f"{answer[:40]!r}: expected Enter{option}, or s")
 
     def measure(self, step: Step) -> float | None:
-        """Ask until the answer is a number, or s."""
+        """Ask for the length of the drive [mm] or the number of turns; return None for s, to repeat it."""
         expected, low, high = "a length in mm, such as 598", 100.0, 5000.0
         if step.kind == "turns":
             expected, low, high = "turns, such as 4.93, or 5 -25 for 5 turns less 25 degrees", 0.5, 100.0
@@ -149,6 +136,10 @@ class SimulatedPerson:
         remainder_deg = (math.degrees(end[2] - heading) + error + 180) % 360 - 180
         self._show(f"It went {TURNS} turns and {remainder_deg:.1f} degrees.")
         return round(TURNS + remainder_deg / 360, 4)
+
+
+Person = PersonAtTerminal | SimulatedPerson
+"""Person who places and measures."""
 
 
 def _parse_number(text: str) -> float | None:

@@ -148,7 +148,7 @@ def record(robot: Khepera, step: Step, path: Path, stop: Callable[[], bool]) -> 
         if not stop():
             save(path, run)
         return not stop()
-    with record_exchanges(robot, path) as set_keep:
+    with _record_exchanges(robot, path, stop):
         try:
             if step.kind == "duty":
                 _drive_duties(robot, stop)
@@ -156,7 +156,6 @@ def record(robot: Khepera, step: Step, path: Path, stop: Callable[[], bool]) -> 
                 _drive_measured(robot, step, stop)
         finally:
             reset_motors(robot)
-        set_keep(not stop())
     return not stop()
 
 
@@ -182,12 +181,8 @@ def _drive_duties(robot: Khepera, stop: Callable[[], bool]) -> None:
 
 
 @contextmanager
-def record_exchanges(robot: Khepera, path: Path) -> Generator[Callable[[bool], None]]:
-    """Record the exchanges with a robot in a log, which is written completely or not at all.
-
-    Yields:
-        Function with a Boolean argument, True to keep the log.
-    """
+def _record_exchanges(robot: Khepera, path: Path, stop: Callable[[], bool]) -> Generator[None]:
+    """Record the exchanges with a robot in a log; write none after an error, or if `stop` returns True."""
     start, byte_ns = robot.time, BITS_PER_BYTE * NS_PER_S // robot.port.baudrate
     now_ns, is_kept = 0, False
     recorder = LineRecorder(path, {"port": robot.name}, lambda: now_ns)
@@ -201,13 +196,10 @@ def record_exchanges(robot: Khepera, path: Path) -> Generator[Callable[[bool], N
         now_ns = max(now_ns, end_ns)
         recorder.on_bytes(False, f"{reply}\r\n".encode("latin-1"))
 
-    def set_keep(value: bool) -> None:
-        nonlocal is_kept
-        is_kept = value
-
     previous_listener = robot.listen(listen)
     try:
-        yield set_keep
+        yield
+        is_kept = not stop()
     finally:
         robot.listen(previous_listener)
         if is_kept:

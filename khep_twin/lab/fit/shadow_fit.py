@@ -13,7 +13,8 @@ import numpy as np
 from khep_twin.errors import CalibrationError, FitError
 from khep_twin.files import toml_files
 from khep_twin.lab.fit.least_squares import CONFIDENCE, MAX_DEVIATION_RATIO
-from khep_twin.lab.fit.robot_fit import FittedValue, RobotFit
+from khep_twin.lab.fit.placement import FittedValue
+from khep_twin.lab.fit.robot_fit import RobotFit
 from khep_twin.log.reader import read_arrays
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.playpen import Playpen

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import CONFIDENCE
-from khep_twin.lab.fit.placement import Ruler
+from khep_twin.lab.fit.placement import FittedValue, Ruler
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import read_label, read_log, require_feature_in
 from khep_twin.robots.model import Feature
@@ -54,29 +54,10 @@ class Drive:
     turn: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class WheelFit:
-    """Fit of the wheels.
-
-    Attributes:
-        radius: Radius of a wheel [m].
-        base: Wheel base [m].
-        radius_interval: Half width of the radius's 95 % confidence interval [m].
-        base_interval: Half width of the wheel base's 95 % confidence interval [m].
-    """
-
-    radius: float
-    base: float
-    radius_interval: float
-    base_interval: float
-
-    def calibration(self) -> WheelCalibration:
-        """Return the fit as a calibration."""
-        return WheelCalibration(radius_mm=round(self.radius * 1e3, 4), base_mm=round(self.base * 1e3, 3))
-
-
-def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
-    """Fit radius and base of the wheels to the drives.
+def fit_wheels(
+    drives: Sequence[Drive], ruler: Ruler | None = None
+) -> tuple[WheelCalibration, tuple[FittedValue, FittedValue]]:
+    """Fit radius and base of the wheels to the drives; return them rounded, and with their intervals.
 
     Args:
         drives: Measured drives.
@@ -105,20 +86,22 @@ def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
     variance_factor = max(1.0, 2 * float(solution.cost) / max(len(drives) - 2, 1))
     standard_errors = np.sqrt(np.diag(np.linalg.inv(solution.jac.T @ solution.jac)) * variance_factor)
     try:
-        WheelCalibration(radius_mm=radius * 1e3, base_mm=base * 1e3)
+        wheels = WheelCalibration(radius_mm=round(radius * 1e3, 4), base_mm=round(base * 1e3, 3))
     except ValueError:
         raise FitError(
             f"a wheel radius of {radius * 1e3:.2f} mm and a base of {base * 1e3:.1f} mm are not a Khepera's; "
             "expected distances in mm and whole turns as counted, counter-clockwise positive"
         ) from None
-    intervals = CONFIDENCE * float(standard_errors[0]), CONFIDENCE * float(standard_errors[1])
-    for name, interval, value in zip(("wheel radius", "wheel base"), intervals, (radius, base), strict=True):
-        if interval > _MAX_RELATIVE_INTERVAL * value:
+    intervals_mm = (CONFIDENCE * 1e3 * standard_errors).tolist()
+    fitted_radius = FittedValue(("wheels", "radius_mm"), radius * 1e3, intervals_mm[0])
+    fitted_base = FittedValue(("wheels", "base_mm"), base * 1e3, intervals_mm[1])
+    for name, fitted in (("wheel radius", fitted_radius), ("wheel base", fitted_base)):
+        if fitted.interval > _MAX_RELATIVE_INTERVAL * fitted.value:
             raise FitError(
-                f"{name}: can be determined to +-{interval * 1e3:.2g} mm only, as the drives contradict "
+                f"{name}: can be determined to +-{fitted.interval:.2g} mm only, as the drives contradict "
                 "each other; expected distances in mm and turns as they were driven"
             )
-    return WheelFit(radius, base, *intervals)
+    return wheels, (fitted_radius, fitted_base)
 
 
 def read_pulses(log: Path) -> tuple[int, int]:

@@ -29,14 +29,9 @@ from numpy.typing import NDArray
 from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import LogError, choices
 from khep_twin.files.mat_file import mat_bytes
-from khep_twin.lab.report.table_files import TABLES, Channel, Heading, is_integer, rows_of
+from khep_twin.lab.report.table_files import TABLES, Channel, is_integer, rows_of
 from khep_twin.log.channels import TextLine
-from khep_twin.log.columns import (
-    Columns,
-    name_columns,
-    order_channels,
-    to_identifier,
-)
+from khep_twin.log.columns import Columns, name_columns, order_channels, to_identifier
 from khep_twin.log.reader import Recording, TimeSeries, read_batches
 from khep_twin.log.robot_models import models_of
 from khep_twin.robots.registry import default_model
@@ -157,7 +152,7 @@ def write_table(
     while True:
         file.seek(0)
         file.truncate()
-        writer = TABLES[kind](file, Heading(robots, channels, fractional))
+        writer = TABLES[kind](file, robots, channels, fractional)
         n_rows, fractional_names = 0, set[str]()
         with closing(writer):
             for batch in read_batches(log, progress):

@@ -130,7 +130,10 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
         sizes, angles_deg = _ellipse_axes(track.covariance[stride][indices])
         colours = [_STATES[states[index]] for index in indices]
         look: Look = {"facecolors": colours, "alpha": 0.2, "zorder": 4}
-        _draw_search(axes, track)
+        # Particles at the times when the robot was lost are its possible poses.
+        searching = [state is PoseState.LOST for state in _states_at(track, track.particles_ns)]
+        dots = 1000 * track.particles[searching][-_CLOUDS:, :, :2].reshape(-1, 2)
+        axes.plot(*dots.T, ".", color=_STATES[PoseState.LOST], ms=1.5, alpha=0.5, zorder=4)
         placement: Look = {"units": "xy", "offsets": pose[indices, :2], "offset_transform": axes.transData}
         axes.add_collection(EllipseCollection(sizes[:, 0], sizes[:, 1], angles_deg, **placement, **look))
         radius_mm = 1000 * playpen.robots[0].body.radius
@@ -151,13 +154,6 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
             handles=handles, loc="lower right", bbox_to_anchor=(1, 1), fontsize=8, ncols=4, frameon=False
         )
     return figure
-
-
-def _draw_search(axes: Axes, track: ShadowTrack) -> None:
-    """Draw the particles at the times when the robot was lost: its possible poses."""
-    states = _states_at(track, track.particles_ns)
-    poses = track.particles[[state is PoseState.LOST for state in states]][-_CLOUDS:, :, :2].reshape(-1, 2)
-    axes.plot(*1000 * poses.T, ".", color=_STATES[PoseState.LOST], ms=1.5, alpha=0.5, zorder=4)
 
 
 def pictures(track: ShadowTrack) -> list[tuple[Draw, float, str]]:

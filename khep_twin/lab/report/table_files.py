@@ -68,26 +68,20 @@ def rows_of(channels: Sequence[Channel], n_robots: int) -> Rows:
     return Rows(times_ns[by_time], robots[by_time], [np.concatenate(rows)[by_time] for rows in indices])
 
 
-class Heading(NamedTuple):
-    """Columns of a table.
+class CsvFile:
+    """CSV file that is written in pieces.
 
-    Attributes:
+    Args:
+        file: File to write.
         robots: Names of the robots; several ones have a column in the table.
         channels: Channels of the columns.
         fractional: Names of the channels with values that are not integers.
     """
 
-    robots: Sequence[str]
-    channels: Sequence[Channel]
-    fractional: Collection[str]
-
-
-class CsvFile:
-    """CSV file that is written in pieces."""
-
-    def __init__(self, file: BinaryIO, heading: Heading) -> None:
-        self._file = file
-        self._robots, channels, self._fractional = heading
+    def __init__(
+        self, file: BinaryIO, robots: Sequence[str], channels: Sequence[Channel], fractional: Collection[str]
+    ) -> None:
+        self._file, self._robots, self._fractional = file, robots, fractional
         names = (name for channel in channels for name, _ in channel.columns)
         file.write(f"{','.join(['time_s', *['robot'][: len(self._robots) - 1], *names])}\n".encode())
 
@@ -108,13 +102,15 @@ class CsvFile:
 
 
 class ParquetFile:
-    """Parquet file that is written in pieces, one row group each."""
+    """Parquet file that is written in pieces, one row group each; the arguments are those of `CsvFile`."""
 
-    def __init__(self, file: BinaryIO, heading: Heading) -> None:
+    def __init__(
+        self, file: BinaryIO, robots: Sequence[str], channels: Sequence[Channel], fractional: Collection[str]
+    ) -> None:
         import pyarrow as arrow
         from pyarrow import parquet
 
-        self._robots, channels, self._fractional = heading
+        self._robots, self._fractional = robots, fractional
         fields = [arrow.field("time_s", arrow.float64(), metadata={"unit": "s"})]
         if len(self._robots) > 1:
             fields.append(arrow.field("robot", arrow.string()))

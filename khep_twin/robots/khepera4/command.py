@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import playpens
-from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, expand_groups
+from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, with_help
 from khep_twin.cli.options import Switch, Viewer, check_new, notify, print_files, print_kept_log, usage
 from khep_twin.clock import to_ns
 from khep_twin.errors import PlaypenError
@@ -38,52 +38,23 @@ def _show_cflags(value: bool) -> None:
         raise typer.Exit
 
 
-@expand_groups
+@with_help
 def execute(
-    program: Annotated[
-        list[str], typer.Argument(metavar="-- PROGRAM [ARGUMENT]", help="Program and its arguments.")
-    ],
+    program: Annotated[list[str], typer.Argument(metavar="-- PROGRAM [ARGUMENT]")],
     *,
-    playpen: Annotated[
-        str,
-        typer.Option(help="Playpen with a Khepera IV: a shipped name, or a path.", autocompletion=playpens),
-    ] = "arena4",
-    robot: Annotated[int, typer.Option(help="Number of the program's robot, counted from 0.")] = 0,
-    other_programs: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--also",
-            metavar="PROGRAM",
-            help="Run this program, in quotes with its arguments, on the next Khepera IV; repeatable.",
-        ),
-    ] = None,
-    clock: Annotated[
-        ProgramClock,
-        typer.Option(help="simulated: time passes while the programs wait; real: the wall clock."),
-    ] = ProgramClock.SIMULATED,
-    seconds: Annotated[
-        float | None, typer.Option(min=0.01, help="End after this time [s]: SIGTERM, and 2 s later SIGKILL.")
-    ] = None,
-    extra_s: Annotated[
-        float, typer.Option("--after", min=0, help="Continue for this time after the programs' end [s].")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of every random stream of the run.")] = 0,
-    noise: Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")] = Switch.ON,
-    vary: Annotated[
-        Switch, typer.Option(help="Draw another robot of the same model, by the seed.")
-    ] = Switch.OFF,
+    playpen: Annotated[str, typer.Option(autocompletion=playpens)] = "arena4",
+    robot: int = 0,
+    other_programs: Annotated[list[str] | None, typer.Option("--also", metavar="PROGRAM")] = None,
+    clock: ProgramClock = ProgramClock.SIMULATED,
+    seconds: Annotated[float | None, typer.Option(min=0.01)] = None,
+    extra_s: Annotated[float, typer.Option("--after", min=0)] = 0.0,
+    seed: int = 0,
+    noise: Switch = Switch.ON,
+    vary: Switch = Switch.OFF,
     logging: LogOptions,
     live_view: LiveViewOptions,
     viewer: Viewer = False,
-    cflags: Annotated[
-        bool,
-        typer.Option(
-            "--cflags",
-            help="Print the options of cc for K-Team's library and programs, and exit.",
-            callback=_show_cflags,
-            is_eager=True,
-        ),
-    ] = False,
+    cflags: Annotated[bool, typer.Option("--cflags", callback=_show_cflags, is_eager=True)] = False,
 ) -> None:
     """Run a program of the Khepera IV on a twin of it.
 
@@ -91,6 +62,19 @@ def execute(
     your C compiler, emulates its device nodes and, with the simulated clock, its time and wait functions.
     Input, output, signals and exit code are the program's; with several programs, the exit code is the first
     that is not 0.
+
+    Args:
+        program: Program and its arguments.
+        playpen: Playpen with a Khepera IV: a shipped name, or a path.
+        robot: Number of the program's robot, counted from 0.
+        other_programs: Run this program, in quotes with its arguments, on the next Khepera IV; repeatable.
+        clock: simulated: time passes while the programs wait; real: the wall clock.
+        seconds: End after this time [s]: SIGTERM, and 2 s later SIGKILL.
+        extra_s: Continue for this time after the programs' end [s].
+        seed: Seed of every random stream of the run.
+        noise: Add noise to the sensors, as on the robot.
+        vary: Draw another robot of the same model, by the seed.
+        cflags: Print the options of cc for K-Team's library and programs, and exit.
     """
     from khep_twin.log.recorded import PROGRAM
     from khep_twin.ports.twin import TwinOptions, open_twin

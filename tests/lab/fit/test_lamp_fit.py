@@ -14,7 +14,7 @@ from khep_twin.errors import FitError
 from khep_twin.lab.fit import lamp_fit
 from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
 from khep_twin.lab.fit.least_squares import Parameter
-from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Readings, Ruler
+from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Readings, Ruler, SensorsFit
 from khep_twin.sensing import calibration
 from khep_twin.units import SENSOR_HEIGHT
 from khep_twin.world import World
@@ -107,17 +107,23 @@ def recorded(*distances: float, seed: int = 1, moved: Misplacement = IN_PLACE) -
     return tests
 
 
+def intervals(fit: SensorsFit, key: str) -> np.ndarray:
+    """Intervals of a parameter of all receivers."""
+    return np.array([value.interval for value in fit.values if value.path[1] == key])
+
+
 def test_hidden_receivers_are_found_from_two_turns() -> None:
     fit = fit_lamps(recorded(0.07, 0.15), KHEPERA1)
-    np.testing.assert_allclose(fit.ambient.gain_counts_mm2_per_w, HIDDEN.gain_counts_mm2_per_w, rtol=0.03)
-    differences = np.array(fit.ambient.heading_deg) - HIDDEN.heading_deg
+    ambient = fit.calibration.ambient
+    np.testing.assert_allclose(ambient.gain_counts_mm2_per_w, HIDDEN.gain_counts_mm2_per_w, rtol=0.03)
+    differences = np.array(ambient.heading_deg) - HIDDEN.heading_deg
     np.testing.assert_allclose((differences + 180) % 360 - 180, 0, atol=1.5)
-    np.testing.assert_allclose(fit.ambient.lobe_exponent, HIDDEN.lobe_exponent, atol=0.2)
-    assert fit.ambient.dark_counts == pytest.approx(470, abs=1)
-    assert fit.ambient.floor_counts == pytest.approx(90, abs=1)
-    assert fit.ambient.diffuse == pytest.approx(0.1, abs=0.02)
-    assert fit.rms == pytest.approx(5, abs=0.5)
-    assert max(fit.gain_intervals) < 0.04
+    np.testing.assert_allclose(ambient.lobe_exponent, HIDDEN.lobe_exponent, atol=0.2)
+    assert ambient.dark_counts == pytest.approx(470, abs=1)
+    assert ambient.floor_counts == pytest.approx(90, abs=1)
+    assert ambient.diffuse == pytest.approx(0.1, abs=0.02)
+    assert fit.rms[0] == pytest.approx(5, abs=0.5)
+    assert max(intervals(fit, "gain_counts_mm2_per_w") / ambient.gain_counts_mm2_per_w) < 0.04
 
 
 @pytest.mark.parametrize(("distances", "is_fitted"), [((0.07, 0.15), True), ((0.15, 0.25), False)])
@@ -144,12 +150,14 @@ def test_readings_in_the_dark_are_refused_by_receiver() -> None:
 def test_the_intervals_contain_what_a_ruler_s_error_does() -> None:
     moved = Misplacement(0.0005, math.radians(1.5))
     fit = fit_lamps(recorded(0.07, 0.15, moved=moved), KHEPERA1)
-    gains = np.array(fit.ambient.gain_counts_mm2_per_w) / HIDDEN.gain_counts_mm2_per_w
-    assert (np.abs(gains - 1) < 1.3 * np.array(fit.gain_intervals)).all()
-    headings = (np.array(fit.ambient.heading_deg) - HIDDEN.heading_deg + 180) % 360 - 180
-    assert (np.abs(headings) < 1.3 * np.array(fit.heading_intervals)).all()
+    ambient = fit.calibration.ambient
+    gains = np.array(ambient.gain_counts_mm2_per_w) / HIDDEN.gain_counts_mm2_per_w
+    gain_intervals = intervals(fit, "gain_counts_mm2_per_w") / ambient.gain_counts_mm2_per_w
+    assert (np.abs(gains - 1) < 1.3 * gain_intervals).all()
+    headings = (np.array(ambient.heading_deg) - HIDDEN.heading_deg + 180) % 360 - 180
+    assert (np.abs(headings) < 1.3 * intervals(fit, "heading_deg")).all()
     exact = fit_lamps(recorded(0.07, 0.15), KHEPERA1, Ruler(0, 0, 0))
-    assert min(fit.heading_intervals) > 2 * max(exact.heading_intervals)
+    assert min(intervals(fit, "heading_deg")) > 2 * max(intervals(exact, "heading_deg"))
 
 
 def test_a_lamp_that_was_only_passed_on_one_side_does_not_tell_the_other_sensors() -> None:

@@ -93,10 +93,9 @@ def conform_recording(path: StrPath) -> RecordingReport:
 
 
 def _check_line(line: RecordedLine) -> CheckedRobot:
-    statements: list[CheckedStatement] = []
-    for check in CHECKS:
-        result = check.body(line)
-        statements.append(
-            CheckedStatement(check.name, check.section, result.n_checked, tuple(result.findings), result.note)
-        )
-    return CheckedRobot(line.name, line.text, tuple(statements))
+    verdicts = [(check, check.body(line)) for check in CHECKS]
+    statements = tuple(
+        CheckedStatement(check.name, check.section, verdict.n_checked, tuple(verdict.findings), verdict.note)
+        for check, verdict in verdicts
+    )
+    return CheckedRobot(line.name, line.text, statements)
