@@ -185,8 +185,6 @@ static void release(struct timer *timer) {
     unlock_timers(&saved);
 }
 
-static int64_t ns_of_us(const struct timeval *time) { return to_ns(time->tv_sec, time->tv_usec * 1000LL); }
-
 static int64_t set_alarm(int64_t ns, int64_t period, int64_t *interval) {
     int64_t now_ns = now();
     timers[0].use = ALARM;
