@@ -140,7 +140,7 @@ class BeamScene(Scene, Protocol):
     """A scene for robots that record moments, and whose rays meet the floor or form beams."""
 
     def update_frames(self) -> None:
-        """Move all bodies and sensors to the present positions of the joints, which the next step does, too."""
+        """Move all bodies and sensors to the present positions of the joints, as the next step does."""
 
     def save_moment(self, moment: int, powers: Sequence[float]) -> None:
         """Record the positions of all joints and the powers of the lamps [W] as a moment, by its number."""

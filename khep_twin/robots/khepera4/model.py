@@ -9,6 +9,7 @@ from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.khepera.model import KHEPERA_1
 from khep_twin.robots.khepera4.channels import (
     AROUND,
+    BAUD,
     CHANNELS,
     GROUND,
     LEDS,
@@ -95,7 +96,7 @@ KHEPERA_4 = RobotModel(
     body=BODY,
     calibration="khepera4",
     # The server has no banner and one baud rate (manual, chapter 6).
-    roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(115_200)})},
+    roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)})},
     channels={**_CHANNELS, "registers": _REGISTERS},
     bars={
         "proximity": KHEPERA_1.bars["proximity"],
@@ -110,7 +111,7 @@ KHEPERA_4 = RobotModel(
         probe_letters="BERG",
         stop_requests=("A,2", "D,0,0"),
         moving=("A", "D", "F", "L"),
-        baud=115_200,
+        baud=BAUD,
     ),
     parts={
         "core": "khep_twin.robots.khepera4.core:CORE",

@@ -16,13 +16,11 @@ from collections.abc import Sequence
 from khep_twin.board.kernel import divide
 from khep_twin.board.protocol import LINE_END
 from khep_twin.firmware import FirmwareState
+from khep_twin.robots.khepera4.channels import BAUD, BINARY_BYTES, PACKET_SIZE
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
 from khep_twin.robots.line_server import LineServer
 from khep_twin.sensing.buffers import Vector
-
-BAUD = 115_200
-"""Speed of the serial line [baud] (manual, chapter 6)."""
 
 ANSWER_NS = 2_000_000
 """Time from a command to its reply [ns]: that of some 60 bytes on the bus (assumed)."""
@@ -40,9 +38,6 @@ MARGIN = 20
 
 LONGEST_LINE = 82
 """Bytes of a command that are read; the rest of its line is discarded."""
-
-BINARY_BYTES = 128
-"""Length of X's reply, of which the first 67 bytes are meaningful."""
 
 LEFT_WEIGHTS, RIGHT_WEIGHTS = (2, 3, 4, -7, -4, -3, -2, 1), (-2, -3, -4, -9, 4, 3, 2, 1)
 FORWARD_SPEED, MIN_SPEED, TURN_SPEED = 200, 10, 120
@@ -64,8 +59,8 @@ _READS = {
     "n": (DspicRegister.PROXIMITY, N_INFRARED, 2, False),
     "o": (DspicRegister.AMBIENT, N_INFRARED, 2, False),
     "r": (DspicRegister.POSITION_LEFT, 2, 4, True),
-    "s": (DspicRegister.GYROSCOPE, 30, 2, True),
-    "t": (DspicRegister.ACCELEROMETER, 30, 2, True),
+    "s": (DspicRegister.GYROSCOPE, 3 * PACKET_SIZE, 2, True),
+    "t": (DspicRegister.ACCELEROMETER, 3 * PACKET_SIZE, 2, True),
 }
 """Commands that read numbers: first register, count, bytes of each, and whether they are signed."""
 
@@ -232,7 +227,8 @@ class Kh4Server(LineServer):
         if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
             return None
         block = self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)
-        current, average, temperature = (_decode_signed(block[offset : offset + 2]) for offset in (4, 6, 8))
+        signed = (int.from_bytes(block[start : start + 2], "little", signed=True) for start in (4, 6, 8))
+        current, average, temperature = signed
         voltage = int.from_bytes(block[10:12], "little")
         values_by_kind: Sequence[object] = (
             f"{voltage * 9.76:.0f}",
@@ -297,7 +293,3 @@ class Kh4Server(LineServer):
 def _pad_values(values: Sequence[int], count: int) -> list[int]:
     """Return the first `count` values, 0 for missing ones."""
     return [*values, *[0] * count][:count]
-
-
-def _decode_signed(content: bytes) -> int:
-    return int.from_bytes(content, "little", signed=True)
