@@ -111,10 +111,6 @@ def _parse_dead(sensor_or_side: str) -> _Values:
     return _parse_side(MOTOR, sensor_or_side) if sensor_or_side in _SIDES else _parse_sensor(sensor_or_side)
 
 
-def _parse_nothing() -> _Values:
-    return {}
-
-
 _KINDS: Mapping[str, tuple[Callable[..., _Values], str]] = {
     "drop": (_parse_probability, "drop:PROBABILITY, such as drop:0.01"),
     "garble": (_parse_probability, "garble:PROBABILITY, such as garble:0.01"),
@@ -124,7 +120,7 @@ _KINDS: Mapping[str, tuple[Callable[..., _Values], str]] = {
     "weak": (partial(_parse_fraction, MOTOR), "weak:SIDE:PART, such as weak:left:0.5"),
     "slip": (partial(_parse_fraction, WHEEL), "slip:SIDE:PART, such as slip:left:0.1"),
     "blocked": (partial(_parse_side, WHEEL), "blocked:left or blocked:right"),
-    _BROWN_OUT: (_parse_nothing, "brown-out alone"),
+    _BROWN_OUT: (_Values, "brown-out alone"),
 }
 
 
