@@ -123,7 +123,7 @@ class Refused(TypedDict):
 
 
 class Notice(TypedDict):
-    """Text for the user: errors, notes, output of programs, and why a scoring has ended, empty if complete."""
+    """Text for the user: error, note, output of a program, or why a scoring has ended, empty if complete."""
 
     kind: Literal["error", "note", "printed", "score-printed", "score-ended"]
     text: str
