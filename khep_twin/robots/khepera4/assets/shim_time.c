@@ -167,11 +167,10 @@ static int is_external(int fd) {
 REPLACE(nanosleep, (const struct timespec *requested, struct timespec *left), (requested, left),
         c_result(-sleep_for(RELATIVE, requested, left)))
 
-int clock_nanosleep(clockid_t clock, int flags, const struct timespec *requested, struct timespec *left) {
-    if (!simulated)
-        return REAL(clock_nanosleep)(clock, flags, requested, left);
-    return sleep_for(flags & TIMER_ABSTIME ? ABSOLUTE : RELATIVE, requested, left);
-}
+REPLACE(clock_nanosleep,
+        (clockid_t clock, int flags, const struct timespec *requested, struct timespec *left),
+        (clock, flags, requested, left),
+        sleep_for(flags & TIMER_ABSTIME ? ABSOLUTE : RELATIVE, requested, left))
 
 /* Waits for file descriptors ----------------------------------------------------------------------------- */
 
@@ -209,11 +208,8 @@ static int read_limit(const struct timespec *limit, int64_t *ns) {
     return 0;
 }
 
-int poll(struct pollfd *fds, nfds_t count, int ms) {
-    int64_t left;
-    return simulated ? c_result(poll_for(fds, count, ms * 1000000LL, NULL, &left))
-                     : REAL(poll)(fds, count, ms);
-}
+REPLACE(poll, (struct pollfd *fds, nfds_t count, int ms), (fds, count, ms),
+        c_result(poll_for(fds, count, ms * 1000000LL, NULL, &(int64_t){0})))
 
 int ppoll(struct pollfd *fds, nfds_t count, const struct timespec *limit, const sigset_t *mask) {
     int64_t left, ns;
