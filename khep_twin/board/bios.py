@@ -51,13 +51,8 @@ def _format_lines(*lines: str) -> bytes:
 
 def _help(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     if not arguments:
-        return ToolResult(
-            _format_lines(
-                "help NAME tells more of a tool or command",
-                f"tools     {' '.join(_TOOLS)}",
-                f"commands  {' '.join(context.commands)}",
-            )
-        )
+        tools, commands = f"tools     {' '.join(_TOOLS)}", f"commands  {' '.join(context.commands)}"
+        return ToolResult(_format_lines("help NAME tells more of a tool or command", tools, commands))
     name = arguments[0]
     description = context.commands.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
     return ToolResult(_format_lines(f"{name}  {description}") if description else refusal("No such item"))
@@ -68,10 +63,6 @@ def _list(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     functions = [f"FU  {name:8}  ROM function  {context.rom.bios}" for name in (DEMO, SELF_TEST)]
     commands = [f"PR  {name:8}  {text}  {context.rom.protocol}" for name, text in context.commands.items()]
     return ToolResult(_format_lines(*tools, *functions, *commands))
-
-
-def _k_team(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
-    return ToolResult(_format_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
 
 
 def _net(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
@@ -91,17 +82,13 @@ def _process(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     return ToolResult(_format_lines(*processes, *([context.running] if context.running else [])))
 
 
-def _restart(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
-    return ToolResult(restart=True)
-
-
 def _run(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     if arguments == (DEMO,):
         return ToolResult(_format_lines(f"run {DEMO}"), function=DEMO)
     if arguments == (SELF_TEST,):
         return ToolResult(function=SELF_TEST)
     if arguments == ("sloader",):
-        return _sfill(arguments, context)
+        return _NO_LOADER
     return ToolResult(refusal(f"Function not found, right is {DEMO} or {SELF_TEST}"))
 
 
@@ -112,33 +99,31 @@ def _serial(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
     return ToolResult(_format_lines(f"serial {arguments[0]}"), baud=baud_rates[arguments[0]])
 
 
-def _sfill(arguments: tuple[str, ...], context: ToolContext) -> ToolResult:
-    return ToolResult(refusal("No S-record loader, the twin runs no machine code"))
-
+_AUTHORS = ToolResult(_format_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
+_NO_LOADER = ToolResult(refusal("No S-record loader, the twin runs no machine code"))
 
 _Handler = Callable[[tuple[str, ...], ToolContext], ToolResult]
-_TOOLS: dict[str, tuple[str, _Handler]] = {
+_TOOLS: dict[str, tuple[str, ToolResult | _Handler]] = {
     "help": ("shows what a tool or command does", _help),
-    "k-team": ("shows the members of K-Team", _k_team),
+    "k-team": ("shows the members of K-Team", _AUTHORS),
     "list": ("shows all modules of the ROM", _list),
     "memory": ("shows the use of the memory", _memory),
     "net": ("shows the intelligent turrets", _net),
     "process": ("shows what is running", _process),
-    "restart": ("resets the robot", _restart),
+    "restart": ("resets the robot", ToolResult(restart=True)),
     "run": ("starts a function of the ROM", _run),
     "serial": ("sets the speed of the serial line", _serial),
-    "sfill": ("loads a program in S-records", _sfill),
+    "sfill": ("loads a program in S-records", _NO_LOADER),
 }
-"""Description and function of each tool, by its word."""
+"""Description of each tool, and its result or function, by its word."""
 
 
 def run_tool(tool: Tool, context: ToolContext) -> ToolResult:
     """Execute a tool and return its reply and effects."""
-    _, handler = _TOOLS.get(tool.word.decode("ascii"), ("", None))
-    if handler is None:
-        return ToolResult(COMMAND_NOT_FOUND)
-    arguments = tuple(argument.decode("latin-1") for argument in tool.arguments)
-    return handler(arguments, context)
+    _, result = _TOOLS.get(tool.word.decode("ascii"), ("", ToolResult(COMMAND_NOT_FOUND)))
+    if isinstance(result, ToolResult):
+        return result
+    return result(tuple(argument.decode("latin-1") for argument in tool.arguments), context)
 
 
 def self_test(are_sensors_alive: bool) -> bytes:

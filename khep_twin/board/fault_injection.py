@@ -20,7 +20,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,45 +77,39 @@ def _parse_number(text: str, low: float, high: float) -> float:
     return number
 
 
-class _Values(TypedDict, total=False):
-    """Values of a fault, by the attributes of `Fault`."""
-
-    probability: float
-    delay_ns: int
-    device: str
-    which: int
-    part: float
+_MakeFault = Callable[..., Fault]  # with kind, text and times
 
 
-def _parse_probability(probability: str) -> _Values:
-    return {"probability": _parse_number(probability, 0, 1)}
+def _parse_probability(make: _MakeFault, probability: str) -> Fault:
+    return make(probability=_parse_number(probability, 0, 1))
 
 
-def _parse_late(probability: str, delay_ms: str) -> _Values:
-    return {**_parse_probability(probability), "delay_ns": to_ns(_parse_number(delay_ms, 0, 10_000) / 1000)}
+def _parse_late(make: _MakeFault, probability: str, delay_ms: str) -> Fault:
+    delay_ns = to_ns(_parse_number(delay_ms, 0, 10_000) / 1000)
+    return make(probability=_parse_number(probability, 0, 1), delay_ns=delay_ns)
 
 
-def _parse_sensor(sensor: str) -> _Values:
-    return {"device": SENSOR, "which": [str(number) for number in range(N_SENSORS)].index(sensor)}
+def _parse_sensor(make: _MakeFault, sensor: str) -> Fault:
+    return make(device=SENSOR, which=[str(number) for number in range(N_SENSORS)].index(sensor))
 
 
-def _parse_side(device: str, side: str) -> _Values:
-    return {"device": device, "which": _SIDES.index(side)}
+def _parse_side(device: str, make: _MakeFault, side: str) -> Fault:
+    return make(device=device, which=_SIDES.index(side))
 
 
-def _parse_fraction(device: str, side: str, part: str) -> _Values:
-    return {**_parse_side(device, side), "part": _parse_number(part, 0, 1)}
+def _parse_fraction(device: str, make: _MakeFault, side: str, part: str) -> Fault:
+    return make(device=device, which=_SIDES.index(side), part=_parse_number(part, 0, 1))
 
 
-def _parse_dead(sensor_or_side: str) -> _Values:
-    return _parse_side(MOTOR, sensor_or_side) if sensor_or_side in _SIDES else _parse_sensor(sensor_or_side)
+def _parse_dead(make: _MakeFault, which: str) -> Fault:
+    return _parse_side(MOTOR, make, which) if which in _SIDES else _parse_sensor(make, which)
 
 
-def _parse_nothing() -> _Values:
-    return {}
+def _parse_nothing(make: _MakeFault) -> Fault:
+    return make()
 
 
-_KINDS: Mapping[str, tuple[Callable[..., _Values], str]] = {
+_KINDS: Mapping[str, tuple[Callable[..., Fault], str]] = {
     "drop": (_parse_probability, "drop:PROBABILITY, such as drop:0.01"),
     "garble": (_parse_probability, "garble:PROBABILITY, such as garble:0.01"),
     "late": (_parse_late, "late:PROBABILITY:MILLISECONDS, such as late:0.1:60"),
@@ -145,7 +139,7 @@ def parse_fault(text: str) -> Fault:
         end_ns = to_ns(_parse_number(end, 0, 1e6)) if dash else NEVER_NS
         if end_ns <= start_ns or (dash and kind == _BROWN_OUT):
             raise ValueError(text)
-        return Fault(kind, text, start_ns=start_ns, end_ns=end_ns, **parse(*values))
+        return parse(partial(Fault, kind, text, start_ns=start_ns, end_ns=end_ns), *values)
     except (TypeError, ValueError):
         times = "@SECONDS" if kind == _BROWN_OUT else "@SECONDS or @FROM-TO"
         raise FaultError(f"fault {text!r}: expected {syntax}, with {times} appended if wanted") from None

@@ -95,7 +95,8 @@ class K213Electronics:
             case "L", ():
                 values = divmod(self._register_view[K213Register.LIGHT], 256)
             case "M", ():
-                values = [left // 16 * 16 + right // 16 for left, right in _pairs(pixels)]
+                pairs = zip(pixels[::2], pixels[1::2], strict=True)
+                values = [left // 16 * 16 + right // 16 for left, right in pairs]
             case "N", ():
                 values = pixels
             case "O", ():
@@ -135,8 +136,3 @@ class K213Electronics:
         fixed_ms = K213_PERIODS_MS[view[K213Register.PERIOD]]
         period_ms = fixed_ms or min(max(view[K213Register.LIGHT], SHORTEST_MS), LONGEST_MS)
         view[K213Register.SCAN] = view[K213Register.LEFT] = (period_ms + TICK_MS // 2) // TICK_MS
-
-
-def _pairs(pixels: list[int]) -> list[tuple[int, int]]:
-    """Return pairs of adjacent pixels."""
-    return list(zip(pixels[::2], pixels[1::2], strict=True))

@@ -312,16 +312,13 @@ def _describe_problem(
         return f"{key} is missing; expected {(expected := _describe_expected(field))}", expected
     if location[-1] == "[key]":
         return f"{format_value(key)} is no name; expected {NAME_RULE}", NAME_RULE
-    assignment = _format_assignment(key, problem["input"])
+    value = problem["input"]
+    assignment = key if isinstance(value, dict | tuple) else f"{key} = {format_value(value)}"
     if kind == "extra_forbidden":
         return f"{assignment}: unknown key; {choices(key, keys)}", tuple(keys)
     if kind in ("literal_error", "string_type") and field is not None and (literals := choices_of(field)):
         return f"{assignment}: unknown; {choices(_to_text(problem['input']), literals)}", tuple(literals)
     return f"{assignment}; expected {(expected := _describe_expected(field))}", expected
-
-
-def _format_assignment(key: str, value: object) -> str:
-    return key if isinstance(value, dict | tuple) else f"{key} = {format_value(value)}"
 
 
 def _field_at(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[str]]:

@@ -42,105 +42,66 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 
 CDR_HEADER = b"\x00\x01\x00\x00"
-_SEPARATOR = "=" * 80
-_TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
-_ARRAY = """std_msgs/MultiArrayLayout layout
-{type}[] data
-{rule}
-MSG: std_msgs/MultiArrayLayout
-std_msgs/MultiArrayDimension[] dim
-uint32 data_offset
-{rule}
-MSG: std_msgs/MultiArrayDimension
-string label
-uint32 size
-uint32 stride"""
-
-_HEADER = f"""{_SEPARATOR}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_SEPARATOR}
-{_TIME}"""
-_QUATERNION = f"""{_SEPARATOR}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w"""
-_POSE = f"""{_SEPARATOR}
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-{_SEPARATOR}
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-{_QUATERNION}"""
-
 FLOATS = "std_msgs/msg/Float64MultiArray"
 INTEGERS = "std_msgs/msg/Int64MultiArray"
 BYTES = "std_msgs/msg/UInt8MultiArray"
 POSE = "geometry_msgs/msg/PoseStamped"
 IMAGE = "sensor_msgs/msg/Image"
 LINES = "rcl_interfaces/msg/Log"
+STRING = "std_msgs/msg/String"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
-SCHEMAS = {
-    "std_msgs/msg/String": "string data",
-    FLOATS: _ARRAY.format(type="float64", rule=_SEPARATOR),
-    INTEGERS: _ARRAY.format(type="int64", rule=_SEPARATOR),
-    BYTES: _ARRAY.format(type="uint8", rule=_SEPARATOR),
-    IMAGE: f"""std_msgs/Header header
-uint32 height
-uint32 width
-string encoding
-uint8 is_bigendian
-uint32 step
-uint8[] data
-{_HEADER}""",
-    POSE: f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_HEADER}\n{_POSE}",
-    POSE_WITH_COVARIANCE: f"""std_msgs/Header header
-geometry_msgs/PoseWithCovariance pose
-{_HEADER}
-{_SEPARATOR}
-MSG: geometry_msgs/PoseWithCovariance
-geometry_msgs/Pose pose
-float64[36] covariance
-{_POSE}""",
-    "tf2_msgs/msg/TFMessage": f"""geometry_msgs/TransformStamped[] transforms
-{_SEPARATOR}
-MSG: geometry_msgs/TransformStamped
-std_msgs/Header header
-string child_frame_id
-geometry_msgs/Transform transform
-{_HEADER}
-{_SEPARATOR}
-MSG: geometry_msgs/Transform
-geometry_msgs/Vector3 translation
-geometry_msgs/Quaternion rotation
-{_SEPARATOR}
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-{_QUATERNION}""",
-    LINES: f"""byte DEBUG=10
-byte INFO=20
-byte WARN=30
-byte ERROR=40
-byte FATAL=50
-builtin_interfaces/Time stamp
-uint8 level
-string name
-string msg
-string file
-string function
-uint32 line
-{_SEPARATOR}
-{_TIME}""",
+_ARRAY = "std_msgs/MultiArrayLayout layout\n{}[] data"
+_XYZ = "float64 x\nfloat64 y\nfloat64 z"
+
+_FIELDS = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+    "geometry_msgs/Point": _XYZ,
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
+    "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header header\n"
+    "geometry_msgs/PoseWithCovariance pose",
+    "geometry_msgs/Quaternion": f"{_XYZ}\nfloat64 w",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
+    "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/Transform transform",
+    "geometry_msgs/Vector3": _XYZ,
+    "rcl_interfaces/Log": "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
+    "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
+    "uint32 line",
+    "sensor_msgs/Image": "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n"
+    "uint8 is_bigendian\nuint32 step\nuint8[] data",
+    "std_msgs/Float64MultiArray": _ARRAY.format("float64"),
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "std_msgs/Int64MultiArray": _ARRAY.format("int64"),
+    "std_msgs/MultiArrayDimension": "string label\nuint32 size\nuint32 stride",
+    "std_msgs/MultiArrayLayout": "std_msgs/MultiArrayDimension[] dim\nuint32 data_offset",
+    "std_msgs/String": "string data",
+    "std_msgs/UInt8MultiArray": _ARRAY.format("uint8"),
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
 }
+"""Fields of each message type."""
+
+
+def _definition(schema: str) -> str:
+    """Return the definition of a type: its fields, then those of each type in them."""
+    names: list[str] = []
+
+    def add(name: str) -> None:
+        if name in _FIELDS and name not in names:
+            names.append(name)
+            for line in _FIELDS[name].splitlines():
+                add(line.split()[0].removesuffix("[]"))
+
+    add(schema.replace("/msg/", "/"))
+    inner = [f"{'=' * 80}\nMSG: {name}\n{_FIELDS[name]}" for name in names[1:]]
+    return "\n".join([_FIELDS[names[0]], *inner])
+
+
+_TYPES = FLOATS, INTEGERS, BYTES, IMAGE, POSE, POSE_WITH_COVARIANCE, LINES, STRING, TRANSFORMS
+SCHEMAS = {schema: _definition(schema) for schema in _TYPES}
 """Definition of each message type, as text of a `ros2msg` schema."""
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import MissingExtraError, PortError
-from khep_twin.log.channels import LINES, SCHEMAS
+from khep_twin.log.channels import LINES, SCHEMAS, STRING
 from khep_twin.log.foxglove_scene import SCHEMA
 from khep_twin.log.output import split_rows
 from khep_twin.log.recorder import LiveRecorder
@@ -35,7 +35,7 @@ LAYOUT = files("khep_twin") / "assets" / "foxglove_layout.json"
 _BACKLOG = 4096
 """Number of messages buffered for a client that reads slowly."""
 
-_LATCHED = {"std_msgs/msg/String", SCHEMA}
+_LATCHED = {STRING, SCHEMA}
 """Types of messages that are sent once and latched: a later subscriber receives the last one."""
 
 

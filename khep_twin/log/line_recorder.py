@@ -16,7 +16,7 @@ from khep_twin import __version__
 from khep_twin.board.protocol import Command, LineReader
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.firmware import parse
-from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame
+from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, STRING, ArrayFrame, ImageFrame
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.sample_layout import channel_names_message
@@ -75,7 +75,7 @@ class LineRecorder(FileRecorder):
         attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
         facts = {"robots": ROBOT, "khep_twin": __version__, **settings}
         self._file.describe({"configuration.json": attachment}, facts)
-        self._file.add("/channel_names", "std_msgs/msg/String", 0, channel_names_message(SAMPLED))
+        self._file.add("/channel_names", STRING, 0, channel_names_message(SAMPLED))
         self._file.flush()
         self._file.on_failure = on_failure
         self._file.on_exit = self.close

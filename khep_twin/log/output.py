@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
 from khep_twin.log import channels, foxglove_scene
-from khep_twin.log.channels import LINES, Level, TextLine
+from khep_twin.log.channels import LINES, STRING, Level, TextLine
 from khep_twin.log.description import urdf
 from khep_twin.log.entries import Entry
 
@@ -107,7 +107,7 @@ class Output:
     def add_scene(self, time_ns: int, model: mujoco.MjModel) -> None:
         """Add the shapes of a scene."""
         description = channels.text_message(urdf(model))
-        self.add("/robot_description", "std_msgs/msg/String", time_ns, description)
+        self.add("/robot_description", STRING, time_ns, description)
         scene = foxglove_scene.scene_update(model)
         self.add("/scene", foxglove_scene.SCHEMA, time_ns, scene, foxglove_scene.descriptors())
 

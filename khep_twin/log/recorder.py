@@ -14,7 +14,7 @@ import numpy as np
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.files.paths import StrPath
-from khep_twin.log.channels import BYTES, FLOATS, INTEGERS
+from khep_twin.log.channels import BYTES, FLOATS, INTEGERS, STRING, TRANSFORMS
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.output import Output, Writer
@@ -59,7 +59,7 @@ class WorldRecorder:
         if run.prefix is None or run.prefix.state is None:
             self._log.add_scene(0, world.model)
             channels = (channel for robot in world.robots for channel in robot.sampled)
-            self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names_message(channels))
+            self._log.add("/channel_names", STRING, 0, channel_names_message(channels))
             self._log.flush()
         else:
             for entries in run.prefix.entries:
@@ -159,7 +159,7 @@ class WorldRecorder:
         times_ns = np.array([sample.time_ns for sample in samples], np.int64)
         table = self._layout.table([sample.state for sample in samples])
         transforms = self._layout.transforms(times_ns, table)
-        self._log.add_rows("/tf", "tf2_msgs/msg/TFMessage", times_ns, transforms)
+        self._log.add_rows("/tf", TRANSFORMS, times_ns, transforms)
         powers = self._lamps.messages([sample.powers for sample in samples])
         if powers is not None:
             self._log.add_rows(self._lamps.topic, FLOATS, times_ns, powers)

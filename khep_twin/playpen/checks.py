@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from itertools import chain, islice
-from typing import cast
+from typing import TypeVar, cast
 
 from khep_twin.board.turrets import find_turrets
 from khep_twin.errors import Location, PlaypenError, Problem, TurretError
@@ -11,13 +11,16 @@ from khep_twin.playpen.overlap import PlacedPart, centre_problems, part_label, p
 from khep_twin.playpen.parts import (
     BULB_RADIUS_MM,
     SHORTEST_BLINK_S,
+    Lamp,
+    Obstacle,
+    Patch,
     RobotEntry,
     Spot,
     Wall,
     model_defaults,
 )
 from khep_twin.playpen.polygon import edges
-from khep_twin.playpen.stripes import PANEL_LIMIT, Stripe
+from khep_twin.playpen.stripes import PANEL_LIMIT
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen.tables import PlaypenTables
 from khep_twin.robots.model import Feature
@@ -32,6 +35,8 @@ MIN_THICKNESS_MM, MIN_MASS_G = 10.0, 5.0
 """Least thickness of an arena's walls [mm] and mass of movable objects [g] if there is a robot. In 2,000
 random drives of 10 s a cylinder was pressed through walls of 1 to 3 mm in four, of 1 g also through 10 mm in
 one of 1,000; from 5 g and 10 mm on, in none (measured)."""
+
+_Part = TypeVar("_Part", bound=Obstacle | Patch | Lamp | Spot | RobotEntry)
 
 _ASSIGNMENT_LIMIT = 20_000
 """Most placements of robots at spots that are tried."""
@@ -147,13 +152,18 @@ def _read_array(data: dict[str, object], key: str) -> tuple[object, ...]:
     return cast(tuple[object, ...], value) if isinstance(value, tuple) else ()
 
 
+def _labelled(tables: Mapping[str, Sequence[_Part]]) -> Iterator[tuple[Location, str, _Part]]:
+    """Yield location, name in messages and content of each part of these tables."""
+    for kind, items in tables.items():
+        for index, item in enumerate(items):
+            yield (kind, index), part_label(kind, index + 1, item.name), item
+
+
 def _arena_problems(playpen: PlaypenTables) -> Iterator[Problem]:
-    for index, block in enumerate(playpen.blocks):
+    for location, name, block in _labelled({"block": playpen.blocks}):
         if block.ramp and (block.movable or block.stripes):
-            name = part_label("block", index + 1, block.name)
-            yield Problem.of(
-                ("block", index, "ramp"), f"{name}: ramp, movable or striped", "a ramp that is neither"
-            )
+            text = f"{name}: ramp, movable or striped"
+            yield Problem.of((*location, "ramp"), text, "a ramp that is neither")
     if playpen.arena.table:
         yield from _table_problems(playpen)
         return
@@ -183,10 +193,9 @@ def _table_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     width_mm, height_mm = playpen.arena.width_mm, playpen.arena.height_mm
     if playpen.arena.outline_mm:
         yield Problem.of(("arena", "table"), "arena: table with an outline_mm", "a rectangle for a table")
-    for index, patch in enumerate(playpen.patches):
+    for location, name, patch in _labelled({"patch": playpen.patches}):
         if patch.is_one_shape and any(find_overhangs(patch.footprint, width_mm, height_mm)):
-            name = part_label("patch", index + 1, patch.name)
-            yield Problem.of(("patch", index), f"{name}: beyond the table's edge", "a patch on the table")
+            yield Problem.of(location, f"{name}: beyond the table's edge", "a patch on the table")
 
 
 def _surface_problems(playpen: PlaypenTables) -> Iterator[Problem]:
@@ -195,25 +204,18 @@ def _surface_problems(playpen: PlaypenTables) -> Iterator[Problem]:
             expected = f"a name other than {', '.join(BUILT_IN_SURFACES)}"
             yield Problem.of(("surfaces", name), f"surfaces {name}: built in", expected)
     surfaces = {**BUILT_IN_SURFACES, **playpen.surfaces}
-    references: list[tuple[Location, str, str]] = [(("arena",), "arena", playpen.arena.surface)]
-    for kind, items in {**playpen.obstacles, "patch": playpen.patches}.items():
-        for index, item in enumerate(items):
-            references.append(((kind, index), part_label(kind, index + 1, item.name), item.surface))
-    for location, name, surface in references:
-        if surface not in surfaces:
-            text = f'{name}: surface = "{surface}": unknown'
-            yield Problem.of((*location, "surface"), text, tuple(surfaces), surface)
+    parts = _labelled({**playpen.obstacles, "patch": playpen.patches})
+    for location, name, part in chain([(("arena",), "arena", playpen.arena)], parts):
+        if part.surface not in surfaces:
+            text = f'{name}: surface = "{part.surface}": unknown'
+            yield Problem.of((*location, "surface"), text, tuple(surfaces), part.surface)
     yield from _stripe_problems(playpen, tuple(surfaces))
 
 
 def _stripe_problems(playpen: PlaypenTables, surfaces: tuple[str, ...]) -> Iterator[Problem]:
     """Yield stripes of unknown surfaces, and an excessive number of panels."""
-    patterns: list[tuple[Location, str, Sequence[Stripe]]] = [(("arena",), "arena", playpen.arena.stripes)]
-    for kind, items in playpen.obstacles.items():
-        for index, item in enumerate(items):
-            patterns.append(((kind, index), part_label(kind, index + 1, item.name), item.stripes))
-    for location, name, stripes in patterns:
-        for number, (_, surface) in enumerate(stripes, 1):
+    for location, name, part in chain([(("arena",), "arena", playpen.arena)], _labelled(playpen.obstacles)):
+        for number, (_, surface) in enumerate(part.stripes, 1):
             if surface not in surfaces:
                 text = f'{name}: stripes {number}: "{surface}": unknown'
                 yield Problem.of((*location, "stripes"), text, surfaces, surface)
@@ -222,14 +224,10 @@ def _stripe_problems(playpen: PlaypenTables, surfaces: tuple[str, ...]) -> Itera
 
 
 def _wall_problems(playpen: PlaypenTables) -> Iterator[Problem]:
-    walls = [
-        (kind, index, item)
-        for kind, items in playpen.obstacles.items()
-        for index, item in enumerate(items)
-        if isinstance(item, Wall)
-    ]
-    for kind, index, wall in walls:
-        name, location = part_label(kind, index + 1, wall.name), (kind, index, "points_mm")
+    for wall_location, name, wall in _labelled(playpen.obstacles):
+        if not isinstance(wall, Wall):
+            continue
+        location = *wall_location, "points_mm"
         for number, (x_mm, y_mm) in enumerate(wall.points_mm, 1):
             for value, limit in ((x_mm, playpen.arena.width_mm), (y_mm, playpen.arena.height_mm)):
                 if value > limit:
@@ -242,13 +240,12 @@ def _wall_problems(playpen: PlaypenTables) -> Iterator[Problem]:
 
 
 def _patch_problems(playpen: PlaypenTables, placed: bool) -> Iterator[Problem]:
-    for index, patch in enumerate(playpen.patches):
-        name = part_label("patch", index + 1, patch.name)
+    for location, name, patch in _labelled({"patch": playpen.patches}):
         if not patch.is_one_shape:
             text = f"{name}: neither disc nor rectangle"
-            yield Problem.of(("patch", index), text, "radius_mm alone, or length_mm and width_mm")
+            yield Problem.of(location, text, "radius_mm alone, or length_mm and width_mm")
         elif placed:
-            yield from centre_problems(name, ("patch", index), patch.footprint, playpen.arena)
+            yield from centre_problems(name, location, patch.footprint, playpen.arena)
 
 
 def _lamp_problems(playpen: PlaypenTables) -> Iterator[Problem]:
@@ -257,15 +254,15 @@ def _lamp_problems(playpen: PlaypenTables) -> Iterator[Problem]:
         text = f"lighting: max_angle_deg = {lighting.max_angle_deg:g}"
         expected = f"above min_angle_deg = {lighting.min_angle_deg:g}"
         yield Problem.of(("lighting", "max_angle_deg"), text, expected)
-    for index, lamp in enumerate(playpen.lamps):
+    for location, name, lamp in _labelled({"lamp": playpen.lamps}):
         if 0 < lamp.blink_period_s < SHORTEST_BLINK_S:
-            text = f"{part_label('lamp', index + 1, lamp.name)}: blink_period_s = {lamp.blink_period_s:g}"
-            yield Problem.of(("lamp", index, "blink_period_s"), text, f"0, or {SHORTEST_BLINK_S:g} to 3600")
+            text = f"{name}: blink_period_s = {lamp.blink_period_s:g}"
+            yield Problem.of((*location, "blink_period_s"), text, f"0, or {SHORTEST_BLINK_S:g} to 3600")
         previous_end = 0.0
         for start, end in lamp.on_s:
             if not previous_end <= start < end:
-                text = f"{part_label('lamp', index + 1, lamp.name)}: on_s = [{start:g}, {end:g}]"
-                yield Problem.of(("lamp", index, "on_s"), text, f"times that rise, from {previous_end:g} on")
+                text = f"{name}: on_s = [{start:g}, {end:g}]"
+                yield Problem.of((*location, "on_s"), text, f"times that rise, from {previous_end:g} on")
                 break
             previous_end = end
 
@@ -273,23 +270,22 @@ def _lamp_problems(playpen: PlaypenTables) -> Iterator[Problem]:
 def _robot_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     """Yield the inconsistencies of the robots' keys."""
     spot_names = [spot.name for spot in playpen.spots]
-    for index, robot in enumerate(playpen.robots):
-        robot_name = part_label("robot", index + 1, robot.name)
+    for location, robot_name, robot in _labelled({"robot": playpen.robots}):
         roms = robot.robot_model.roms
         if robot.rom in roms and (reason := roms[robot.rom].refusal_reason(robot.mode)):
-            yield Problem(("robot", index, "mode"), f"{robot_name}: mode = {robot.mode}: {reason}")
+            yield Problem((*location, "mode"), f"{robot_name}: mode = {robot.mode}: {reason}")
         for key, value, expected in find_unfit_keys(robot):
             text = f"{robot_name}: {key} = {value!r} with model = {robot.model!r}"
-            yield Problem.of(("robot", index, key), text, expected)
+            yield Problem.of((*location, key), text, expected)
         try:
             find_turrets(robot.turrets)
         except TurretError as error:
             text = f"{robot_name}: turrets = {list(robot.turrets)}: {error}"
-            yield Problem(("robot", index, "turrets"), text)
+            yield Problem((*location, "turrets"), text)
         for name in robot.spots:
             if name not in spot_names:
                 text = f'{robot_name}: spots: "{name}": unknown'
-                yield Problem.of(("robot", index, "spots"), text, tuple(spot_names), name)
+                yield Problem.of((*location, "spots"), text, tuple(spot_names), name)
     used_names = {name for robot in playpen.robots for name in robot.spots}
     if used_names and used_names <= set(spot_names) and not assign_spots(playpen, list):
         text = "robots: there is not a spot for each of them, clear of the others"
@@ -308,12 +304,10 @@ def find_unfit_keys(robot: RobotEntry) -> Iterator[tuple[str, object, str]]:
 def _name_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     """Yield the names that two parts of any kinds share."""
     first_parts: dict[str, str] = {}
-    for kind, items in playpen.tables.items():
-        for index, item in enumerate(items):
-            name = part_label(kind, index + 1, item.name)
-            if item.name is not None and first_parts.setdefault(item.name, name) != name:
-                text = f'{name}: name = "{item.name}": taken by {first_parts[item.name]}'
-                yield Problem.of((kind, index, "name"), text, "a unique name")
+    for location, name, item in _labelled(playpen.tables):
+        if item.name is not None and first_parts.setdefault(item.name, name) != name:
+            text = f'{name}: name = "{item.name}": taken by {first_parts[item.name]}'
+            yield Problem.of((*location, "name"), text, "a unique name")
 
 
 def placed_parts(playpen: PlaypenTables) -> Iterator[PlacedPart]:

@@ -139,12 +139,17 @@ class Wall(TomlTable):
         return tuple(wall_pieces(self.points_mm, self.thickness_mm, closed=self.closed))
 
 
-class Patch(TomlTable):
-    """A part of the floor with another surface: a disc, or a rectangle at an angle. No sensor sees it."""
+class _PlacedTable(TomlTable):
+    """A part at a place in the arena."""
 
     name: ObjectName = None
     x_mm: Coordinate
     y_mm: Coordinate
+
+
+class Patch(_PlacedTable):
+    """A part of the floor with another surface: a disc, or a rectangle at an angle. No sensor sees it."""
+
     radius_mm: Size | None = None
     length_mm: Size | None = None
     width_mm: Size | None = None
@@ -174,7 +179,7 @@ class Spot(TomlTable):
     heading_deg: Angle
 
 
-class Block(TomlTable):
+class Block(_PlacedTable):
     """A cuboid on the floor, with its length along `angle_deg`. `mass_g` applies if it is movable.
 
     Attributes:
@@ -183,9 +188,6 @@ class Block(TomlTable):
             sensors do not see it.
     """
 
-    name: ObjectName = None
-    x_mm: Coordinate
-    y_mm: Coordinate
     angle_deg: Angle = 0.0
     length_mm: Size
     width_mm: Size
@@ -207,16 +209,13 @@ class Block(TomlTable):
         return (self.footprint,)
 
 
-class Cylinder(TomlTable):
+class Cylinder(_PlacedTable):
     """An upright cylinder on the floor. `mass_g` applies if it is movable.
 
     Attributes:
         stripes: Stripes around it.
     """
 
-    name: ObjectName = None
-    x_mm: Coordinate
-    y_mm: Coordinate
     radius_mm: Size
     height_mm: Height
     surface: Name = "white"
@@ -244,7 +243,7 @@ Obstacle = Block | Cylinder | Wall
 """A part that stands on the floor."""
 
 
-class Lamp(TomlTable):
+class Lamp(_PlacedTable):
     """A light bulb with its centre at x, y, z.
 
     Attributes:
@@ -258,9 +257,6 @@ class Lamp(TomlTable):
         flicker: Amplitude of its flicker, as a fraction of its light (`Lighting.mains_hz`).
     """
 
-    name: ObjectName = None
-    x_mm: Coordinate
-    y_mm: Coordinate
     z_mm: Height = 15.0
     power_w: Annotated[float, Field(ge=0, le=1000)]
     rgb: Colour = (255, 217, 77)
@@ -329,7 +325,7 @@ def model_defaults(model: str) -> Mapping[str, str]:
     return {"calibration": robot_model.calibration, "rom": next(iter(robot_model.roms))}
 
 
-class RobotEntry(TomlTable):
+class RobotEntry(_PlacedTable):
     """A robot at its start.
 
     Attributes:
@@ -344,9 +340,6 @@ class RobotEntry(TomlTable):
         battery_used_min: Minutes of operation on its battery before the start; on the charger if not given.
     """
 
-    name: ObjectName = None
-    x_mm: Coordinate
-    y_mm: Coordinate
     heading_deg: Angle
     spots: Annotated[
         tuple[str, ...], Field(max_length=1000, description='names of spots, such as ["a", "b"]')

@@ -6,7 +6,7 @@ assets/calibration are used by bare name, others by path. `khep_twin.sensors` ex
 
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import mode
-from typing import Annotated, Self, cast
+from typing import Annotated, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from khep_twin.units import (
     metres,
 )
 
+_Table = TypeVar("_Table", bound=TomlTable)
 _Gain = Annotated[float, Field(gt=0, le=1e8)]
 _Counts = Annotated[float, Field(ge=0, le=COUNTS_LIMIT)]
 _Threshold = Annotated[float, Field(ge=-COUNTS_LIMIT, le=2 * COUNTS_LIMIT)]
@@ -266,38 +267,38 @@ def vary(calibration: Calibration, rng: np.random.Generator) -> Calibration:
     radius, base, inequality, friction, no_load, stall, gear = deviations
     proximity, ambient = calibration.proximity, calibration.ambient
     wheels, motors = calibration.wheels, calibration.motors
-    return calibration.model_copy(
-        update={
-            "heading_deg": _shift(calibration.heading_deg, heading_errors[0]),
-            "proximity": proximity.model_copy(
-                update={
-                    "gain_counts_mm2": _scale(proximity.gain_counts_mm2, gains, common_gain),
-                    "threshold_counts": _scale(proximity.threshold_counts, thresholds),
-                }
-            ),
-            "ambient": ambient.model_copy(
-                update={
-                    "heading_deg": _shift(ambient.heading_deg, heading_errors[1]),
-                    "gain_counts_mm2_per_w": _scale(ambient.gain_counts_mm2_per_w, lamp_gains),
-                }
-            ),
-            "wheels": wheels.model_copy(
-                update={
-                    "radius_mm": wheels.radius_mm * (1 + RADIUS_SPREAD * radius),
-                    "right_over_left": wheels.right_over_left + INEQUALITY_SPREAD * inequality,
-                    "base_mm": wheels.base_mm * (1 + BASE_SPREAD * base),
-                    "friction": wheels.friction * (1 + FRICTION_SPREAD * friction),
-                }
-            ),
-            "motors": motors.model_copy(
-                update={
-                    "no_load_speed_rad_s": motors.no_load_speed_rad_s * (1 + NO_LOAD_SPREAD * no_load),
-                    "stall_torque_n_m": motors.stall_torque_n_m * (1 + STALL_SPREAD * stall),
-                    "friction_torque_n_m": motors.friction_torque_n_m * (1 + GEAR_SPREAD * gear),
-                }
-            ),
-        }
+    return _change(
+        calibration,
+        heading_deg=_shift(calibration.heading_deg, heading_errors[0]),
+        proximity=_change(
+            proximity,
+            gain_counts_mm2=_scale(proximity.gain_counts_mm2, gains, common_gain),
+            threshold_counts=_scale(proximity.threshold_counts, thresholds),
+        ),
+        ambient=_change(
+            ambient,
+            heading_deg=_shift(ambient.heading_deg, heading_errors[1]),
+            gain_counts_mm2_per_w=_scale(ambient.gain_counts_mm2_per_w, lamp_gains),
+        ),
+        wheels=_change(
+            wheels,
+            radius_mm=wheels.radius_mm * (1 + RADIUS_SPREAD * radius),
+            right_over_left=wheels.right_over_left + INEQUALITY_SPREAD * inequality,
+            base_mm=wheels.base_mm * (1 + BASE_SPREAD * base),
+            friction=wheels.friction * (1 + FRICTION_SPREAD * friction),
+        ),
+        motors=_change(
+            motors,
+            no_load_speed_rad_s=motors.no_load_speed_rad_s * (1 + NO_LOAD_SPREAD * no_load),
+            stall_torque_n_m=motors.stall_torque_n_m * (1 + STALL_SPREAD * stall),
+            friction_torque_n_m=motors.friction_torque_n_m * (1 + GEAR_SPREAD * gear),
+        ),
     )
+
+
+def _change(table: _Table, **values: object) -> _Table:
+    """Return a table with other values."""
+    return table.model_copy(update=values)
 
 
 def _scale(values: tuple[float, ...], factors: NDArray[np.float64], common: float = 1.0) -> tuple[float, ...]:

@@ -47,7 +47,7 @@ class LineWatch:
         time_ns = exchange.reply_ns
         ended = self._end_alarms(time_ns)
         if exchange.reply is not None and BANNER in exchange.reply:
-            if not _is_requested(exchange):
+            if not exchange.command.strip().startswith(b"restart"):  # as the host has requested
                 self.alarms.append(Alarm(RESTART, "line", time_ns, time_ns, 0.999))
         elif _is_bad(exchange):
             self._bad_ns.append(time_ns)
@@ -71,11 +71,6 @@ class LineWatch:
         if any(alarm.fault == LOSING for alarm in ended):
             self._bad_ns.clear()
         return tuple(replace(alarm, ended_ns=time_ns) for alarm in ended)
-
-
-def _is_requested(exchange: Exchange) -> bool:
-    """Return whether the host has requested a restart."""
-    return exchange.command.strip().startswith(b"restart")
 
 
 def _is_bad(exchange: Exchange) -> bool:

@@ -99,7 +99,7 @@ class ShadowLog(FileRecorder):
         self._file.add("/shadow/pose", channels.POSE_WITH_COVARIANCE, time_ns, message)
         message = channels.pose_message(time_ns, update.reckoned)
         self._file.add("/shadow/reckoned", channels.POSE, time_ns, message)
-        self._file.add("/tf", "tf2_msgs/msg/TFMessage", time_ns, self._ghost.message(time_ns, estimate.pose))
+        self._file.add("/tf", channels.TRANSFORMS, time_ns, self._ghost.message(time_ns, estimate.pose))
         self._add("expected", self._proximity, update.expected)
         self._add("measured", self._proximity, update.measured)
         self._add("residuals", self._residuals, np.hstack(update.residuals))

@@ -12,7 +12,7 @@ be read. The page loads nothing from outside, so it works without a network.
     session     common part of the actors: robot_session (a robot at a port) and twin_session
     paced_twin  a twin that can be watched, paused, and shared with an outside host
     jobs        jobs of the robot: controllers and sensor tests
-    print_capture, fork_guard   output and forks of controllers
+    print_capture   output of controllers
     challenges  programs scored in challenges
     messages    kinds of messages to the pages; broadcaster sends them
     requests    kinds of requests; answers turns them into actions and replies

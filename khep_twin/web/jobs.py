@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import Protocol
 
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controller_files import find_controller
@@ -28,11 +27,8 @@ Progress = Callable[[float], None]
 """Function that takes the completed part of a job, 0 to 1."""
 
 
-class Job(Protocol):
-    """Job of the robot."""
-
-    def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Do the job and report its progress, until it is done or `stop` returns True."""
+Job = Callable[[Khepera, Publish, Progress, Callable[[], bool]], None]
+"""Job of the robot: does it and reports its progress, until it is done or the last function returns True."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +49,9 @@ class SeriesJob:
     folder: Path | None
     robot: int = 0
 
-    def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
+    def __call__(
+        self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]
+    ) -> None:
         """Run the series."""
         plan = self.plan
         series_folder = None
@@ -84,44 +82,13 @@ class SeriesJob:
             publish_run(run)
 
 
-@dataclass(frozen=True, slots=True)
-class SensorJob:
-    """A sensor test and its picture.
+def file_job(request: RunRequest, documents: Documents, number: int) -> Job:
+    """Return a series whose controller is read in the job: its file may print, and may never return."""
 
-    Attributes:
-        test: Test to run.
-        save: Function that takes the data.
-        text: Description to save with them.
-    """
+    def do(robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
+        series_job(request, documents, number)(robot, publish, progress, stop)
 
-    test: SensorTest
-    save: Callable[[SensorRun], None]
-    text: str = ""
-
-    def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Run the test."""
-        run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
-        self.save(run)
-        publish({"kind": "sensed", "warning": run.warning})
-
-
-@dataclass(frozen=True, slots=True)
-class FileJob:
-    """A series whose controller is read in the job: its file may print, and may never return.
-
-    Attributes:
-        request: Request of the page.
-        documents: Files of the folder.
-        robot: Number of the robot that it drives.
-    """
-
-    request: RunRequest
-    documents: Documents
-    robot: int
-
-    def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
-        """Read the controller and run the series."""
-        series_job(self.request, self.documents, self.robot).do(robot, publish, progress, stop)
+    return do
 
 
 def series_job(request: RunRequest, documents: Documents, robot: int = 0) -> SeriesJob:
@@ -145,15 +112,25 @@ def series_job(request: RunRequest, documents: Documents, robot: int = 0) -> Ser
     return SeriesJob(name, controller, plan, folder, robot)
 
 
-def sensor_job(request: SenseRequest, save: Callable[[SensorRun], None]) -> SensorJob:
+def sensor_test(request: SenseRequest) -> SensorTest:
     """Return the sensor test that the page requests.
 
     Raises:
         SensorTestError: The test is invalid.
     """
     motion = (request.amount, None) if request.motion == "linear" else (None, request.amount)
-    test = SensorTest(request.what, *motion, request.speed, request.acceleration, request.back)
-    return SensorJob(test, save, request.text)
+    return SensorTest(request.what, *motion, request.speed, request.acceleration, request.back)
+
+
+def sensor_job(test: SensorTest, save: Callable[[SensorRun], None], text: str = "") -> Job:
+    """Return a sensor test with a description; `save` takes its data."""
+
+    def do(robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
+        run = sense(robot, test, text=text, progress=progress, stop=stop)
+        save(run)
+        publish({"kind": "sensed", "warning": run.warning})
+
+    return do
 
 
 def figure(run: SensorRun, sensor: str | None, y_min: int, grid: bool) -> bytes:

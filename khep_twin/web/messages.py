@@ -100,9 +100,9 @@ class Paths(TypedDict):
 
 
 class Ended(TypedDict):
-    """The session has ended."""
+    """The session has ended, or its job."""
 
-    kind: Literal["ended"]
+    kind: Literal["ended", "done"]
 
 
 class RoomFound(TypedDict):
@@ -123,9 +123,9 @@ class Refused(TypedDict):
 
 
 class Notice(TypedDict):
-    """A line for the user: an error of the session, or a note."""
+    """Text for the user: error, note, output of a program, or why a scoring has ended, empty if complete."""
 
-    kind: Literal["error", "note"]
+    kind: Literal["error", "note", "printed", "score-printed", "score-ended"]
     text: str
 
 
@@ -146,19 +146,6 @@ class Sensed(TypedDict):
 
     kind: Literal["sensed"]
     warning: str
-
-
-class Printed(TypedDict):
-    """Text printed by the program of a job or of a scoring."""
-
-    kind: Literal["printed", "score-printed"]
-    text: str
-
-
-class JobDone(TypedDict):
-    """The job is over."""
-
-    kind: Literal["done"]
 
 
 class Scoring(TypedDict):
@@ -191,13 +178,6 @@ class ScoreRows(TypedDict):
     rows: Sequence[Mapping[str, object]]
 
 
-class ScoreEnded(TypedDict):
-    """The scoring has ended; the text is the reason if it failed."""
-
-    kind: Literal["score-ended"]
-    text: str
-
-
 class FileSaved(TypedDict):
     """The page `by` has saved a file."""
 
@@ -215,9 +195,8 @@ class FromPage(TypedDict):
 
 
 SessionMessage = TwinStarted | RobotConnected | Picture | Paths | Ended | RoomFound | Refused | Notice
-JobMessage = RunDone | Sensed | Printed | JobDone
-ChallengeMessage = Scoring | Scored | ScoreRows | ScoreEnded
-Message = SessionMessage | JobMessage | ChallengeMessage | FileSaved | FromPage
+ChallengeMessage = Scoring | Scored | ScoreRows
+Message = SessionMessage | RunDone | Sensed | ChallengeMessage | FileSaved | FromPage
 
 REPORTS = ("error", "note", "refused", "score-ended")
 """Kinds whose "text" is the designer's and may contain file names."""

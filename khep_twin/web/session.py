@@ -12,6 +12,7 @@ answers with messages to the page. Two states describe an actor, its activity
                  +-------------+----- jobs or thread not over in time --> abandoned
 """
 
+import os
 import threading
 from collections.abc import Callable, Sequence
 from ctypes import c_ulong, py_object, pythonapi
@@ -19,9 +20,9 @@ from enum import IntEnum
 
 from khep_twin.errors import KhepTwinError, PortError, user_error_text
 from khep_twin.host import Khepera
+from khep_twin.process.machine import n_forks
 from khep_twin.robots.model import Feature, RobotModel
 from khep_twin.robots.registry import titles_with
-from khep_twin.web.fork_guard import ForkGuard
 from khep_twin.web.jobs import Job
 from khep_twin.web.messages import Message, Publish
 from khep_twin.web.print_capture import PrintBuffer, captured_by
@@ -60,7 +61,7 @@ class SessionActor:
         # Jobs report their completed part at each cycle; it is sent with the pictures.
         self._progress = 0.0
         self.output = PrintBuffer(self.publish, "printed")
-        self._fork_guard = ForkGuard()
+        self._n_forks = n_forks()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
 
     def begin(self) -> None:
@@ -148,7 +149,7 @@ class SessionActor:
         raise NotImplementedError
 
     def _set_progress(self, progress: float, robot: Khepera) -> None:
-        self._fork_guard.exit_if_forked()
+        self._exit_if_forked()
         self._progress = round(progress, 4)
 
     def _do_job(self, job: Job, robot: Khepera, stop: Callable[[], bool]) -> None:
@@ -156,13 +157,18 @@ class SessionActor:
         self._job_threads.add(threading.get_ident())
         try:
             with captured_by(self.output.add):
-                job.do(robot, self.publish, lambda part: self._set_progress(part, robot), stop)
+                job(robot, self.publish, lambda part: self._set_progress(part, robot), stop)
         except KhepTwinError as error:
             if not stop():
                 self.publish({"kind": "error", "text": error.plain})
         finally:
             self._job_threads.discard(threading.get_ident())
-            self._fork_guard.exit_if_forked()
+            self._exit_if_forked()
+
+    def _exit_if_forked(self) -> None:
+        """End this process immediately if it is a fork by a controller, with a copy of the session."""
+        if n_forks() != self._n_forks:
+            os._exit(0)
 
     def _finish_jobs(self) -> None:
         """Report the end of the jobs."""

@@ -128,7 +128,7 @@ class SessionActions:
         for name in names:
             if name and name not in BUILT_IN:
                 self._documents.path(name.partition(":")[0], *PROGRAM_SUFFIXES)
-        file_job = partial(jobs.FileJob, request, self._documents)
+        file_job = partial(jobs.file_job, request, self._documents)
         actor.start_jobs(*(file_job(index) if name else None for index, name in enumerate(names)))
 
     def _put_robot(self, request: requests.PutRequest) -> None:
@@ -146,7 +146,8 @@ class SessionActions:
         twin.switch_lamp(_check_index("lamp", request.lamp, twin.playpen.lamps), request.on, request.tab)
 
     def _sense(self, request: requests.SenseRequest) -> None:
-        self._running_actor().start_jobs(jobs.sensor_job(request, self._sensor_runs.append))
+        job = jobs.sensor_job(jobs.sensor_test(request), self._sensor_runs.append, request.text)
+        self._running_actor().start_jobs(job)
 
     def _figure(self, request: requests.FigureRequest) -> Response:
         picture = jobs.figure(self._latest_sensor_run(), request.sensor or None, request.y_min, request.grid)

@@ -606,7 +606,7 @@ def test_a_khepera4_is_drawn_chosen_saved_run_and_watched(visit: Visit, tmp_path
     visit.start()
     visit.wait_seconds(0)
     page.click("#run")
-    page.wait_for_selector(".banner.error >> text=robot 1 is a Khepera IV; expected a Khepera for programs")
+    page.wait_for_selector(".banner.error >> text=expected a Khepera or Khepera II for programs of the page")
     host = Khepera4(page.text_content("#port"))
     try:
         host.set_speed(0.05, 0.05)

@@ -32,7 +32,7 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.documents import Documents
 from khep_twin.web.drafts import draft_of
-from khep_twin.web.jobs import SensorJob, SeriesJob
+from khep_twin.web.jobs import SeriesJob, sensor_job
 from khep_twin.web.paced_twin import OutsideHost
 from khep_twin.web.requests import Request, RequestError, RunRequest, StartRequest
 from khep_twin.web.robot_session import RobotActor, _open_robot  # pyright: ignore[reportPrivateUsage]
@@ -244,7 +244,7 @@ def test_an_outside_host_shares_the_line_with_a_program_and_each_has_its_own_rep
 def test_a_sensor_test_gathers_rows(actor: TwinActor, inbox: Inbox) -> None:
     gathered: list[SensorRun] = []
     inbox.wait("twin")
-    actor.start_jobs(SensorJob(SensorTest(rotate_deg=30), gathered.append))
+    actor.start_jobs(sensor_job(SensorTest(rotate_deg=30), gathered.append))
     assert inbox.wait("sensed")["warning"] == gathered[0].warning
     assert len(gathered[0].times) > 5
 
@@ -269,7 +269,7 @@ def test_a_sensor_test_reports_where_nothing_was_within_reach(actor: TwinActor, 
         ("light", 300, ""),
     ):
         actor.put_robot(0, x_mm, 250, 180)
-        actor.start_jobs(SensorJob(SensorTest(what=quantity, rotate_deg=30), lambda run: None))
+        actor.start_jobs(sensor_job(SensorTest(what=quantity, rotate_deg=30), lambda run: None))
         text = inbox.wait("sensed")["warning"]
         assert (warning in text) if warning else not text
         inbox.wait("done")

@@ -1,7 +1,7 @@
 // Challenges: one program is scored, or all of a folder, in a process that the server supervises.
 
 import { download, post } from "./api.js";
-import { $, createRow } from "./page.js";
+import { $, appendOutput, createRow, showBlob } from "./page.js";
 
 const PASSED = new Map([[true, "passed"], [false, "failed"], [null, ""]]);
 
@@ -31,7 +31,7 @@ export class Challenges {
   // Handlers of messages by their kind (khep_twin/web/messages.py).
   messageHandlers = {
     scoring: (message) => this.#showStart(message),
-    "score-printed": ({ text }) => this.#appendOutput(text),
+    "score-printed": ({ text }) => appendOutput($("#score-printed"), text),
     scored: (message) => this.#showScore(message),
     "score-rows": (message) => this.#showRows(message),
     "score-ended": ({ text }) => this.#showEnd(text),
@@ -68,9 +68,7 @@ export class Challenges {
     const name = $("#challenge").value;
     const blob = await post("challenge-picture", { name });
     if (name !== $("#challenge").value) return;
-    const picture = $("#challenge-picture");
-    URL.revokeObjectURL(picture.src);
-    Object.assign(picture, { src: URL.createObjectURL(blob), alt: `The playpen: ${title}`, hidden: false });
+    showBlob($("#challenge-picture"), blob, `The playpen: ${title}`);
   }
 
   async #score() {
@@ -102,13 +100,6 @@ export class Challenges {
 
   #showStatus(text, kind = "") {
     Object.assign($("#score-status"), { textContent: text, className: kind });
-  }
-
-  #appendOutput(text) {
-    const box = $("#score-printed");
-    box.hidden = false;
-    box.textContent = (box.textContent + text).slice(-20000);
-    box.scrollTop = box.scrollHeight;
   }
 
   #showScore({ program, score, runs, passes, threshold, reference, reason }) {

@@ -1,7 +1,7 @@
 // Programs and sensor tests that drive a twin or a robot at a port: their choice, start and results.
 
 import { post } from "./api.js";
-import { $, create, createRow, readNumber } from "./page.js";
+import { $, create, createRow, readNumber, showBlob } from "./page.js";
 
 export class Driving {
   #programNames = [];
@@ -70,11 +70,7 @@ export class Driving {
 
   async #showFigure() {
     const blob = await post("figure", { sensor: $("#sensor").value || null, y_min: readNumber("#y-min") ?? 0, grid: $("#with-grid").checked });
-    const picture = $("#figure");
-    URL.revokeObjectURL(picture.src);
-    picture.src = URL.createObjectURL(blob);
-    picture.alt = "Counts of the sensors over the path";
-    picture.hidden = false;
+    showBlob($("#figure"), blob, "Counts of the sensors over the path");
   }
 
   // Shows the result of a sensor test, and its warning if there is one.
@@ -90,14 +86,5 @@ export class Driving {
     const robotLabel = this.running.robots.length > 1 ? `robot ${robot + 1}: ` : "";
     const cells = [`${robotLabel}${number}${stopped ? ", stopped" : ""}`, cycles, seconds.toFixed(1), fitness?.toPrecision(3) ?? "–", distance_m?.toPrecision(3) ?? "–"];
     $("#runs-done tbody").append(createRow(...cells));
-  }
-
-  // Appends output of the program and scrolls to its end, unless the user has scrolled up.
-  appendOutput(text) {
-    const box = $("#printed");
-    const isAtEnd = box.scrollTop + box.clientHeight >= box.scrollHeight - 4;
-    box.hidden = false;
-    box.textContent = (box.textContent + text).slice(-20000);
-    if (isAtEnd) box.scrollTop = box.scrollHeight;
   }
 }

@@ -36,16 +36,13 @@ export class LivePlan {
     const { drawing } = this;
     this.#nodes = robots.map((robot, index) => {
       const node = drawing.createRobot(null, robot.turrets, robot);
-      const rays = robot.sensors.map(([x, y, heading]) => {
-        const fan = createSvg("path", { class: "ray", d: "M0 0L40 -14A42 42 0 0 1 40 14Z", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.06 });
-        node.prepend(fan);
-        return fan;
+      const addRays = (poses, keys) => poses.map(([x, y, heading]) => {
+        const ray = createSvg("path", { class: "ray", transform: `translate(${x} ${y}) rotate(${heading})`, ...keys });
+        node.prepend(ray);
+        return ray;
       });
-      const beams = robot.sonar.map(([x, y, heading]) => {
-        const beam = createSvg("path", { class: "ray", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.12 });
-        node.prepend(beam);
-        return beam;
-      });
+      const rays = addRays(robot.sensors, { d: "M0 0L40 -14A42 42 0 0 1 40 14Z", opacity: 0.06 });
+      const beams = addRays(robot.sonar, { opacity: 0.12 });
       const leds = (robot.leds_mm ?? []).map(([cx, cy]) => createSvg("circle", { cx, cy, r: 4, visibility: "hidden" }));
       node.append(...leds);
       node.classList.add("live", "part");

@@ -17,3 +17,17 @@ export const createRow = (...texts) => create("tr", {}, ...texts.map((textConten
 export function setText(node, text) {
   if (node.textContent !== `${text}`) node.textContent = text;
 }
+
+// Appends output of a program to a box and scrolls to its end, unless the user has scrolled up.
+export function appendOutput(box, text) {
+  const isAtEnd = box.scrollTop + box.clientHeight >= box.scrollHeight - 4;
+  box.hidden = false;
+  box.textContent = (box.textContent + text).slice(-20000);
+  if (isAtEnd) box.scrollTop = box.scrollHeight;
+}
+
+// Shows a picture in an image element.
+export function showBlob(image, blob, alt) {
+  URL.revokeObjectURL(image.src);
+  Object.assign(image, { src: URL.createObjectURL(blob), alt, hidden: false });
+}

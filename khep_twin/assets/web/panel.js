@@ -42,20 +42,14 @@ export class Panel {
     this.proximityBars = [];
     this.lightBars = [];
     const parts = [createSvg("circle", { r: radius, fill: "var(--robot)", stroke: "var(--edge)" }), createSvg("path", { d: nosePath(n_ground ? radius + 7 : radius - 3), fill: "none", stroke: "var(--edge)", "stroke-width": 1.4 })];
-    for (const [ahead, left] of sensors) {
-      const [x, y] = [-left * 1.5, -ahead * 1.5 + (ahead > 0 ? 3 : 12)];
-      const [proximity, light] = [bar(x - 2.4, y, RED, "proximity"), bar(x + 2.4, y, ORANGE, "light")];
-      parts.push(groove(x - 2.4, y, BAR), groove(x + 2.4, y, BAR), proximity, light);
-      this.proximityBars.push([proximity, y, BAR]);
-      this.lightBars.push([light, y, BAR]);
-    }
-    for (let index = 0; index < n_ground; index++) {
-      const [x, y, height] = [8.8 * (index - (n_ground - 1) / 2), -15.5, 9];
-      const [proximity, light] = [bar(x - 2.2, y, RED, "proximity"), bar(x + 2.2, y, ORANGE, "light")];
-      parts.push(groove(x - 2.2, y, height), groove(x + 2.2, y, height), proximity, light);
+    const addBars = (x, y, offset, height) => {
+      const [proximity, light] = [bar(x - offset, y, RED, "proximity"), bar(x + offset, y, ORANGE, "light")];
+      parts.push(groove(x - offset, y, height), groove(x + offset, y, height), proximity, light);
       this.proximityBars.push([proximity, y, height]);
       this.lightBars.push([light, y, height]);
-    }
+    };
+    for (const [ahead, left] of sensors) addBars(-left * 1.5, -ahead * 1.5 + (ahead > 0 ? 3 : 12), 2.4, BAR);
+    for (let index = 0; index < n_ground; index++) addBars(8.8 * (index - (n_ground - 1) / 2), -15.5, 2.2, 9);
     this.motors = [-1, 1].map((side) => {
       const motor = bar(side * 15, 0, BLUE, "speed");
       parts.push(createSvg("rect", { x: side * (n_ground ? base / 2 : 22) - 1.2, y: -7.5, width: 2.4, height: 15, fill: "var(--wheel)" }), createSvg("rect", { x: side * 15 - 2, y: -BAR, width: 4, height: 2 * BAR, fill: "var(--groove)" }), createSvg("path", { d: `M${side * 15 - 3} 0h6`, stroke: "var(--edge)" }), motor);

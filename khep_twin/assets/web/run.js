@@ -6,7 +6,7 @@ import { Driving } from "./driving.js";
 import { Handling } from "./handling.js";
 import { LivePlan } from "./live.js";
 import { readUndoKey } from "./model.js";
-import { $, readNumber, setText } from "./page.js";
+import { $, appendOutput, readNumber, setText } from "./page.js";
 import { Panel, SENSORS, Strip } from "./panel.js";
 
 // States in which a button is enabled, by its data-when.
@@ -122,7 +122,7 @@ export class Running {
     paths: ({ paths }) => this.plan.addPaths(paths),
     picture: (message) => this.#showPicture(message),
     run: (message) => this.driving.addRun(message),
-    printed: ({ text }) => this.driving.appendOutput(text),
+    printed: ({ text }) => appendOutput($("#printed"), text),
     sensed: ({ warning }) => this.driving.showSensorTest(warning),
     done: () => {
       this.isBusy = false;

@@ -27,6 +27,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.text import escape_surrogates
 from khep_twin.log.batch_writer import BatchWriter
+from khep_twin.log.channels import LINES, STRING
 from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
 from khep_twin.log.tail import GrowingLog
@@ -51,7 +52,7 @@ CPU_SHARE = 0.25
 CURVE_LENGTH_S = 60.0
 """Length of the curves of an unfinished run [s]."""
 
-_TEXT_SCHEMAS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
+_TEXT_SCHEMAS = LINES, STRING
 _HIDDEN = re.compile("|".join(HIDDEN_TOPICS))
 _LOG_TIMEOUT_S = 10.0
 """Longest wait for the log of a run that is started together with the viewer (assumed) [s]."""

@@ -208,8 +208,9 @@ def write_still(recording: Path, at_s: float, target: Path, replace: bool) -> No
             with suppress(Exception):  # it may have exited
                 viewer.quit()
     except Exception as error:  # rerun raises errors of many types, at the start or later
+        reason, *_ = str(error).splitlines() or [type(error).__name__]
         raise LogError(
-            f"{target}: rerun's viewer cannot draw here: {_first_line(error)}; expected Vulkan, of a "
+            f"{target}: rerun's viewer cannot draw here: {reason}; expected Vulkan, of a "
             "graphics driver or of the package mesa-vulkan-drivers"
         ) from error
     write_drawing(target, picture, replace)
@@ -230,7 +231,3 @@ def _open_at(viewer: "rx.ViewerClient", recording: Path, at_s: float) -> None:
                 raise
             time.sleep(0.2)
     time.sleep(_SETTLING_S)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

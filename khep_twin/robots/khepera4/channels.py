@@ -1,4 +1,4 @@
-"""Channels of a Khepera IV in a log: names of their numbers, and their unit in brackets.
+"""Numbers of a Khepera IV, and its channels in a log: names of their numbers, and their unit in brackets.
 
 The gauge counts voltage in 9.76 mV, current in 0.0781 mA, charge in 1.6 mAh, temperature in 1/256 degree C.
 """
@@ -12,6 +12,18 @@ ULTRASONIC = ("left", "front left", "front", "front right", "right")
 
 ULTRASONIC_CODES = (0, 1000, 2000)
 """Ultrasonic readings without a distance: too near, no echo, disabled (library)."""
+
+BAUD = 115_200
+"""Speed of the serial line [baud] (manual, chapter 6)."""
+
+BINARY_BYTES = 128
+"""Length of the reply to X."""
+
+COUNTS_PER_G, DEGREES_PER_COUNT = 16_384, 0.066
+"""Scales of the accelerometer, 12 bits, shifted left by 4, and of the gyroscope [deg/s] (manual)."""
+
+PACKET_SIZE = 10
+"""Values that the accelerometer and the gyroscope send together for each axis, the newest first (manual)."""
 
 LEDS = ("left", "right", "back")
 """Names of the LEDs of three colours, in the order of the registers."""
@@ -29,8 +41,8 @@ CHANNELS = {
     "duty": "left, right [-2940 to 2940]",
     "leds": ", ".join(f"{led} {colour}" for led in LEDS for colour in ("red", "green", "blue"))
     + " [0 to 63]",
-    "accelerometer": f"{_AXES} [1/16384 g]",
-    "gyroscope": f"{_AXES} [0.066 deg/s]",
+    "accelerometer": f"{_AXES} [1/{COUNTS_PER_G} g]",
+    "gyroscope": f"{_AXES} [{DEGREES_PER_COUNT} deg/s]",
     "battery": "voltage, current, charge, temperature [gauge]",
     "control": "type, on target, ultrasonic enabled, status LED [register]",
 }

@@ -24,6 +24,7 @@ from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.moves import check_finite
+from khep_twin.robots.khepera4.channels import BAUD, COUNTS_PER_G, DEGREES_PER_COUNT, PACKET_SIZE
 from khep_twin.robots.khepera4.host_results import Battery, Distances, InfraredCounts, Vector3, Wheels
 from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
 from khep_twin.units import GRAVITY
@@ -39,10 +40,7 @@ SPEED_UNIT = PULSE_LENGTH / 0.01
 WHEEL_BASE = BODY.wheel_base
 """Distance of the wheels [m]."""
 
-N_SAMPLES = 10
-"""Values of an accelerometer or a gyroscope in a reply."""
-
-_ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / 16_384, math.radians(0.066)
+_ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / COUNTS_PER_G, math.radians(DEGREES_PER_COUNT)
 """Units of the accelerometer [m/s^2] and of the gyroscope [rad/s] (library)."""
 
 _POLL_INTERVAL_S, _ARRIVAL_PULSES = 0.05, 200
@@ -76,7 +74,7 @@ class Khepera4(HostRobot):
         self,
         url: StrPath | serial.SerialBase,
         timeout: float | None = None,
-        baudrate: int = 115_200,
+        baudrate: int = BAUD,
         *,
         retries: int = 1,
         wheel_base: float = WHEEL_BASE,
@@ -219,11 +217,11 @@ class Khepera4(HostRobot):
 
         At rest x and y are 0 and z is -9.81.
         """
-        return self._run(query("T", 3 * N_SAMPLES, lambda values: _vectors(values, _ACCELERATION_UNIT)))
+        return self._run(query("T", 3 * PACKET_SIZE, lambda values: _vectors(values, _ACCELERATION_UNIT)))
 
     def turn_rates(self) -> tuple[Vector3, ...]:
         """Return the last ten values of the gyroscope, newest first [rad/s]; z to the left (command S)."""
-        return self._run(query("S", 3 * N_SAMPLES, lambda values: _vectors(values, _TURN_RATE_UNIT)))
+        return self._run(query("S", 3 * PACKET_SIZE, lambda values: _vectors(values, _TURN_RATE_UNIT)))
 
     def read_panel(self) -> dict[str, list[int]]:
         """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [pulses/10 ms]."""
@@ -232,7 +230,8 @@ class Khepera4(HostRobot):
 
     def battery(self) -> Battery:
         """Return the state of the battery (command V, once for each value)."""
-        values = [self._run(_battery_value(kind)) for kind in range(7)]
+        commands = (HostCommand(f"V,{kind}", _parse_battery_value, repeatable=True) for kind in range(7))
+        values = [self._run(command) for command in commands]
         voltage, current, average_current, charge_mah, temperature, percent, charger = values
         amperes = current / 1000, average_current / 1000
         return Battery(voltage / 1000, *amperes, charge_mah, temperature, percent / 100, bool(charger))
@@ -276,10 +275,9 @@ def _to_pulses(name: str, unit: float, values: Sequence[float]) -> list[int]:
 
 def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:
     """Return the vectors of a reply, which lists all x, then all y, then all z."""
-    axes = [values[start : start + N_SAMPLES] for start in range(0, 3 * N_SAMPLES, N_SAMPLES)]
+    axes = [values[start : start + PACKET_SIZE] for start in range(0, 3 * PACKET_SIZE, PACKET_SIZE)]
     return tuple(Vector3(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
 
 
-def _battery_value(kind: int) -> HostCommand[float]:
-    """Return command V for a kind of value, by its place in the reply of `battery`."""
-    return HostCommand(f"V,{kind}", lambda reply: float(split_reply("v", 1, reply)[0]), repeatable=True)
+def _parse_battery_value(reply: str) -> float:
+    return float(split_reply("v", 1, reply)[0])

@@ -3,8 +3,10 @@
 import math
 from typing import NamedTuple, Self
 
-_SPECIAL_DISTANCES = {1000: math.inf, 2000: None}
-"""Distances of ultrasonic readings without an echo, and of disabled sensors."""
+from khep_twin.robots.khepera4.channels import ULTRASONIC_CODES
+
+_SPECIAL_DISTANCES: dict[int, float | None] = dict(zip(ULTRASONIC_CODES, (0.0, math.inf, None), strict=True))
+"""Distances of ultrasonic readings that are codes."""
 
 
 class InfraredCounts(NamedTuple):

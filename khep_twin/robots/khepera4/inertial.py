@@ -12,20 +12,12 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from khep_twin.compilable import compilable
+from khep_twin.robots.khepera4.channels import COUNTS_PER_G, DEGREES_PER_COUNT, PACKET_SIZE
 from khep_twin.robots.khepera4.dspic import write_number
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.noise import Tables, draws
 from khep_twin.units import GRAVITY, TICK_NS
-
-COUNTS_PER_G = 16_384
-"""Scale of the accelerometer: 12 bits, shifted left by 4 (manual)."""
-
-DEGREES_PER_COUNT = 0.066
-"""Scale of the gyroscope [deg/s] (manual)."""
-
-PACKET_SIZE = 10
-"""Values of a packet, the newest first (manual)."""
 
 GYROSCOPE_NS = 1_000_000_000 // 95
 """Period of the gyroscope [ns]."""

@@ -8,6 +8,7 @@ from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.khepera4.channels import (
     AROUND,
+    BAUD,
     CHANNELS,
     GROUND,
     LEDS,
@@ -85,7 +86,7 @@ KHEPERA_4 = RobotModel(
     body=BODY,
     calibration="khepera4",
     # The server has no banner and one baud rate (manual, chapter 6).
-    roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(115_200)})},
+    roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)})},
     channels=parse_channels(CHANNELS),
     bars=bars_of(dark=980, speed=500),
     # D does not stop the server's vehicle, and H and K are not reads.
@@ -96,7 +97,7 @@ KHEPERA_4 = RobotModel(
         probes=("B", "E", "R", "G"),
         stop_requests=("A,2", "D,0,0"),
         moving=("A", "D", "F", "L"),
-        baud=115_200,
+        baud=BAUD,
     ),
     parts={
         **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),

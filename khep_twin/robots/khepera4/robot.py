@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from khep_twin import step
 from khep_twin.robots.khepera4 import gauge, ultrasonic
-from khep_twin.robots.khepera4.channels import ULTRASONIC_CODES
+from khep_twin.robots.khepera4.channels import PACKET_SIZE, ULTRASONIC_CODES
 from khep_twin.robots.khepera4.core import (
     BURST,
     ECHO,
@@ -20,7 +20,7 @@ from khep_twin.robots.khepera4.core import (
     wheel_pulses,
 )
 from khep_twin.robots.khepera4.dspic import N_MEMORY, N_ULTRASONIC, Dspic
-from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS, PACKET_SIZE
+from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS
 from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import DspicRegister

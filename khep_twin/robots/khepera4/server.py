@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 from khep_twin.board.kernel import divide
 from khep_twin.firmware import FirmwareState
+from khep_twin.robots.khepera4.channels import BAUD, BINARY_BYTES, PACKET_SIZE
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
@@ -38,9 +39,6 @@ MARGIN = 20
 LONGEST_LINE = 82
 """Bytes of a command that are read; the rest of its line is discarded."""
 
-BINARY_BYTES = 128
-"""Length of X's reply, of which the first 67 bytes are meaningful."""
-
 LEFT_WEIGHTS, RIGHT_WEIGHTS = (2, 3, 4, -7, -4, -3, -2, 1), (-2, -3, -4, -9, 4, 3, 2, 1)
 FORWARD_SPEED, MIN_SPEED, TURN_SPEED = 200, 10, 120
 SATURATION, THRESHOLD, GAIN_DIVISOR = 500, 80, 3
@@ -54,6 +52,27 @@ WANDERING, _TURNING, _N_STILL, _LAST_LEFT, _LAST_RIGHT = range(5)
 """Indices in the state of the vehicle: whether it drives, whether it turns in place, control periods without
 motion, and position at the last motion [pulses]."""
 N_VEHICLE = 5
+
+_READS = {
+    "e": (DspicRegister.SPEED_LEFT, 2, 2, True),
+    "g": (DspicRegister.ULTRASONIC, N_ULTRASONIC, 2, False),
+    "n": (DspicRegister.PROXIMITY, N_INFRARED, 2, False),
+    "o": (DspicRegister.AMBIENT, N_INFRARED, 2, False),
+    "r": (DspicRegister.POSITION_LEFT, 2, 4, True),
+    "s": (DspicRegister.GYROSCOPE, 3 * PACKET_SIZE, 2, True),
+    "t": (DspicRegister.ACCELEROMETER, 3 * PACKET_SIZE, 2, True),
+}
+"""Commands that read numbers: first register, count, bytes of each, and whether they are signed."""
+
+_WRITES = {
+    "d": (DspicRegister.SPEED_ORDER_LEFT, 2, 2, Control.SPEED),
+    "f": (DspicRegister.POSITION_ORDER_LEFT, 2, 4, Control.POSITION),
+    "h": (DspicRegister.KP, 3, 1, None),
+    "l": (DspicRegister.PWM_ORDER_LEFT, 2, 2, Control.OPEN_LOOP),
+    "p": (DspicRegister.POSITION_MARGIN, 1, 2, None),
+    "u": (DspicRegister.ULTRASONIC_ENABLED, 1, 1, None),
+}
+"""Commands that write their values: first register, count, bytes of each, and the control type to set."""
 
 _FRONT = 3
 _INTEGER = re.compile(rb"\s*[+-]?\d+")
@@ -124,7 +143,7 @@ class Kh4Server(LineServer):
         vehicle = self._vehicle
         if not vehicle[WANDERING]:
             return
-        proximity, position = self._read_words(DspicRegister.PROXIMITY, 8), self._read_positions()
+        proximity, position = self._read(DspicRegister.PROXIMITY, len(LEFT_WEIGHTS)), self._read(*_READS["r"])
         last_position = vehicle[_LAST_LEFT], vehicle[_LAST_RIGHT]
         is_still = all(
             abs(new - old) < MOVED_PULSES for new, old in zip(position, last_position, strict=True)
@@ -149,17 +168,22 @@ class Kh4Server(LineServer):
         self._order_speeds(orders)
 
     def execute(self, request: bytes) -> bytes:
-        """Execute a command by its method, `_on_a` for A; return its reply, ERROR if that returns None."""
+        """Execute a command by the tables, or by its method, `_on_a` for A; return its reply or ERROR."""
         fields = [field for field in request[2:].split(b",") if field]
         values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
-        letter = request[:1].decode("latin-1")
-        handler = getattr(self, f"_on_{letter.lower()}", None) if "A" <= letter <= "Z" else None
-        reply = None if handler is None else handler(values)
+        letter = request[:1].decode("latin-1").lower() if request[:1].isupper() else ""
+        if letter in _READS:
+            reply = self._read(*_READS[letter])
+        elif letter in _WRITES:
+            register, count, size, control = _WRITES[letter]
+            self._set_control(control)
+            reply = self._write(register, _pad_values(values, count), size)
+        else:
+            handler = getattr(self, f"_on_{letter}", None)
+            reply = None if handler is None else handler(values)
         if reply is None:
             return ERROR
-        if isinstance(reply, bytes):
-            return reply
-        return ",".join([letter.lower(), *map(str, reply)]).encode() + END
+        return reply if isinstance(reply, bytes) else ",".join([letter, *map(str, reply)]).encode() + END
 
     def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
         if values not in ([0], [1]):
@@ -171,30 +195,13 @@ class Kh4Server(LineServer):
             return () if values == [2] else None
         self._set_profile(WANDERING_PROFILE)
         self._set_control(Control.SPEED_PROFILE)
-        for index, value in enumerate((1, 0, 0, *self._read_positions())):
+        for index, value in enumerate((1, 0, 0, *self._read(*_READS["r"]))):
             self._vehicle[index] = value
         return ()
 
     def _on_b(self, values: Sequence[int]) -> Sequence[object]:
         revision = self._dspic.read(DspicRegister.REVISION, 1)[0]
         return chr((revision >> 4) + ord("A")), revision & 0x0F
-
-    def _on_d(self, values: Sequence[int]) -> Sequence[int]:
-        self._set_control(Control.SPEED)
-        return self._write(DspicRegister.SPEED_ORDER_LEFT, _pad_values(values, 2))
-
-    def _on_e(self, values: Sequence[int]) -> Sequence[int]:
-        return self._read_words(DspicRegister.SPEED_LEFT, 2, signed=True)
-
-    def _on_f(self, values: Sequence[int]) -> Sequence[int]:
-        self._set_control(Control.POSITION)
-        return self._write(DspicRegister.POSITION_ORDER_LEFT, _pad_values(values, 2), size=4)
-
-    def _on_g(self, values: Sequence[int]) -> Sequence[int]:
-        return self._read_words(DspicRegister.ULTRASONIC, N_ULTRASONIC)
-
-    def _on_h(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(DspicRegister.KP, _pad_values(values, 3), size=1)
 
     def _on_i(self, values: Sequence[int]) -> Sequence[int]:
         return self._write(DspicRegister.RESET_ENCODERS, [0], size=1)
@@ -207,41 +214,17 @@ class Kh4Server(LineServer):
             return None
         return self._write(DspicRegister.LEDS, [value & 0x3F for value in values], size=1)
 
-    def _on_l(self, values: Sequence[int]) -> Sequence[int]:
-        self._set_control(Control.OPEN_LOOP)
-        return self._write(DspicRegister.PWM_ORDER_LEFT, _pad_values(values, 2))
-
     def _on_m(self, values: Sequence[int]) -> Sequence[int]:
         self._set_defaults()
         return ()
-
-    def _on_n(self, values: Sequence[int]) -> Sequence[int]:
-        return self._read_words(DspicRegister.PROXIMITY, N_INFRARED)
-
-    def _on_o(self, values: Sequence[int]) -> Sequence[int]:
-        return self._read_words(DspicRegister.AMBIENT, N_INFRARED)
-
-    def _on_p(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(DspicRegister.POSITION_MARGIN, _pad_values(values, 1))
-
-    def _on_r(self, values: Sequence[int]) -> Sequence[int]:
-        return self._read_positions()
-
-    def _on_s(self, values: Sequence[int]) -> Sequence[int]:
-        return self._read_words(DspicRegister.GYROSCOPE, 30, signed=True)
-
-    def _on_t(self, values: Sequence[int]) -> Sequence[int]:
-        return self._read_words(DspicRegister.ACCELEROMETER, 30, signed=True)
-
-    def _on_u(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(DspicRegister.ULTRASONIC_ENABLED, _pad_values(values, 1), size=1)
 
     def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
         """Return one value of the battery, by its kind: 0 voltage [mV] to 7 status of the gauge."""
         if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
             return None
         block = self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)
-        current, average, temperature = (_decode_signed(block[offset : offset + 2]) for offset in (4, 6, 8))
+        signed = (int.from_bytes(block[start : start + 2], "little", signed=True) for start in (4, 6, 8))
+        current, average, temperature = signed
         voltage = int.from_bytes(block[10:12], "little")
         values_by_kind: Sequence[object] = (
             f"{voltage * 9.76:.0f}",
@@ -260,7 +243,7 @@ class Kh4Server(LineServer):
             self._dspic.read(register, 2 * N_INFRARED)[1:] + b"\0"
             for register in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
         ]
-        motors = (*self._read_words(DspicRegister.SPEED_LEFT, 2, signed=True), *self._read_positions())
+        motors = *self._read(*_READS["e"]), *self._read(*_READS["r"])
         reply = b"".join([b"x", *readings, *(value.to_bytes(4, "little", signed=True) for value in motors)])
         return (reply + b"\n\r").ljust(BINARY_BYTES, b"\0")
 
@@ -284,8 +267,9 @@ class Kh4Server(LineServer):
         is_open = self._dspic.read(DspicRegister.CONTROL, 1)[0] == Control.OPEN_LOOP
         self._write(DspicRegister.PWM_ORDER_LEFT if is_open else DspicRegister.SPEED_ORDER_LEFT, orders)
 
-    def _set_control(self, control: Control) -> None:
-        self._write(DspicRegister.CONTROL, [control], size=1)
+    def _set_control(self, control: Control | None) -> None:
+        if control is not None:
+            self._write(DspicRegister.CONTROL, [control], size=1)
 
     def _write(self, register: DspicRegister, values: Sequence[int], size: int = 2) -> Sequence[int]:
         """Write numbers of `size` bytes, truncated as in C; return the values of an empty reply."""
@@ -293,21 +277,15 @@ class Kh4Server(LineServer):
         self._dspic.write(bytes([register]) + b"".join((v & mask).to_bytes(size, "little") for v in values))
         return ()
 
-    def _read_words(self, register: DspicRegister, count: int, *, signed: bool = False) -> tuple[int, ...]:
-        """Return numbers of two bytes."""
-        content = self._dspic.read(register, 2 * count)
-        pairs = (content[offset : offset + 2] for offset in range(0, 2 * count, 2))
-        return tuple(int.from_bytes(pair, "little", signed=signed) for pair in pairs)
-
-    def _read_positions(self) -> tuple[int, int]:
-        content = self._dspic.read(DspicRegister.POSITION_LEFT, 8)
-        return _decode_signed(content[:4]), _decode_signed(content[4:])
+    def _read(
+        self, register: DspicRegister, count: int, size: int = 2, signed: bool = False
+    ) -> tuple[int, ...]:
+        """Return numbers of `size` bytes."""
+        content = self._dspic.read(register, size * count)
+        numbers = (content[offset : offset + size] for offset in range(0, size * count, size))
+        return tuple(int.from_bytes(number, "little", signed=signed) for number in numbers)
 
 
 def _pad_values(values: Sequence[int], count: int) -> list[int]:
     """Return the first `count` values, 0 for missing ones."""
     return [*values, *[0] * count][:count]
-
-
-def _decode_signed(content: bytes) -> int:
-    return int.from_bytes(content, "little", signed=True)

@@ -43,6 +43,10 @@ enum variable { PRELOAD, SOCKET, CLOCK, ETC };
 
 extern HIDDEN int simulated;
 
+/* Define a function whose result is another with a simulated clock. */
+#define REPLACE(name, parameters, arguments, result)                                                         \
+    int name parameters { return simulated ? (result) : REAL(name) arguments; }
+
 /* A file descriptor of this library. The program may close it, and its number may become another file's, so
    the kernel's number of the file is compared before each use. */
 struct private { int fd; uint64_t inode; };
@@ -104,3 +108,6 @@ HIDDEN long call_futex(uint32_t *word, int operation, uint32_t value, const stru
 static inline struct timespec time_of(int64_t ns) { return (struct timespec){ns / BILLION, ns % BILLION}; }
 static inline struct timeval us_of(int64_t ns) { return (struct timeval){ns / BILLION, ns % BILLION / 1000}; }
 static inline int64_t ns_of(const struct timespec *time) { return to_ns(time->tv_sec, time->tv_nsec); }
+static inline int64_t ns_of_us(const struct timeval *time) {
+    return to_ns(time->tv_sec, time->tv_usec * 1000LL);
+}

@@ -96,6 +96,7 @@ static int is_own(const pthread_mutex_t *mutex) {
 
 #define MUTEX pthread_mutex_t *mutex
 #define RWLOCK pthread_rwlock_t *rwlock
+#define CONDITION pthread_cond_t *condition
 #define SEM sem_t *sem
 #define DEADLINE const struct timespec *limit
 #define CLOCK clockid_t clock
@@ -107,37 +108,19 @@ int pthread_mutex_timedlock(MUTEX, DEADLINE) {
     return simulated && !is_own(mutex) ? acquire(try_mutex, mutex, limit, 0)
                                           : REAL(pthread_mutex_timedlock)(mutex, limit);
 }
-int pthread_mutex_clocklock(MUTEX, CLOCK, DEADLINE) {
-    return simulated ? pthread_mutex_timedlock(mutex, limit)
-                     : REAL(pthread_mutex_clocklock)(mutex, clock, limit);
-}
-int pthread_rwlock_rdlock(RWLOCK) {
-    return simulated ? acquire(try_read, rwlock, NULL, 0) : REAL(pthread_rwlock_rdlock)(rwlock);
-}
-int pthread_rwlock_wrlock(RWLOCK) {
-    return simulated ? acquire(try_write, rwlock, NULL, 0) : REAL(pthread_rwlock_wrlock)(rwlock);
-}
-int pthread_rwlock_timedrdlock(RWLOCK, DEADLINE) {
-    return simulated ? acquire(try_read, rwlock, limit, 0) : REAL(pthread_rwlock_timedrdlock)(rwlock, limit);
-}
-int pthread_rwlock_timedwrlock(RWLOCK, DEADLINE) {
-    return simulated ? acquire(try_write, rwlock, limit, 0) : REAL(pthread_rwlock_timedwrlock)(rwlock, limit);
-}
-int pthread_rwlock_clockrdlock(RWLOCK, CLOCK, DEADLINE) {
-    return simulated ? pthread_rwlock_timedrdlock(rwlock, limit)
-                     : REAL(pthread_rwlock_clockrdlock)(rwlock, clock, limit);
-}
-int pthread_rwlock_clockwrlock(RWLOCK, CLOCK, DEADLINE) {
-    return simulated ? pthread_rwlock_timedwrlock(rwlock, limit)
-                     : REAL(pthread_rwlock_clockwrlock)(rwlock, clock, limit);
-}
-int sem_wait(SEM) { return simulated ? c_result(-acquire(try_token, sem, NULL, 1)) : REAL(sem_wait)(sem); }
-int sem_timedwait(SEM, DEADLINE) {
-    return simulated ? c_result(-acquire(try_token, sem, limit, 1)) : REAL(sem_timedwait)(sem, limit);
-}
-int sem_clockwait(SEM, CLOCK, DEADLINE) {
-    return simulated ? sem_timedwait(sem, limit) : REAL(sem_clockwait)(sem, clock, limit);
-}
+REPLACE(pthread_mutex_clocklock, (MUTEX, CLOCK, DEADLINE), (mutex, clock, limit),
+        pthread_mutex_timedlock(mutex, limit))
+REPLACE(pthread_rwlock_rdlock, (RWLOCK), (rwlock), acquire(try_read, rwlock, NULL, 0))
+REPLACE(pthread_rwlock_wrlock, (RWLOCK), (rwlock), acquire(try_write, rwlock, NULL, 0))
+REPLACE(pthread_rwlock_timedrdlock, (RWLOCK, DEADLINE), (rwlock, limit), acquire(try_read, rwlock, limit, 0))
+REPLACE(pthread_rwlock_timedwrlock, (RWLOCK, DEADLINE), (rwlock, limit), acquire(try_write, rwlock, limit, 0))
+REPLACE(pthread_rwlock_clockrdlock, (RWLOCK, CLOCK, DEADLINE), (rwlock, clock, limit),
+        pthread_rwlock_timedrdlock(rwlock, limit))
+REPLACE(pthread_rwlock_clockwrlock, (RWLOCK, CLOCK, DEADLINE), (rwlock, clock, limit),
+        pthread_rwlock_timedwrlock(rwlock, limit))
+REPLACE(sem_wait, (SEM), (sem), c_result(-acquire(try_token, sem, NULL, 1)))
+REPLACE(sem_timedwait, (SEM, DEADLINE), (sem, limit), c_result(-acquire(try_token, sem, limit, 1)))
+REPLACE(sem_clockwait, (SEM, CLOCK, DEADLINE), (sem, clock, limit), sem_timedwait(sem, limit))
 
 static int released(const void *address, int result) {
     if (simulated && !result)
@@ -151,7 +134,7 @@ int sem_post(SEM) { return released(sem, REAL(sem_post)(sem)); }
 
 static void relock(void *mutex) { pthread_mutex_lock(mutex); }
 
-static int wait_for_condition(pthread_cond_t *condition, MUTEX, DEADLINE) {
+static int wait_for_condition(CONDITION, MUTEX, DEADLINE) {
     int result, error;
     if (limit && (limit->tv_nsec < 0 || limit->tv_nsec >= 1000000000))
         return EINVAL;
@@ -168,23 +151,17 @@ static int wait_for_condition(pthread_cond_t *condition, MUTEX, DEADLINE) {
     return error ? error : result ? 0 : ETIMEDOUT;
 }
 
-int pthread_cond_wait(pthread_cond_t *condition, MUTEX) {
-    return simulated ? wait_for_condition(condition, mutex, NULL) : REAL(pthread_cond_wait)(condition, mutex);
-}
-int pthread_cond_timedwait(pthread_cond_t *condition, MUTEX, DEADLINE) {
-    return simulated ? wait_for_condition(condition, mutex, limit)
-                     : REAL(pthread_cond_timedwait)(condition, mutex, limit);
-}
-int pthread_cond_clockwait(pthread_cond_t *condition, MUTEX, CLOCK, DEADLINE) {
-    return simulated ? wait_for_condition(condition, mutex, limit)
-                     : REAL(pthread_cond_clockwait)(condition, mutex, clock, limit);
-}
-int pthread_cond_signal(pthread_cond_t *condition) {
+REPLACE(pthread_cond_wait, (CONDITION, MUTEX), (condition, mutex), wait_for_condition(condition, mutex, NULL))
+REPLACE(pthread_cond_timedwait, (CONDITION, MUTEX, DEADLINE), (condition, mutex, limit),
+        wait_for_condition(condition, mutex, limit))
+REPLACE(pthread_cond_clockwait, (CONDITION, MUTEX, CLOCK, DEADLINE), (condition, mutex, clock, limit),
+        wait_for_condition(condition, mutex, limit))
+int pthread_cond_signal(CONDITION) {
     if (simulated)
         notify(condition, 1);
     return REAL(pthread_cond_signal)(condition);
 }
-int pthread_cond_broadcast(pthread_cond_t *condition) {
+int pthread_cond_broadcast(CONDITION) {
     if (simulated)
         notify(condition, 0);
     return REAL(pthread_cond_broadcast)(condition);

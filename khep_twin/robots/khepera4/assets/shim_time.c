@@ -29,7 +29,6 @@ int64_t now(void) {
 int64_t to_ns(int64_t seconds, int64_t ns) {
     return seconds > NEVER / 2 / BILLION ? NEVER / 2 : seconds * BILLION + ns;
 }
-static int64_t ns_of_us(const struct timeval *time) { return to_ns(time->tv_sec, time->tv_usec * 1000LL); }
 
 /* Convert a time of any clock to the twin's: clocks that start at 0 never reach the first day. */
 int64_t since_start(const struct timespec *time) {
@@ -100,19 +99,14 @@ clock_t times(struct tms *result) {
 }
 
 /* Clocks cannot be set. */
-int clock_settime(clockid_t clock, const struct timespec *time) {
-    return simulated ? c_result(-EPERM) : REAL(clock_settime)(clock, time);
-}
-int settimeofday(const struct timeval *time, const struct timezone *zone) {
-    return simulated ? c_result(-EPERM) : REAL(settimeofday)(time, zone);
-}
+REPLACE(clock_settime, (clockid_t clock, const struct timespec *time), (clock, time), c_result(-EPERM))
+REPLACE(settimeofday, (const struct timeval *time, const struct timezone *zone), (time, zone),
+        c_result(-EPERM))
 
 /* Waits for a time --------------------------------------------------------------------------------------- */
 
-int usleep(useconds_t us) {
-    return simulated ? c_result(wait_until(RELATIVE, (struct limit){us * 1000LL}, NULL, 0, NULL, NULL))
-                     : REAL(usleep)(us);
-}
+REPLACE(usleep, (useconds_t us), (us),
+        c_result(wait_until(RELATIVE, (struct limit){us * 1000LL}, NULL, 0, NULL, NULL)))
 
 unsigned int sleep(unsigned int seconds) {
     int64_t left = 0;
@@ -170,15 +164,13 @@ static int is_external(int fd) {
     return external;
 }
 
-int nanosleep(const struct timespec *requested, struct timespec *left) {
-    return simulated ? c_result(-sleep_for(RELATIVE, requested, left)) : REAL(nanosleep)(requested, left);
-}
+REPLACE(nanosleep, (const struct timespec *requested, struct timespec *left), (requested, left),
+        c_result(-sleep_for(RELATIVE, requested, left)))
 
-int clock_nanosleep(clockid_t clock, int flags, const struct timespec *requested, struct timespec *left) {
-    if (!simulated)
-        return REAL(clock_nanosleep)(clock, flags, requested, left);
-    return sleep_for(flags & TIMER_ABSTIME ? ABSOLUTE : RELATIVE, requested, left);
-}
+REPLACE(clock_nanosleep,
+        (clockid_t clock, int flags, const struct timespec *requested, struct timespec *left),
+        (clock, flags, requested, left),
+        sleep_for(flags & TIMER_ABSTIME ? ABSOLUTE : RELATIVE, requested, left))
 
 /* Waits for file descriptors ----------------------------------------------------------------------------- */
 
@@ -216,11 +208,8 @@ static int read_limit(const struct timespec *limit, int64_t *ns) {
     return 0;
 }
 
-int poll(struct pollfd *fds, nfds_t count, int ms) {
-    int64_t left;
-    return simulated ? c_result(poll_for(fds, count, ms * 1000000LL, NULL, &left))
-                     : REAL(poll)(fds, count, ms);
-}
+REPLACE(poll, (struct pollfd *fds, nfds_t count, int ms), (fds, count, ms),
+        c_result(poll_for(fds, count, ms * 1000000LL, NULL, &(int64_t){0})))
 
 int ppoll(struct pollfd *fds, nfds_t count, const struct timespec *limit, const sigset_t *mask) {
     int64_t left, ns;
@@ -303,10 +292,8 @@ static int epoll_for(int fd, struct epoll_event *events, int size, int64_t ns, c
     return result < 0 ? c_result(result) : REAL(epoll_pwait)(fd, events, size, 0, NULL);
 }
 
-int epoll_pwait(int fd, struct epoll_event *events, int size, int ms, const sigset_t *mask) {
-    return simulated ? epoll_for(fd, events, size, ms * 1000000LL, mask)
-                     : REAL(epoll_pwait)(fd, events, size, ms, mask);
-}
+REPLACE(epoll_pwait, (int fd, struct epoll_event *events, int size, int ms, const sigset_t *mask),
+        (fd, events, size, ms, mask), epoll_for(fd, events, size, ms * 1000000LL, mask))
 
 int epoll_pwait2(int fd, struct epoll_event *events, int size, const struct timespec *limit,
                  const sigset_t *mask) {
@@ -316,9 +303,8 @@ int epoll_pwait2(int fd, struct epoll_event *events, int size, const struct time
     return read_limit(limit, &ns) ? -1 : epoll_for(fd, events, size, ns, mask);
 }
 
-int epoll_wait(int fd, struct epoll_event *events, int size, int ms) {
-    return simulated ? epoll_pwait(fd, events, size, ms, NULL) : REAL(epoll_wait)(fd, events, size, ms);
-}
+REPLACE(epoll_wait, (int fd, struct epoll_event *events, int size, int ms), (fd, events, size, ms),
+        epoll_pwait(fd, events, size, ms, NULL))
 
 /* Sockets with a time-out (SO_RCVTIMEO): wait before the call; return 0, or -1 and EAGAIN or EINTR. */
 int wait_to_receive(int fd, int flags) {
@@ -431,10 +417,9 @@ int pthread_timedjoin_np(pthread_t thread, void **result, const struct timespec 
     return error == EBUSY ? ETIMEDOUT : error;
 }
 
-int pthread_clockjoin_np(pthread_t thread, void **result, clockid_t clock, const struct timespec *limit) {
-    return simulated ? pthread_timedjoin_np(thread, result, limit)
-                     : REAL(pthread_clockjoin_np)(thread, result, clock, limit);
-}
+REPLACE(pthread_clockjoin_np,
+        (pthread_t thread, void **result, clockid_t clock, const struct timespec *limit),
+        (thread, result, clock, limit), pthread_timedjoin_np(thread, result, limit))
 
 /* C11: -1 after a signal handler, below -1 after another error. */
 int thrd_sleep(const struct timespec *requested, struct timespec *left) {

@@ -185,8 +185,6 @@ static void release(struct timer *timer) {
     unlock_timers(&saved);
 }
 
-static int64_t ns_of_us(const struct timeval *time) { return to_ns(time->tv_sec, time->tv_usec * 1000LL); }
-
 static int64_t set_alarm(int64_t ns, int64_t period, int64_t *interval) {
     int64_t now_ns = now();
     timers[0].use = ALARM;
@@ -270,17 +268,9 @@ int timer_settime(timer_t number, int flags, const struct itimerspec *value, str
     return timer ? set_timer(timer, flags & TIMER_ABSTIME, value, old) : c_result(-EINVAL);
 }
 
-int timer_gettime(timer_t number, struct itimerspec *value) {
-    if (!simulated)
-        return REAL(timer_gettime)(number, value);
-    return posix_timer(number) ? get_timer(posix_timer(number), value) : c_result(-EINVAL);
-}
-
-int timer_getoverrun(timer_t number) {
-    if (!simulated)
-        return REAL(timer_getoverrun)(number);
-    return posix_timer(number) ? 0 : c_result(-EINVAL);
-}
+REPLACE(timer_gettime, (timer_t number, struct itimerspec *value), (number, value),
+        posix_timer(number) ? get_timer(posix_timer(number), value) : c_result(-EINVAL))
+REPLACE(timer_getoverrun, (timer_t number), (number), posix_timer(number) ? 0 : c_result(-EINVAL))
 
 int timer_delete(timer_t number) {
     if (!simulated)

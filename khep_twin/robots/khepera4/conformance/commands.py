@@ -3,17 +3,19 @@
 import re
 
 from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check, expect_range
+from khep_twin.robots.khepera4.channels import (
+    AROUND,
+    BINARY_BYTES,
+    GROUND,
+    PACKET_SIZE,
+    ULTRASONIC,
+    ULTRASONIC_CODES,
+)
 from khep_twin.robots.khepera4.conformance.grammar import PUBLISHED, REVISION, expect_refused
 from khep_twin.units import COUNTS_LIMIT
 
-N_INFRARED, N_ULTRASONIC, N_INERTIAL = 12, 5, 30
-"""Values in the replies to N and O, to G, and to S and T."""
-
-BINARY_BYTES = 128
-"""Length of X's reply."""
-
-TOO_NEAR_CM, NOTHING_CM, DISABLED_CM = 0, 1000, 2000
-"""Readings of the ultrasonic sensors that are codes, not distances."""
+_TOO_NEAR_CM, _NO_ECHO_CM, _DISABLED_CM = ULTRASONIC_CODES
+_N_INFRARED = len(AROUND) + len(GROUND)
 
 _ROUND_S = 0.3
 """Time in which every ultrasonic sensor measures more than twice [s]."""
@@ -47,35 +49,35 @@ def positions(line: CheckedPort) -> None:
 
 @check("N reads twelve proximity values of 10 bits", "6, command N")
 def proximity(line: CheckedPort) -> None:
-    expect_range("N", line.numbers("N", N_INFRARED), 0, COUNTS_LIMIT)
+    expect_range("N", line.numbers("N", _N_INFRARED), 0, COUNTS_LIMIT)
 
 
 @check("O reads twelve ambient light values of 10 bits", "6, command O")
 def ambient(line: CheckedPort) -> None:
-    expect_range("O", line.numbers("O", N_INFRARED), 0, COUNTS_LIMIT)
+    expect_range("O", line.numbers("O", _N_INFRARED), 0, COUNTS_LIMIT)
 
 
 @check("G reads five distances, of those sensors that U enables", "6, commands G and U")
 def ultrasonic(line: CheckedPort) -> None:
     for mask in (0, 4, 17, 31):
         line.order(f"U,{mask}", pause=_ROUND_S)
-        for sensor, value in enumerate(line.numbers("G", N_ULTRASONIC)):
+        for sensor, value in enumerate(line.numbers("G", len(ULTRASONIC))):
             enabled = mask >> sensor & 1
-            is_valid = value in (TOO_NEAR_CM, NOTHING_CM) or 25 <= value <= 250
-            if not (is_valid if enabled else value == DISABLED_CM):
-                expected = "25 to 250, 0 or 1000" if enabled else str(DISABLED_CM)
+            is_valid = value in (_TOO_NEAR_CM, _NO_ECHO_CM) or 25 <= value <= 250
+            if not (is_valid if enabled else value == _DISABLED_CM):
+                expected = "25 to 250, 0 or 1000" if enabled else str(_DISABLED_CM)
                 raise Deviation(f"after U,{mask} sensor {sensor} of G read {value}; expected {expected}")
 
 
 @check("S reads ten turn rates of three axes", "6, command S", at_rest=True)
 def gyroscope(line: CheckedPort) -> None:
-    expect_range("S", line.numbers("S", N_INERTIAL), -1000, 1000)
+    expect_range("S", line.numbers("S", 3 * PACKET_SIZE), -1000, 1000)
 
 
 @check("T reads ten accelerations of three axes, the last minus 1 g", "6, command T", at_rest=True)
 def accelerometer(line: CheckedPort) -> None:
     line.sleep(0.2)
-    values = line.numbers("T", N_INERTIAL)
+    values = line.numbers("T", 3 * PACKET_SIZE)
     expect_range("T", values[:20], -6000, 6000)
     expect_range("T", values[20:], -20_000, -12_000)
 
@@ -132,6 +134,6 @@ def binary(line: CheckedPort) -> None:
 def reset(line: CheckedPort) -> None:
     line.order("P,20", "U,0", "Z", pause=_ROUND_S)
     expect_range("R", line.numbers("R", 2), -3, 3)
-    if DISABLED_CM in (distances := line.numbers("G", N_ULTRASONIC)):
+    if _DISABLED_CM in (distances := line.numbers("G", len(ULTRASONIC))):
         raise Deviation(f"after U,0 and Z G gave {distances}; expected all sensors enabled")
     line.order("M")
