@@ -33,9 +33,10 @@ run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated s
 
 setup: $(VENV)/dev.stamp ## the environment with the tools of the test suite; again after a change of pyproject.toml
 
+# Python keeps its bytecode: otherwise each process translates all sources, and each worker all tests.
 test: $(VENV)/dev.stamp ## the whole test suite
 	@echo "khep_twin: $(or $(TESTS),the whole test suite: about five minutes on two cores)"
-	@$(BIN)/python -m pytest -n auto --dist worksteal $(TESTS)
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal $(TESTS)
 
 check: $(VENV)/dev.stamp ## style and types
 	@$(BIN)/ruff check .

@@ -22,13 +22,23 @@ from pathlib import Path
 from typing import Any
 
 PRELOADED = (
+    "khep_twin.board.gripper_body",
     "khep_twin.cli.app",
+    "khep_twin.cli.serve",
     "khep_twin.host",
+    "khep_twin.host.khepera",
+    "khep_twin.lab.experiment.experiment",
+    "khep_twin.lab.experiment.series_run",
     "khep_twin.log.recorder",
+    "khep_twin.ports.link",
     "khep_twin.ports.network",
+    "khep_twin.ports.pty",
     "khep_twin.ports.relay",
     "khep_twin.ports.serve",
     "khep_twin.ports.twin",
+    "khep_twin.robots.khepera.robot",
+    "khep_twin.robots.khepera4.command",
+    "khep_twin.vision.k213_body",
     "serial.rfc2217",
 )
 _SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of prctl(2): who inherits a process whose parent has ended

@@ -31,9 +31,12 @@ GOOD = (toml_files.folder("playpens") / "obstacles.toml").read_text()
 def process(
     *arguments: str | Path, before: Callable[[], None] | None = None
 ) -> "subprocess.CompletedProcess[str]":
-    """A command in its own process."""
+    """A command in its own process, which calls `before` first."""
+    words = [sys.executable, "-m", "khep_twin", *map(str, arguments)]
+    if before is None:
+        return run_python([*words], timeout=120)
     return subprocess.run(
-        [sys.executable, "-m", "khep_twin", *map(str, arguments)],
+        words,
         capture_output=True,
         text=True,
         timeout=120,

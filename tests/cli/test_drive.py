@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forked import run_python
 from scheduling_delay import SchedulingDelay
 from shares import share
 
@@ -256,6 +257,6 @@ def test_a_drive_on_a_twin_in_this_process_takes_its_time_and_is_logged(tmp_path
 
 def test_without_a_terminal_it_says_so(fake: FakeRobot) -> None:
     command = [sys.executable, "-m", "khep_twin", "drive", fake.url]
-    result = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    result = run_python(command, stdin=subprocess.DEVNULL)
     assert result.returncode == 1
     assert "there is no terminal to drive from" in result.stderr

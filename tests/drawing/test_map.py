@@ -17,6 +17,7 @@ from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
+from shares import share
 
 from khep_twin import playpen as playpens
 from khep_twin.drawing.map import POINT_LIMIT, draw, save
@@ -272,7 +273,7 @@ def test_a_track_is_finite_and_has_a_place_for_every_time(time_s: list[float], x
         DrawnPath("khepera0", np.array(time_s, float), np.array(xy_mm, float))
 
 
-@pytest.mark.parametrize("name", playpens.names())
+@pytest.mark.parametrize("name", share(playpens.names(), 3))
 def test_every_shipped_playpen_can_be_drawn(tmp_path: Path, name: str) -> None:
     file = tmp_path / f"{name}.png"
     save(draw(Playpen.load(name)), file)

@@ -4,6 +4,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from forked import Forked, run_python
 from serial.tools import list_ports
 from served_twin import LISTS_PORTS, served
 from shares import share
@@ -51,7 +52,7 @@ def test_the_old_name_of_a_ports_description_warns() -> None:
 def test_the_command_lists_and_asks() -> None:
     def run_ports(*options: str) -> subprocess.CompletedProcess[str]:
         command = [*LISTS_PORTS, *options]
-        return subprocess.run(command, capture_output=True, text=True, check=True)
+        return run_python(command)
 
     with served("default", "--mode", "2", "--strict-line") as (_, path):
         assert f"{path}  twin in default\n" in run_ports().stdout
@@ -67,7 +68,7 @@ def test_asking_leaves_a_running_session_undisturbed(options: str) -> None:
     command = [*LISTS_PORTS, "--probe"]
     with served("default", *options.split()) as (process, url):
         with Khepera(url) as robot:
-            probe = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            probe = Forked(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             n_exchanges = 0
             while probe.poll() is None:
                 robot.set_position(n_exchanges, -n_exchanges)
@@ -78,7 +79,7 @@ def test_asking_leaves_a_running_session_undisturbed(options: str) -> None:
         assert f"{url}  twin in default: in use by " in output
         assert errors == ""
         # With the host gone it is asked.
-        free = subprocess.run(command, capture_output=True, text=True, check=True)
+        free = run_python(command)
         assert f"{url}  twin in default: BIOS 5.02, protocol 5.01 at 9600 baud\n" in free.stdout
         process.terminate()
         assert process.stderr is not None
@@ -104,13 +105,13 @@ def test_looking_for_ports_opens_none_of_them() -> None:
         events = open_events(path)
         if events is None:
             pytest.skip("there is no inotify here")
-        subprocess.run(LISTS_PORTS, capture_output=True, check=True)
+        assert run_python([*LISTS_PORTS]).returncode == 0
         assert path in dict(completion.ports())
         assert path in twins()
         assert events.drain() == []
         with Khepera(path):
             events.drain()
-            subprocess.run([*LISTS_PORTS, "--probe"], capture_output=True, check=True)
+            assert run_python([*LISTS_PORTS, "--probe"]).returncode == 0
             assert path in dict(completion.ports())
             assert Event.OPENED not in events.drain()
         events.close()

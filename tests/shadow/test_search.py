@@ -143,11 +143,11 @@ def test_a_wheel_that_has_come_to_a_stand_is_told_from_a_robot_that_was_put_else
 
 
 def test_nothing_is_told_of_what_was_too_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(search, "MAX_AGE_NS", 2 * SECOND)
+    monkeypatch.setattr(search, "MAX_AGE_NS", SECOND)
     turning = Turning()
     nothing = turning.search.search_since(turning.filter, Onset(0, (0,), 0), CHANGES, ALL)
     assert nothing is None
-    turning.turn(4)
+    turning.turn(2)
     assert turning.run_search(0).probabilities[0] > 0.9
 
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from forked import Forked
 from test_study import STUDY, loaded
 from typer.testing import CliRunner
 
@@ -162,7 +163,7 @@ def test_a_killed_sweep_keeps_whole_parts_and_goes_on(tmp_path: Path) -> None:
     file = loaded(tmp_path, text)
     parts = tmp_path / "out" / "parts"
     words = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml")]
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL) as sweep:
+    with Forked(words, stdout=subprocess.DEVNULL) as sweep:
         start = time.monotonic()
         while len(list(parts.glob("task-*.parquet"))) < 4 and time.monotonic() - start < 300:
             time.sleep(0.01)
@@ -203,7 +204,7 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done
     file = loaded(tmp_path, text)
     output = tmp_path / "another one"
     words = [sys.executable, "-m", "khep_twin", "sweep", str(tmp_path / "study.toml"), "-o", str(output)]
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as sweep:
+    with Forked(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as sweep:
         start = time.monotonic()
         while len(list(output.glob("parts/task-*.parquet"))) < 2 and time.monotonic() - start < 300:
             time.sleep(0.01)

@@ -1,12 +1,11 @@
 """Faults of the Khepera Toolbox for Matlab with playpens and placement, which khep_twin does not have."""
 
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import good
 from scenes import arena, robot, table
 from scipy.io import savemat
 
@@ -67,7 +66,6 @@ def test_a_scanned_playpen_comes_out_the_right_way_up(tmp_path: Path) -> None:
     drawn = np.ones((500, 600))
     drawn[40:60, 50:110] = 44
     savemat(tmp_path / "scan.mat", {"btmap1": np.flipud(drawn)})
-    command = ["playpen", "import", str(tmp_path / "scan.mat"), "-o", str(tmp_path / "scan.toml")]
-    subprocess.run([sys.executable, "-m", "khep_twin", *command], check=True, capture_output=True, timeout=60)
+    good("playpen", "import", tmp_path / "scan.mat", "-o", tmp_path / "scan.toml")
     (one,) = Playpen.load(tmp_path / "scan.toml").blocks
     assert (one.x_mm, one.y_mm, one.length_mm, one.width_mm) == (80, 450, 60, 20)
