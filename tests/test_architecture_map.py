@@ -100,7 +100,9 @@ def test_each_path_on_the_map_exists() -> None:
 
 def test_the_map_has_all_readers_of_obstacles() -> None:
     row = next(row for row in MAP.read_text().splitlines() if row.startswith("| walls and objects"))
-    pattern = re.compile(r"\b(?:playpen|self)\.obstacles\.(?:items|values)\(|(?:\*\*|_labelled\()playpen\.obstacles\b")
+    pattern = re.compile(
+        r"\b(?:playpen|self)\.obstacles\.(?:items|values)\(|(?:\*\*|_labelled\()playpen\.obstacles\b"
+    )
     modules = (ROOT / "khep_twin").rglob("*.py")
     counts = {path.relative_to(ROOT).as_posix(): len(pattern.findall(path.read_text())) for path in modules}
     readers = {path: count for path, count in counts.items() if count}

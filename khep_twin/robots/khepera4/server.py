@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 from khep_twin.board.kernel import divide
 from khep_twin.firmware import FirmwareState
-from khep_twin.robots.khepera4.channels import BAUD, BINARY_BYTES, PACKET_SIZE
+from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
