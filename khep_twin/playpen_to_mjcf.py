@@ -30,6 +30,7 @@ from khep_twin.playpen.parts import Obstacle
 from khep_twin.playpen.polygon import walls_around
 from khep_twin.playpen.stripes import Panel, panels, panels_within
 from khep_twin.playpen.surfaces import Surface
+from khep_twin.robots.model import robot_name
 from khep_twin.robots.to_mjcf import SOLIMP, SOLREF, add_contact, add_robot
 from khep_twin.sensing.line_faces import STRIPE
 from khep_twin.sensing.mujoco_scene import GROUND_GROUP
@@ -109,7 +110,7 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     turret_geoms: list[list[str]] = []
     controls: list[float] = []
     for index, robot in enumerate(playpen.robots):
-        prefix = f"khepera{index}/"
+        prefix = f"{robot_name(index)}/"
         names, robot_controls = add_robot(spec, prefix, robot, grounds)
         turret_geoms.append(names)
         controls += robot_controls

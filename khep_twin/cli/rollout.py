@@ -26,6 +26,7 @@ from khep_twin.cli.options import (
 )
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import ControllerError, DivergedError
+from khep_twin.robots.model import robot_name
 
 if TYPE_CHECKING:
     from khep_twin.board.fault_injection import Fault
@@ -235,14 +236,14 @@ def _print_results(
 
     typer.echo(f"{periods} cycles in {seconds:.1f} s")
     if (n_robots := len(robot_metrics)) > 1:
-        typer.echo(f"{'':20}" + "".join(f"{f'khepera{robot}':<12}" for robot in range(n_robots)).rstrip())
+        typer.echo(f"{'':20}" + "".join(f"{robot_name(robot):<12}" for robot in range(n_robots)).rstrip())
     for line in metric_lines(robot_metrics):  # homing is undefined without a home
         typer.echo(line)
     if picture is not None:
         import numpy as np
 
         drawn_paths = [
-            drawing.DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
+            drawing.DrawnPath(robot_name(robot), np.array(times), 1000 * np.array(path)[:, :2])
             for robot, path in enumerate(paths)
         ]
         drawing.save(drawing.draw(playpen, drawn_paths), picture, force)

@@ -47,6 +47,7 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.files.drawings import write_drawing
 from khep_twin.files.paths import StrPath
 from khep_twin.playpen import Playpen, PlaypenLike, Wall
+from khep_twin.robots.model import robot_name
 from khep_twin.units import BODY_RADIUS
 
 POINT_LIMIT = 20_000
@@ -132,9 +133,9 @@ def draw(
             if robot.spots:
                 continue  # Its spot is not yet known.
             draw_robot(axes, robot)
-            labels.add(robot.x_mm, robot.y_mm, 1000 * robot.body.radius + 4, f"khepera{index}")
+            labels.add(robot.x_mm, robot.y_mm, 1000 * robot.body.radius + 4, robot_name(index))
         draw_lamps(axes, labels, playpen)
-        radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
+        radii = {robot_name(index): robot.body.radius for index, robot in enumerate(playpen.robots)}
         for index, track in enumerate(tracks):
             default = None if time_scale is not None else _COLOURS[index % len(_COLOURS)]
             colour = colours.get(track.robot, default)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from khep_twin.drawing.map import draw
 from khep_twin.drawing.symbols import INK, Look, draw_object, draw_robot
 from khep_twin.playpen import Playpen
+from khep_twin.robots.model import robot_name
 
 Pose = tuple[float, float, float]
 """x, y [m] and heading [rad]."""
@@ -57,7 +58,7 @@ class MovingMap:
         ]
         text_style: Look = {"ha": "center", "va": "top", "fontsize": 7.5, "color": INK}
         count = len(playpen.robots) if len(playpen.robots) > 1 else 0
-        self._labels = [self._axes.text(0, 0, f"khepera{index}", **text_style) for index in range(count)]
+        self._labels = [self._axes.text(0, 0, robot_name(index), **text_style) for index in range(count)]
         self._label_offsets_mm = [1000 * robot.body.radius + 4 for robot in playpen.robots]
 
     def picture(self, robots: Sequence[Pose], objects: Sequence[Pose]) -> NDArray[np.uint8]:

@@ -30,6 +30,7 @@ from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.process.one_thread import one_thread
+from khep_twin.robots.model import robot_name
 
 try:
     from gymnasium.spaces import Space
@@ -81,7 +82,7 @@ class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArr
         }
         self._window = open_window(render_mode, self.metadata)
         self.max_episode_steps = self._setup.n_steps
-        self.possible_agents = [f"khepera{index}" for index in range(robots)]
+        self.possible_agents = [robot_name(index) for index in range(robots)]
         self.agents: list[str] = []
         self.labels = self._setup.task.labels
         self.observation_spaces: dict[str, Space[Any]] = {}

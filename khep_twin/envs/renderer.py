@@ -21,6 +21,7 @@ from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Lamp
+from khep_twin.robots.model import robot_name
 from khep_twin.simulation.mujoco_forms import movable_names
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ class Renderer:
             self._renderer, self._data = mujoco.Renderer(render_model, HEIGHT, WIDTH), mujoco.MjData(model)
         data, arena = self._data, episode.setup.playpen.arena
         if planar:
-            _set_poses(data, ["khepera0/base", *movable_names(episode.setup.playpen)], episode)
+            _set_poses(data, [f"{robot_name(0)}/base", *movable_names(episode.setup.playpen)], episode)
         else:
             data.qpos[:] = episode.data.qpos
         mujoco.mj_kinematics(model, data)

@@ -36,7 +36,7 @@ from khep_twin.playpen.checks import require_feature
 from khep_twin.playpen.starts import Start
 from khep_twin.process.one_thread import one_thread
 from khep_twin.robots.core import update_registers
-from khep_twin.robots.model import Feature
+from khep_twin.robots.model import Feature, robot_name
 from khep_twin.simulation.ready import find_missing_numba, function_of, part_of, when_ready
 from khep_twin.world import World
 
@@ -314,7 +314,7 @@ class Episode(NotCopied):
         """Return whether a robot touched anything but the floor in the last step."""
         if isinstance(self._world, PlanarWorld):
             return self._world.is_pushed
-        return in_contact(self.data, f"khepera{robot}/base")
+        return in_contact(self.data, f"{robot_name(robot)}/base")
 
     @one_thread
     def metrics(self, robot: int = 0) -> dict[str, float]:

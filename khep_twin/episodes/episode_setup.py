@@ -13,6 +13,7 @@ from khep_twin.errors import PlaypenError, RobotModelError
 from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.robots.core import core_of
+from khep_twin.robots.model import robot_name
 from khep_twin.sensing import calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.mujoco_forms import SceneModel
@@ -102,7 +103,7 @@ class EpisodeSetup:
         self.steps_per_period = n_steps(period_ns, self.step_ns)
         self.entry = robots[0]
         self.calibration = calibration.read(self.entry.calibration)[0]
-        self.indices = RobotIndices.of(self.model, "khepera0")
+        self.indices = RobotIndices.of(self.model, robot_name(0))
         self.planar_scene = PlanarScene(playpen, self.model, self.indices, step_ns) if planar else None
 
     def __reduce__(self) -> tuple[object, ...]:

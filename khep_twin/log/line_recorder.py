@@ -23,9 +23,10 @@ from khep_twin.log.sample_layout import channel_names_message
 from khep_twin.log.transcript import Transcript
 from khep_twin.robots.framing import LINES
 from khep_twin.robots.khepera.robot import SAMPLED
+from khep_twin.robots.model import robot_name
 from khep_twin.units import K213_NUMBER, K213_PIXELS
 
-ROBOT = "khepera0"
+ROBOT = robot_name(0)
 """Name of the robot in the log."""
 
 _REPLIES = {

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Mapping
 from tomllib import TOMLDecodeError, loads
 from typing import Any, cast
 
-from khep_twin.robots.model import RobotModel
+from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.robots.registry import (
     DEFAULT,
     default_model,
@@ -34,7 +34,7 @@ def models_of(
     entries: list[Any] = cast(list[Any], tables) if isinstance(tables, list) else []
     if not all(isinstance(entry, dict) for entry in entries):
         entries = []
-    names = {f"khepera{index}": str(entry.get("model", DEFAULT)) for index, entry in enumerate(entries)}
+    names = {robot_name(index): str(entry.get("model", DEFAULT)) for index, entry in enumerate(entries)}
     models: dict[str, RobotModel] = {}
     for robot in robots:
         if (model := installed_models().get(names.get(robot, ""))) is None:

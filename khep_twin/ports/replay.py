@@ -22,6 +22,7 @@ from khep_twin.log.recorded import BranchPoint, RecordedEvent
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.changes import set_values
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.robots.model import robot_name
 
 _WORLD_EVENT_KINDS = (HostEventKind.SWITCH_LAMP, HostEventKind.SET_LAMPS, HostEventKind.SCAN)
 """Kinds of actions on the world, not on one robot."""
@@ -101,8 +102,8 @@ class Setup(NamedTuple):
         texts = {name: text for change in changes for name, text in (change.calibrations or {}).items()}
         robots = list(playpen.robots)
         for index, robot in enumerate(robots):
-            name = f"khepera{index}.toml"
-            text = texts.get(f"khepera{index}", self.label.attachments.get(f"calibration/{name}"))
+            name = f"{robot_name(index)}.toml"
+            text = texts.get(robot_name(index), self.label.attachments.get(f"calibration/{name}"))
             if text is None:
                 raise LogError(f"{self.path}: cannot be repeated: its calibration/{name} is missing")
             (folder / name).write_text(text, encoding="utf-8")

@@ -28,6 +28,7 @@ from khep_twin.playpen import Block, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.changes import changed_tables, copy_poses, find_new_problem, set_values
 from khep_twin.ports.replay import RecordedHosts, Setup
 from khep_twin.ports.twin import Twin
+from khep_twin.robots.model import robot_name
 from khep_twin.simulation.physics_state import physics_state
 from khep_twin.simulation.scene_transfer import place_body, transfer_state
 from khep_twin.units import metres
@@ -184,7 +185,7 @@ def transfer_world(new: World, old: World, old_playpen: Playpen, change: BranchP
     for index in changed_indices.pop("robot"):
         entry = edited_playpen.robots[index]
         if _pose(entry) != _pose(present_playpen.robots[index]):
-            new_poses[f"khepera{index}/base"] = _pose(entry)
+            new_poses[f"{robot_name(index)}/base"] = _pose(entry)
     for kind, indices in changed_indices.items():
         for index in indices:
             if (entry := edited_playpen.objects[kind][index]).movable:

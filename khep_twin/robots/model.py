@@ -36,6 +36,11 @@ Columns = tuple[tuple[str, str], ...]
 Base = TypeVar("Base")
 
 
+def robot_name(number: int) -> str:
+    """Return the name of a robot of any model in scenes, logs and pictures, by its number in the playpen."""
+    return f"khepera{number}"
+
+
 class Feature(StrEnum):
     """Use of a robot that not every model has; the value is its purpose in messages."""
 

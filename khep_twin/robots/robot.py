@@ -14,7 +14,7 @@ from khep_twin import step
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
 from khep_twin.board.turrets import TurretBody
 from khep_twin.errors import FaultError
-from khep_twin.robots.model import SampledRegisters
+from khep_twin.robots.model import SampledRegisters, robot_name
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.robot_arrays import Layout
@@ -103,7 +103,7 @@ class Robot(WiredBoard, ABC):
             setup.unpaced,
             setup.make_rng("line") if setup.strict_line else None,
         )
-        self.name = f"khepera{index}"
+        self.name = robot_name(index)
         self.family = model.family
         self.dialect = model.dialect
         self.indices = indices

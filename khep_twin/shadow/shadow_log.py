@@ -29,6 +29,7 @@ from khep_twin.log.run_description import versions
 from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, PoseState, Suspicion
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.robots.model import robot_name
 from khep_twin.sensing import calibration
 from khep_twin.shadow.following import LastingAlarms
 from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
@@ -36,7 +37,7 @@ from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.update import Update
 from khep_twin.units import SENSOR_LABELS
 
-ROBOT = "khepera0"
+ROBOT = robot_name(0)
 """Name of the robot in the log."""
 
 LIVE_FLUSH_NS = NS_PER_S // 2

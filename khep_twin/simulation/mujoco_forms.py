@@ -19,6 +19,7 @@ from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import set_step, to_spec
 from khep_twin.process.status_line import announced
 from khep_twin.robots.core import core_of
+from khep_twin.robots.model import robot_name
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.lamps import Lamps
@@ -98,7 +99,7 @@ class MujocoForms:
         count = len(self._playpen.robots)
         self.cores = [core_of(entry.robot_model) for entry in self._playpen.robots]
         self.moments = Moments(self.model, sum(core.n_moments for core in self.cores))
-        self.indices = [RobotIndices.of(self.model, f"khepera{index}") for index in range(count)]
+        self.indices = [RobotIndices.of(self.model, robot_name(index)) for index in range(count)]
         bodies = [self.model.body(name).id for name in movable_names(self._playpen)]
         self._free_joints: list[int] = self.model.jnt_qposadr[self.model.body_jntadr[bodies]].tolist()
         self.refresh()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from khep_twin.board.turrets import TurretBody, TurretKind
 from khep_twin.playpen import Playpen
 from khep_twin.renamed import renamed_attribute
+from khep_twin.robots.model import robot_name
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.simulation import Simulation
 
@@ -58,7 +59,7 @@ class WorldTurretContext:
         self.model, self.data = world.model, world.data
         self.robot = robot
         self.registers = registers
-        self.prefix = f"khepera{robot}/{kind.name}/"
+        self.prefix = f"{robot_name(robot)}/{kind.name}/"
         self._world = world
         self._kind = kind
         self._state = state

@@ -18,6 +18,7 @@ from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_files import SeriesFolder
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
+from khep_twin.robots.model import robot_name
 from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.web.documents import PROGRAM_SUFFIXES, Documents
 from khep_twin.web.messages import Publish
@@ -108,7 +109,7 @@ def series_job(request: RunRequest, documents: Documents, robot: int = 0) -> Ser
     plan = Plan(request.runs, request.cycles, request.seconds, request.pause)
     folder = documents.path(request.folder, "") if request.folder else None
     if folder is not None and len(request.controllers) > 1:
-        folder /= f"khepera{robot}"
+        folder /= robot_name(robot)
     return SeriesJob(name, controller, plan, folder, robot)
 
 

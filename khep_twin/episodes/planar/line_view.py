@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.playpen import Playpen
+from khep_twin.robots.model import robot_name
 from khep_twin.sensing.line_faces import FacePoses, fixed_faces, moving_faces
 from khep_twin.sensing.line_scene import Eye
 from khep_twin.simulation.mujoco_forms import movable_names
@@ -39,7 +40,7 @@ class PlaneView:
         self._geoms, self._geom_turns = data.geom_xpos.copy(), data.geom_xmat.copy()
         self._sites, self._site_turns = data.site_xpos.copy(), data.site_xmat.copy()
         self._start_poses = self._geoms.copy(), self._geom_turns.copy()
-        base = model.body("khepera0/base").id
+        base = model.body(f"{robot_name(0)}/base").id
         is_robot = model.body_rootid[model.geom_bodyid] == base
         self._robot_geoms: list[int] = np.flatnonzero(is_robot).tolist()
         self._robot_start = data.xpos[base].copy(), data.xmat[base].reshape(3, 3).copy()

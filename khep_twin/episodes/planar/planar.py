@@ -21,6 +21,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION
+from khep_twin.robots.model import robot_name
 from khep_twin.sensing.mujoco_scene import is_floor, visible_geoms
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.fitted_robots import contact_pairs_of
@@ -31,7 +32,7 @@ MIN_WIDTH_MM, MAX_SLENDERNESS = 16.0, 3.0
 these limits tip over when pushed at up to 320 mm/s (measured: 10 mm wide and 30 mm high, 16 and 80, 20 and
 80; not 16 and 50)."""
 
-_PREFIX = "khepera0/"
+_PREFIX = f"{robot_name(0)}/"
 
 Floats = NDArray[np.float64]
 

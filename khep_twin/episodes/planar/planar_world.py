@@ -20,6 +20,7 @@ from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.process.one_thread import one_thread
 from khep_twin.randomness import stream
 from khep_twin.robots.core import core_of
+from khep_twin.robots.model import robot_name
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.buffers import as_records, view
@@ -59,7 +60,7 @@ class PlanarForms:
         self._model = scene_model.model
         self._calibration = self._drawn_calibration = calibration.read(self._entry.calibration)[0]
         self._varied: tuple[PlanarScene, CalibratedRobots, mujoco.MjModel, mujoco.MjData] | None = None
-        self._indices = RobotIndices.of(self._model, "khepera0")
+        self._indices = RobotIndices.of(self._model, robot_name(0))
         self._light_source = LightSource(self._model, self._indices)
         points = [bulb_points(disc) for disc in (COARSE, FINE)]
         fields: dict[str, Any] = {

@@ -26,6 +26,7 @@ from khep_twin.host import Khepera
 from khep_twin.playpen import PlaypenLike
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.robots.model import robot_name
 
 ResultType = TypeVar("ResultType")
 
@@ -101,7 +102,7 @@ class _ScriptThread(Generic[ResultType]):
         self._paused = threading.Semaphore(0)
         # The thread waits for its turn; its output goes to the caller's output.
         run = partial(copy_context().run, self._run)
-        threading.Thread(target=run, name=f"khepera{index}", daemon=True).start()
+        threading.Thread(target=run, name=robot_name(index), daemon=True).start()
 
     def resume(self) -> None:
         """Run the script until it waits again or ends."""

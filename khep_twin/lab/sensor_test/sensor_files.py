@@ -31,13 +31,14 @@ from khep_twin.log.channels import FLOATS, IMAGE, ArrayFrame, ImageFrame
 from khep_twin.log.decoding import printable
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
+from khep_twin.robots.model import robot_name
 
 SUFFIXES = (".csv", ".mat", ".mcap")
 
 Number = TypeVar("Number", int, float)
 
 _TITLE = "# khep-twin: sensor test"
-_ROBOT = "khepera0"
+_ROBOT = robot_name(0)
 
 
 def save(path: StrPath, run: SensorRun, replace: bool = True) -> None:
