@@ -43,7 +43,7 @@ def calibrate(
     It instructs you where to place objects, drives, measures, fits, and draws a picture.
 
     Args:
-        port: Port of a robot or a twin, such as /dev/ttyUSB0. On khep://bench.toml, an empty playpen, the
+        port: Port of a robot or a twin, e.g. /dev/ttyUSB0. On khep://bench.toml, an empty playpen, the
             twin is placed and measured automatically.
         output: Calibration file to write.
         picture: Draw the fit over the data in this PNG, SVG or PDF file.

@@ -31,9 +31,9 @@ def conform(
     The exit code is 1 if it does not.
 
     Args:
-        port: Port of a robot or a twin, such as khep://default, or a log, FILE.mcap.
+        port: Port of a robot or a twin, e.g. khep://default, or a log, FILE.mcap.
         move: Also run the checks that move the robot.
-        model: Model of the robot, or its family, such as khepera.
+        model: Model of the robot, or its family, e.g. khepera.
         baudrate: Baud rate of the line; by default the usual one of the model.
         report: Also write the report to this JSON file.
     """

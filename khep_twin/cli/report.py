@@ -35,11 +35,11 @@ def export(
     Args:
         log: A log, FILE.mcap; several for a dataset.
         output: Table to write: .csv, .parquet or .mat; with --minari a folder of datasets.
-        channels: Write only these, such as proximity,speed; by default all but registers.
-        robot: Name of the robot, such as khepera1; by default all robots.
+        channels: Write only these, e.g. proximity,speed; by default all but registers.
+        robot: Name of the robot, e.g. khepera1; by default all robots.
         transcript: Write the transcript of the serial line as this CSV file.
-        minari: Write a Minari dataset with this id, such as khepera/avoid-v0, for offline learning.
-        task: Task of the dataset's observations and rewards, such as ObstacleAvoidance.
+        minari: Write a Minari dataset with this id, e.g. khepera/avoid-v0, for offline learning.
+        task: Task of the dataset's observations and rewards, e.g. ObstacleAvoidance.
         period: Control period of the dataset [ms]; by default 50.
     """
     for name, value in (("--task", task), ("--period", period)):

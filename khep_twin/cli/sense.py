@@ -126,7 +126,7 @@ def sense(
     The readings are written to files and drawn in a picture.
 
     Args:
-        port: Port of a robot or a twin, such as /dev/ttyUSB0 or khep://default; without it, earlier runs are
+        port: Port of a robot or a twin, e.g. /dev/ttyUSB0 or khep://default; without it, earlier runs are
             drawn.
         sensors: Quantity to read: proximity (default), light or vision.
     """

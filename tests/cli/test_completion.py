@@ -86,7 +86,7 @@ def test_zsh_is_reported_what_there_is_and_what_it_is(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("typed", "message"),
     [
-        ("conform", "such as khep://default, or a log, FILE.mcap. (choices: "),
+        ("conform", "e.g. khep://default, or a log, FILE.mcap. (choices: "),
         ("playpen draw", f"(choices: {', '.join(SHIPPED)}, mine.toml)"),
         ("new", "(choices: controller, toolbox)"),
         ("view", "(choices: mine.mcap)"),
