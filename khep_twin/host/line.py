@@ -194,9 +194,13 @@ class Line:
 
     def _prepare(self, requests: Sequence[str]) -> None:
         """Refuse requests that move after `hold`, and resynchronize a line with pending replies."""
-        moving_requests = [request for request in requests if self._dialect.may_move(request)]
-        if self._stop_request.is_set() and moving_requests:
-            raise StoppedError(f"{self.port.name}: {moving_requests[0]!r} is not sent, as the run is to end")
+        if self._stop_request.is_set():
+            framing = self.port.framing
+            texts = [framing.decode(framing.encode(request)) for request in requests]
+            if moving_requests := [*filter(self._dialect.may_move, texts)]:
+                raise StoppedError(
+                    f"{self.port.name}: {moving_requests[0]!r} is not sent, as the run is to end"
+                )
         if self._resynchronization.unanswered:
             start = self.port.timeout_time
             if self._resynchronization.resynchronize(start + self.port.silence_limit) is None:

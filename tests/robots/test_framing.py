@@ -15,6 +15,7 @@ from command_line import good
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PortError, ProtocolError, StoppedError
+from khep_twin.host.host_command import HostCommand
 from khep_twin.host.host_robot import HostRobot, open_robot
 from khep_twin.lab.conformance.port.check import CheckedPort, Deviation
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
@@ -179,6 +180,8 @@ def test_a_frame_that_moves_is_refused_after_hold_in_any_spelling() -> None:
         for text in (frame(2, 1, 1).hex(), frame(2, 1, 1).hex().upper(), frame(2, 1, 1).hex(" ")):
             with pytest.raises(StoppedError, match="'C50200010001"):
                 toy.ask(text)
+        with pytest.raises(StoppedError):
+            toy._run(HostCommand(frame(2, 1, 1).hex(), str))
         assert toy.ask("c5013a") == "C501546F7901FD"
 
 

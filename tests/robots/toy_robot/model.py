@@ -40,9 +40,8 @@ BODY = Body(
 )
 
 START, NAME, SPEEDS, REGISTERS = 0xC5, 1, 2, 3
-N_VALUES = {NAME: 2, SPEEDS: 0, REGISTERS: 17}, {NAME: 0, SPEEDS: 2, REGISTERS: 0}
-"""First byte of a frame; commands, with their numbers of values in a reply and in a request."""
-NAME_VALUES = 0x546F, 0x7901
+SIZES = {NAME: 7, SPEEDS: 3, REGISTERS: 37}, {NAME: 3, SPEEDS: 7, REGISTERS: 3}
+"""First byte of a frame; commands, with the lengths of their replies and requests."""
 
 
 def frame(command: int, *values: int) -> bytes:
@@ -58,11 +57,9 @@ def values(frame: bytes) -> tuple[int, ...]:
 
 def _length(data: bytes, is_request: bool) -> int:
     """Return the length of the frame at the start of bytes; 0 without one."""
-    n_values = N_VALUES[is_request].get(data[1]) if len(data) > 1 else 0
-    if data[0] != START or n_values is None:
-        return 0
-    size = 3 + 2 * n_values
-    return size if len(data) < size or sum(data[:size]) & 0xFF == 0 else 0
+    size = SIZES[is_request].get(data[1], 0) if len(data) > 1 else 3
+    is_frame = data[0] == START and (len(data) < size or sum(data[:size]) % 256 == 0)
+    return size if is_frame else 0
 
 
 FRAMES = Frames(_length, itemgetter(1), resync=b"\xff" * 7)

@@ -5,7 +5,7 @@ from khep_twin.robots.model import consecutive_registers
 from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.simulation.robot_arrays import Layout, Part
 from toy_robot.core import N_REGISTERS, SETPOINT
-from toy_robot.model import LABELS, NAME, NAME_VALUES, REGISTERS, SPEEDS, TOY, frame, values
+from toy_robot.model import LABELS, NAME, REGISTERS, SPEEDS, TOY, frame, values
 
 
 class ToyRobot(Robot):
@@ -23,7 +23,7 @@ class ToyRobot(Robot):
         self.registers[SETPOINT : SETPOINT + 2] = 0
 
     def _execute(self, request: bytes) -> bytes:
-        command = request[1]
-        if command == SPEEDS:
+        if request[1] == SPEEDS:
             self.registers[SETPOINT : SETPOINT + 2] = values(request)
-        return frame(command, *{NAME: NAME_VALUES, SPEEDS: (), REGISTERS: self.registers}[command])
+        replies = {NAME: (0x546F, 0x7901), SPEEDS: (), REGISTERS: self.registers}
+        return frame(request[1], *replies[request[1]])
