@@ -29,6 +29,7 @@ def scene(*, radius_mm: float = 12.5, surface: str = "white", ahead_mm: float = 
 
 def opened(playpen: Playpen) -> tuple[Khepera, World]:
     twin = open_twin(playpen, TwinOptions(noise=False))
+    twin.world.compile()
     return Khepera(Serial.of(twin, timeout=1)), twin.world
 
 
