@@ -10,17 +10,14 @@ returns, and resumes from there when it is called again. It uses only numbers, a
 runs plain and compiled; `khep_twin.simulation` provides the data.
 """
 
-from collections.abc import Sequence
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 from khep_twin import units
 from khep_twin.compilable import compilable, compilable_once, unroll
 from khep_twin.robots.core import evaluate, measure_supply, sense, start, tick
-from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.light import Light
-from khep_twin.sensing.noise import Tables
 from khep_twin.sensing.scene import has_warned, in_bounds, step
+from khep_twin.sensing.simulated import N_CONVERSIONS, PHASE, STEPS, Simulated, StepInputs
 
 
 class Reason(IntEnum):
@@ -46,64 +43,9 @@ class Stop(IntEnum):
 Phase = IntEnum("Phase", ["DONE", "STEPPED", "TICKED"], start=0)
 """Part of a step that is done: the whole step; its physics; also its sensor conversions and control tick."""
 
-STEPS, PHASE, FIRST_POWERS_STEP, N_CONVERSIONS = 0, 1, 2, 3
-"""Indices in `Simulated.counters`: steps done, `Phase` of the step, step of the first row of
-`StepInputs.powers`, and number of sensor conversions of each robot so far, which indexes its noise."""
-N_COUNTERS = 4
-
 SWITCH_ON, EVALUATE = -1, -2
 """Values of `end_step` that let the core switch the robots on, or evaluate a recorded measurement: of robot n
 in the order of the groups with EVALUATE - n, and its part in `stops`."""
-
-
-class Timing(NamedTuple):
-    """Durations in steps, and bounds.
-
-    Attributes:
-        step_ns: Step [ns].
-        steps_per_motion: Steps per physics step, which runs before the first of them.
-        conversions: Sensor conversions in each step.
-        steps_per_tick: Steps per tick of the control loops.
-        steps_per_supply: Steps per measurement of the supply.
-        limit: Largest coordinate [m].
-    """
-
-    step_ns: int
-    steps_per_motion: int
-    conversions: int
-    steps_per_tick: int
-    steps_per_supply: int
-    limit: float
-
-
-class Simulated(NamedTuple):
-    """Scene, robots and lamps of a simulation.
-
-    Attributes:
-        scene: Scene.
-        timing: Divisions of time.
-        light: Lamps of the scene.
-        groups: States of the scene's robots, one sequence for each class of state.
-        counters: Counters of the simulation (N_COUNTERS,).
-    """
-
-    scene: Any
-    timing: Timing
-    light: Light
-    groups: tuple[Sequence[Any], ...]
-    counters: Vector[int]
-
-
-class StepInputs(NamedTuple):
-    """Powers of the lamps for a range of steps, and the distributions of random draws.
-
-    Attributes:
-        powers: Powers of the lamps (n_steps or 1, n_lamps) [W].
-        tables: Quantiles of the random draws, see `sensing.noise`.
-    """
-
-    powers: Sequence[Sequence[float]]
-    tables: Tables
 
 
 @compilable
@@ -158,13 +100,6 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
     if has_warned(scene):
         return Reason.WARNED
     return Reason.STOPPED if stopped else Reason.DONE
-
-
-@compilable
-def powers_row(simulated: Simulated, inputs: StepInputs) -> int:
-    """Return the row of the lamps' powers in the present step."""
-    counters = simulated.counters
-    return 0 if len(inputs.powers) == 1 else counters[STEPS] - 1 - counters[FIRST_POWERS_STEP]
 
 
 @compilable_once

@@ -29,6 +29,7 @@ from khep_twin.randomness import position, resume, stream
 from khep_twin.renamed import renamed_arguments
 from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.simulated import PHASE
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
 from khep_twin.simulation.physics_state import physics_state, set_physics_state
@@ -300,7 +301,7 @@ class World(NotCopied):
     @property
     def is_between_steps(self) -> bool:
         """True if the world is not within a step, so that its state is complete."""
-        return bool(self.simulation.counters[step.PHASE] == step.Phase.DONE)
+        return bool(self.simulation.counters[PHASE] == step.Phase.DONE)
 
     @one_thread
     def state(self, since_ns: int = -1) -> WorldState:

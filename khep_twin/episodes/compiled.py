@@ -17,10 +17,11 @@ from khep_twin.episodes import fitness, line, metrics, networks, stepping
 from khep_twin.errors import ControllerError
 from khep_twin.robots.model import Interface
 from khep_twin.sensing.light import Light
+from khep_twin.sensing.simulated import Simulated, StepInputs
 from khep_twin.simulation.compiled import compiled, named, sources_of
 from khep_twin.simulation.foreign import address_of, call_controller, implements, relocate
 from khep_twin.simulation.mujoco_calls import MujocoCalls
-from khep_twin.step import Reason, Simulated, StepInputs
+from khep_twin.step import Reason
 
 EPISODE_SOURCES = fitness, networks, metrics, line, stepping
 """Modules that are compiled, besides those of `sources_of`."""

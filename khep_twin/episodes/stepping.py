@@ -27,10 +27,19 @@ from khep_twin.episodes.line import (
     set_next_step,
 )
 from khep_twin.episodes.metrics import add_period
-from khep_twin.robots.core import Registers, interface_of, is_powered, set_speeds, update_registers, wander
+from khep_twin.robots.core import (
+    Registers,
+    RobotState,
+    interface_of,
+    is_powered,
+    set_speeds,
+    update_registers,
+    wander,
+)
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.scene import pose
-from khep_twin.step import PHASE, STEPS, Phase, Reason, Simulated, StepInputs, Stop, advance, switch_on
+from khep_twin.sensing.simulated import PHASE, STEPS, Simulated, StepInputs
+from khep_twin.step import Phase, Reason, Stop, advance, switch_on
 
 CONSTANT_SPEED, BRAITENBERG, NETWORK, FUNCTION, CALLER = 0, 1, 2, 3, 4
 """Kinds of controller: none (constant speeds), the robot's Braitenberg vehicle, a network, a function, and
@@ -277,7 +286,7 @@ def _handle_event(simulated: Simulated, inputs: StepInputs, controllers: Control
 
 
 @compilable
-def drive(robot: Any, left: float, right: float) -> bool:
+def drive(robot: RobotState, left: float, right: float) -> bool:
     """Set both speeds of a powered robot [register], rounded and clipped; return False if not finite."""
     if not is_powered(robot):
         return True
@@ -289,7 +298,7 @@ def drive(robot: Any, left: float, right: float) -> bool:
 
 
 @compilable
-def _set_setpoints(robot: Any, registers: Registers, left: float, right: float) -> bool:
+def _set_setpoints(robot: RobotState, registers: Registers, left: float, right: float) -> bool:
     """Set both setpoints in registers as `drive` does; return False if a speed is not finite."""
     if not (math.isfinite(left) and math.isfinite(right)):
         return False
@@ -301,7 +310,7 @@ def _set_setpoints(robot: Any, registers: Registers, left: float, right: float) 
 
 
 @compilable
-def _decide(robot: Any, registers: Registers, controllers: Controllers, index: int) -> bool:
+def _decide(robot: RobotState, registers: Registers, controllers: Controllers, index: int) -> bool:
     """Let a controller set the setpoints in registers; return False if a speed is not finite."""
     if controllers.kind == BRAITENBERG:
         wander(robot, registers)

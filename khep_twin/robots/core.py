@@ -11,35 +11,39 @@ from typing import Any, NamedTuple
 from khep_twin.compilable import compilable
 from khep_twin.robots.model import Interface, RobotModel
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.simulated import Simulated, StepInputs
+
+RobotState = Any
+"""State of a robot: a named tuple of a class in `CORES`, or its record in compiled code."""
 
 Registers = Vector[int]
 """Registers of a robot (n_registers,)."""
 
 
 @compilable
-def _start_at_once(robot: Any, simulated: Any, inputs: Any) -> bool:
+def _start_at_once(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> bool:
     """Do nothing, as the state before the start is that of a run."""
     return False
 
 
 @compilable
-def _measure_no_supply(robot: Any, simulated: Any, time_ns: int) -> bool:
+def _measure_no_supply(robot: RobotState, simulated: Simulated, time_ns: int) -> bool:
     """Do nothing, as the supply is constant."""
     return False
 
 
 @compilable
-def _evaluate_nothing(robot: Any, simulated: Any, inputs: Any, part: int) -> None:
+def _evaluate_nothing(robot: RobotState, simulated: Simulated, inputs: StepInputs, part: int) -> None:
     """Do nothing, as no measurement is recorded."""
 
 
 @compilable
-def _keep_registers(robot: Any, simulated: Any, inputs: Any) -> None:
+def _keep_registers(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> None:
     """Do nothing, as the registers are always up to date."""
 
 
 @compilable
-def _set_setpoints(robot: Any, left: int, right: int) -> None:
+def _set_setpoints(robot: RobotState, left: int, right: int) -> None:
     """Set the setpoints of the speeds."""
     interface = interface_of(robot)
     robot.registers[interface.setpoints[0]] = left
@@ -47,13 +51,13 @@ def _set_setpoints(robot: Any, left: int, right: int) -> None:
 
 
 @compilable
-def _is_always_powered(robot: Any) -> bool:
+def _is_always_powered(robot: RobotState) -> bool:
     """Return True, as the supply always suffices."""
     return True
 
 
 @compilable
-def wander_nowhere(robot: Any, registers: Registers) -> None:
+def wander_nowhere(robot: RobotState, registers: Registers) -> None:
     """Do nothing, as the robot has no such vehicle."""
 
 
@@ -132,7 +136,7 @@ def core_of(model: RobotModel) -> Core:
     return model.load("core", Core)
 
 
-def sense(robot: Any, simulated: Any, inputs: Any, start: int) -> None:
+def sense(robot: RobotState, simulated: Simulated, inputs: StepInputs, start: int) -> None:
     """Run the sensors of a robot in a step.
 
     Args:
@@ -144,22 +148,22 @@ def sense(robot: Any, simulated: Any, inputs: Any, start: int) -> None:
     CORES[type(robot)].sense(robot, simulated, inputs, start)
 
 
-def tick(robot: Any, simulated: Any, inputs: Any, time_ns: int) -> bool:
+def tick(robot: RobotState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
     """Run a robot's control period at a time [ns]; return True if code outside the core must act now."""
     return CORES[type(robot)].tick(robot, simulated, inputs, time_ns)
 
 
-def measure_supply(robot: Any, simulated: Any, time_ns: int) -> bool:
+def measure_supply(robot: RobotState, simulated: Simulated, time_ns: int) -> bool:
     """Measure a robot's supply at a time [ns]; return True if its processor has stopped just now."""
     return CORES[type(robot)].measure_supply(robot, simulated, time_ns)
 
 
-def start(robot: Any, simulated: Any, inputs: Any) -> bool:
+def start(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> bool:
     """Start a robot's run at time 0; return True if its processor lacks voltage."""
     return CORES[type(robot)].start(robot, simulated, inputs)
 
 
-def evaluate(robot: Any, simulated: Any, inputs: Any, part: int) -> None:
+def evaluate(robot: RobotState, simulated: Simulated, inputs: StepInputs, part: int) -> None:
     """Evaluate a measurement that a robot has recorded, in the scene at its moment.
 
     Args:
@@ -171,27 +175,27 @@ def evaluate(robot: Any, simulated: Any, inputs: Any, part: int) -> None:
     CORES[type(robot)].evaluate(robot, simulated, inputs, part)
 
 
-def interface_of(robot: Any) -> Any:
+def interface_of(robot: RobotState) -> Any:
     """Return the registers for controllers of a robot, `Interface`."""
     return CORES[type(robot)].interface
 
 
-def update_registers(robot: Any, simulated: Any, inputs: Any) -> None:
+def update_registers(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> None:
     """Measure, and update the registers of a robot."""
     CORES[type(robot)].update_registers(robot, simulated, inputs)
 
 
-def set_speeds(robot: Any, left: int, right: int) -> None:
+def set_speeds(robot: RobotState, left: int, right: int) -> None:
     """Set the speeds of a robot's wheels [register], as a command of its protocol does."""
     CORES[type(robot)].set_speeds(robot, left, right)
 
 
-def is_powered(robot: Any) -> bool:
+def is_powered(robot: RobotState) -> bool:
     """Return whether a robot's processor runs."""
     return CORES[type(robot)].is_powered(robot)
 
 
-def wander(robot: Any, registers: Registers) -> None:
+def wander(robot: RobotState, registers: Registers) -> None:
     """Set the setpoints of a robot's Braitenberg vehicle in registers."""
     CORES[type(robot)].wander(robot, registers)
 

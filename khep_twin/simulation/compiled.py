@@ -34,18 +34,19 @@ from khep_twin.sensing import (
     robot_sensors,
     scene,
     seen_surfaces,
+    simulated,
 )
 from khep_twin.sensing.light import Light
+from khep_twin.sensing.simulated import Simulated, StepInputs
 from khep_twin.simulation import addresses, foreign, linking, mujoco_calls
 from khep_twin.simulation.announcement import ANNOUNCER
 from khep_twin.simulation.linking import INNER, OuterCompiler
 from khep_twin.simulation.mujoco_calls import MujocoCalls
-from khep_twin.step import Simulated, StepInputs
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _OPTICS = noise, seen_surfaces, reflection, robot_sensors, light, optics, mujoco_scene
-_CORE_SOURCES = (units, scene, *_OPTICS, robot_core, step, addresses, foreign, mujoco_calls)
+_CORE_SOURCES = (units, scene, simulated, *_OPTICS, robot_core, step, addresses, foreign, mujoco_calls)
 """Modules that are compiled for all robots."""
 
 _REGISTERED: list[object] = []

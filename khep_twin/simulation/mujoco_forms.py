@@ -26,11 +26,12 @@ from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Light
 from khep_twin.sensing.mujoco_scene import MujocoScene
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.simulated import Timing
 from khep_twin.simulation.fitted_robots import CalibratedRobots
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.physics_state import FIELDS_CHANGED_BY_RUNS, fingerprint
 from khep_twin.simulation.simulation import NO_LIGHT
-from khep_twin.step import Reason, Timing
+from khep_twin.step import Reason
 
 Floats = NDArray[np.float64]
 

@@ -19,10 +19,18 @@ from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, HiddenSector, Light, LightLaw
 from khep_twin.sensing.noise import check_scale, compiled_tables, key_words, plain_tables
+from khep_twin.sensing.simulated import (
+    FIRST_POWERS_STEP,
+    N_CONVERSIONS,
+    N_COUNTERS,
+    STEPS,
+    Simulated,
+    StepInputs,
+    Timing,
+)
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.robot_groups import RobotGroups
 from khep_twin.simulation.world_state import SimulationState
-from khep_twin.step import Simulated, StepInputs, Timing
 from khep_twin.units import N_SENSORS
 
 NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True, 1, 0.0), (), ())
@@ -78,7 +86,7 @@ class Simulation:
         on_switch: Function that is called when the next one of lamps that are on one at a time is on.
         robots: Robots in groups, with their states.
         is_compiled: True if compiled code steps the simulation.
-        counters: Counters (step.N_COUNTERS,).
+        counters: Counters (N_COUNTERS,).
         plain: State for plain code.
         inputs: Lamps, and distributions of random draws, for plain code.
     """
@@ -90,7 +98,7 @@ class Simulation:
         self.terms: tuple[str, ...] = ()
         self.lamps: Lamps | None = None
         self.on_switch: Callable[[], None] | None = None
-        self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
+        self.counters: NDArray[np.int64] = np.zeros(N_COUNTERS, np.int64)
         self._keys: tuple[int, ...] = ()
         self._noise = 0.0
         self._powers_end = 0
@@ -104,7 +112,7 @@ class Simulation:
     @property
     def steps(self) -> int:
         """Number of steps done."""
-        return self.plain.counters[step.STEPS]
+        return self.plain.counters[STEPS]
 
     @property
     def noise(self) -> float:
@@ -115,7 +123,7 @@ class Simulation:
     def powers(self) -> Sequence[float]:
         """Powers of the lamps after the last step, without their flicker (n_lamps,) [W]."""
         rows = self.inputs.powers
-        return rows[0 if len(rows) == 1 else self.steps - 1 - int(self.counters[step.FIRST_POWERS_STEP])]
+        return rows[0 if len(rows) == 1 else self.steps - 1 - int(self.counters[FIRST_POWERS_STEP])]
 
     @property
     def arguments(self) -> tuple[Any, ...] | None:
@@ -219,7 +227,7 @@ class Simulation:
             self._powers_end = end_step
         stop_reasons = stops | step.Stop.STEPPED if in_turns else stops
         while True:
-            end = min(end_step, int(self.counters[step.STEPS]) + _MAX_STEPS)
+            end = min(end_step, int(self.counters[STEPS]) + _MAX_STEPS)
             reason = self.check_reason(self._core(*self._arguments, end, stop_reasons))
             if in_turns and reason == step.Reason.STEPPED:
                 self._switch_lamps()
@@ -235,7 +243,7 @@ class Simulation:
             inputs = inputs._replace(powers=[self.lamps.powers])
         for robot in chain(*self.plain.groups):
             CORES[type(robot)].scan(robot, self.plain, inputs)
-        self.counters[step.N_CONVERSIONS] += N_SENSORS
+        self.counters[N_CONVERSIONS] += N_SENSORS
 
     def evaluate(self, robot: int, part: int, moment: int, moments: Moments) -> None:
         """Evaluate a measurement of a robot that is recorded as a moment.
@@ -272,7 +280,7 @@ class Simulation:
 
     def _set_powers(self, rows: Sequence[Sequence[float]]) -> None:
         """Set the lamps' powers after each further step, or after all (n_steps or 1, n_lamps) [W]."""
-        self.counters[step.FIRST_POWERS_STEP] = self.steps
+        self.counters[FIRST_POWERS_STEP] = self.steps
         self.inputs = self.inputs._replace(powers=rows)
         self._bind_arguments()
 

@@ -28,8 +28,9 @@ from khep_twin.episodes.planar.compiled import PLANE_SOURCES
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.process.status_line import announced
 from khep_twin.sensing.light import Light
+from khep_twin.sensing.simulated import Simulated, StepInputs
 from khep_twin.simulation.compiled import digest_of, source_of, sources_of
-from khep_twin.step import Reason, Simulated, StepInputs
+from khep_twin.step import Reason
 
 
 def stamp_of(model: str) -> str:

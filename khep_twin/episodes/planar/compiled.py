@@ -12,9 +12,10 @@ from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pu
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing import scene
 from khep_twin.sensing.light import Light
+from khep_twin.sensing.simulated import Simulated, StepInputs
 from khep_twin.simulation.compiled import compiled, named, sources_of
 from khep_twin.simulation.foreign import implements, relocate
-from khep_twin.step import Reason, Simulated, StepInputs
+from khep_twin.step import Reason
 
 PLANE_SOURCES = *EPISODE_SOURCES, casting, contact_solver, motion, plane, pushing, shadows
 """Modules that are compiled, besides those of `sources_of`."""

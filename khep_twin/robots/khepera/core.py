@@ -23,8 +23,8 @@ from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
+from khep_twin.sensing.simulated import N_CONVERSIONS, STEPS, Simulated, StepInputs, powers_row
 from khep_twin.sensors import robot_sensors
-from khep_twin.step import N_CONVERSIONS, STEPS, Simulated, StepInputs, powers_row
 
 SOUND, STUCK, DEAD = 0, 1, 2
 """States of a sensor; a stuck one repeats its last reading, the receiver of a dead one passes no current."""

@@ -45,8 +45,8 @@ from khep_twin.sensing.scene import (
     set_motor,
     update_frames,
 )
+from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 from khep_twin.sensors import robot_sensors
-from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
 
 PULSES_PER_TURN = BODY.pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""

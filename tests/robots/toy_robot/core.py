@@ -14,8 +14,8 @@ from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Beams, joint_position, joint_speed, set_motor
+from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 from khep_twin.sensors import core_fields
-from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
 from toy_robot.model import BODY, TOY
 
 N_INFRARED, PERIOD_NS, REACH = 5, 20_000_000, 1.5
