@@ -96,7 +96,7 @@ class Connection:
         if tx.next_ns is not None and tx.next_ns <= time_ns:
             reply = tx.read(time_ns)
             if self._port.occupied:
-                self._port.write(reply, tx.next_ns is None)
+                self._port.write(reply, not len(tx))
 
     def _command_ns(self) -> int:
         """Return the time of the robot's next command [ns]."""
