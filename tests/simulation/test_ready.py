@@ -97,7 +97,7 @@ def test_where_no_code_can_be_kept_nothing_is_compiled_in_advance_and_users_are_
     assert not ready._PROCESSES
     monkeypatch.setattr(ready, "functions_of", lambda part: [dispatcher])
     with pytest.raises(KhepTwinError, match=r"^nothing is compiled, as numba can keep no code: neither"):
-        compile_all(["world"])
+        compile_all(parts=["world"])
     assert dispatcher(3) == 6
     assert ready.when_ready("world") is dispatcher
 
@@ -165,7 +165,7 @@ def test_where_numba_is_switched_off_runs_are_plain_and_what_must_be_compiled_sa
     for part in ready.CODE:
         assert ready.when_ready(part) is None
     for call in (
-        lambda: compile_all(["shadow"]),
+        lambda: compile_all(parts=["shadow"]),
         lambda: World("obstacles", compiled=True),
         lambda: rollout(setup, Function(max), [1], 0.2, compiled=True),
         lambda: Twins(setup, 1),
