@@ -52,6 +52,14 @@ def private_registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def early_compiled_code() -> Iterator[None]:
+    """Let worlds change over to compiled code after a second: a worker loads the code once for all tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("khep_twin.simulation.stepping_code._MIN_STEPS", 1000)
+        yield
+
+
 def pytest_configure() -> None:
     """Let the programs that tests interrupt take signals, though a shell runs the suite in its background."""
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):

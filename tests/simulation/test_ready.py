@@ -24,6 +24,12 @@ from khep_twin.world import World
 pytestmark = with_numba
 
 
+@pytest.fixture(autouse=True)
+def usual_change_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let worlds change over to compiled code when users' worlds do."""
+    monkeypatch.setattr("khep_twin.simulation.stepping_code._MIN_STEPS", 30_000)
+
+
 def function(folder: Path) -> SimpleNamespace:
     """Return a function whose code numba caches in a folder."""
     named = SimpleNamespace(__qualname__="_advance_0123")
