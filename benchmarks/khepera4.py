@@ -1,13 +1,17 @@
-"""Speed of the Khepera IV: its world, and a program that reads all sensors at 20 Hz under exec."""
+"""Speed of the Khepera IV: its world, a program that reads all sensors at 20 Hz under exec, and rollouts."""
 
 import subprocess
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from benchmarks.scale import world_row
 from benchmarks.table import Row, Table, measure, timed
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Network
 from khep_twin.playpen import Playpen
 from khep_twin.robots.khepera4.machine import Machine
 from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
@@ -59,6 +63,24 @@ def run_program(program: Path, seconds: float) -> None:
     assert code == 0
 
 
+def roll_out(playpen: str, model: str, planar: bool, n_episodes: int, seconds: float) -> None:
+    """Run episodes of a network that reads proximity every 20 ms, in one thread."""
+    network = Network(hidden=(4,), model=model)
+    genes = np.random.default_rng(1).normal(size=(n_episodes, network.n_genes))
+    seeds = range(n_episodes)
+    rollout(playpen, network, seeds, seconds, genes=genes, planar=planar, compiled=True, threads=1)
+
+
+def rollout_rows(seconds: float) -> list[Row]:
+    """Return rows of rollouts of both robots, in MuJoCo and in the plane."""
+    rows: list[Row] = []
+    for title, playpen, model in (("Khepera IV", PLAYPEN, "khepera4"), ("Khepera", "obstacles", "khepera")):
+        for place, planar, count in (("MuJoCo", False, 1), ("plane", True, 8)):
+            run = partial(roll_out, playpen, model, planar, count, seconds)
+            rows.append(Row(f"rollout of a {title}, {place}", count * seconds, timed(run)))
+    return rows
+
+
 def table(folder: Path, part: float, rounds: int) -> Table:
     """Measure a loop of mj_step, worlds of both robots, and the program.
 
@@ -81,6 +103,7 @@ def table(folder: Path, part: float, rounds: int) -> Table:
         row("exec, all sensors at 20 Hz", lambda: run_program(program, seconds)),
         world_row("World of a Khepera, obstacles", Playpen.load("obstacles"), seconds),
         world_row("the same, plain", Playpen.load("obstacles"), seconds, compiled=False),
+        *rollout_rows(float(seconds)),
     ]
     remark = f"a Khepera IV's sensors have {_N_SENSORS} numbers, a Khepera's 8"
     return measure(f"{PLAYPEN}, Khepera IV", rows, rounds, remarks=[remark])

@@ -103,6 +103,9 @@ class EpisodeSetup:
         self.steps_per_period = n_steps(period_ns, self.step_ns)
         self.entry = robots[0]
         self.calibration = calibration.read(self.entry.calibration)[0]
+        if self.calibration.ambient.rises_with_light:
+            problem = f"robot 1: calibration = {self.entry.calibration!r}: rises_with_light = true"
+            raise PlaypenError(f"{name}: {problem}; expected false in an episode")
         self.indices = RobotIndices.of(self.model, robot_name(0))
         self.planar_scene = PlanarScene(playpen, self.model, self.indices, step_ns) if planar else None
 

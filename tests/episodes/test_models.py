@@ -13,6 +13,7 @@ from khep_twin.errors import ControllerError, PlaypenError, RobotModelError
 from khep_twin.playpen import Playpen, parse
 from khep_twin.robots.khepera4.core import SAMPLED
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.sensing import calibration
 
 CHANNELS = {channel.name: slice(channel.registers[0], channel.registers[-1] + 1) for channel in SAMPLED}
 GROUND = slice(8, 12)
@@ -119,3 +120,14 @@ def test_a_network_file_names_its_model(tmp_path: Path) -> None:
     with np.load(tmp_path / "network.npz") as file:
         assert file["inputs"][0] == "proximity back_left"
         assert file["model"] == "khepera4"
+
+
+def test_ambient_counts_that_rise_with_light_are_refused(tmp_path: Path) -> None:
+    text = calibration.read("khepera4")[1].replace("[ambient]", "[ambient]\nrises_with_light = true")
+    (tmp_path / "rising.toml").write_text(text)
+    (robot,) = Playpen.load("arena4").robots
+    playpen = Playpen.load("arena4").model_copy(
+        update={"robots": (robot.model_copy(update={"calibration": str(tmp_path / "rising.toml")}),)}
+    )
+    with pytest.raises(PlaypenError, match="rises_with_light = true; expected false in an episode"):
+        EpisodeSetup(playpen)
