@@ -14,10 +14,11 @@ from command_line import complaint, good
 from matplotlib.patches import Circle
 from numba_marks import with_numba
 
-from khep_twin import Function, Network, rollout
+from khep_twin import ConstantSpeed, EpisodeSetup, Function, Network, rollout
 from khep_twin import playpen as playpens
 from khep_twin.drawing.map import draw
 from khep_twin.envs import TaskEpisode, TaskSetup
+from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import PortError, SnapshotError
 from khep_twin.host import Khepera
 from khep_twin.host.host_robot import open_robot
@@ -294,6 +295,21 @@ def test_toys_run_in_rollouts_alike_plain_compiled_and_on_a_simulated_gpu(toys: 
         plain = rollout(one, network, [1, 2], 0.2, planar=True, compiled=False, genes=genes)
         assert (plain.registers == on_card.registers).all()
         assert (plain.poses == on_card.poses).all()
+
+
+def test_voltages_are_clipped_in_the_plane_as_in_mujoco(toys: Playpen) -> None:
+    one = toys.model_copy(update={"robots": toys.robots[:1]})
+    ways = [
+        rollout(one, ConstantSpeed(500, 500), [1], 0.3, planar=planar, compiled=False).metrics["distance_m"][
+            0
+        ]
+        for planar in (False, True)
+    ]
+    assert ways[1] == pytest.approx(ways[0], rel=0.05)
+    setup = EpisodeSetup(one, planar=True)
+    world = PlanarWorld(setup.scene_model, cast(Any, setup.planar_scene))
+    world.simulation.plain.scene.set_motor(0, -40.0)
+    assert world.forms.state["ctrl"].tolist() == [-6, 0]
 
 
 def test_toys_run_in_environments_with_a_term_of_their_own(toys: Playpen) -> None:

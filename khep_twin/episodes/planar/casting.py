@@ -94,8 +94,9 @@ def motor_torque(scene: Plane, index: int) -> float:
 
 @compilable
 def set_motor(scene: Plane, index: int, voltage: float) -> None:
-    """Set the voltage of a motor [V]."""
-    scene.robot.ctrl[index] = voltage
+    """Set the voltage of a motor, clipped to its range [V]."""
+    limit = scene.robot.max_voltage
+    scene.robot.ctrl[index] = min(max(voltage, -limit), limit)
 
 
 @compilable

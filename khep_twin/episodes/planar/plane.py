@@ -88,6 +88,7 @@ class PlanarRobot(NamedTuple):
         linear_decay: Factor by which a substep reduces the lag behind the free speed, driving straight.
         angular_decay: Factor as `linear_decay`, turning in place.
         gear_friction: Dry friction of a gear, as a force at the tyre [N].
+        max_voltage: Largest voltage of a motor [V].
         dead_voltage: Voltage at which a motor overcomes the gear's friction [V].
         tyre_force: Largest force of a tyre that carries half of the robot [N].
         left_grip: Factor of `tyre_force` for the left tyre; 1 without a fault.
@@ -131,6 +132,7 @@ class PlanarRobot(NamedTuple):
     linear_decay: float
     angular_decay: float
     gear_friction: float
+    max_voltage: float
     dead_voltage: float
     tyre_force: float
     left_grip: float
