@@ -103,10 +103,7 @@ class SweepFolder:
             KhepTwinError: The table cannot be written; likewise.
         """
         if not self.table.exists():
-            schema = self._read_part(self._work.tasks[0]).schema
-            with atomic_file(self.table, False) as file, pq.ParquetWriter(file, schema) as writer:
-                for task in self._work.tasks:
-                    writer.write_table(self._read_part(task))
+            self._join_parts()
         shutil.rmtree(self._parts, ignore_errors=True)
         return self.table
 
@@ -174,6 +171,12 @@ class SweepFolder:
         metadata = footer.metadata or {}
         is_same_work = metadata.get(_STUDY) == self._work.digest.encode() and metadata.get(_TASK) == task
         return is_same_work and footer.num_rows == n_episodes
+
+    def _join_parts(self) -> None:
+        schema = self._read_part(self._work.tasks[0]).schema
+        with atomic_file(self.table, False) as file, pq.ParquetWriter(file, schema) as writer:
+            for task in self._work.tasks:
+                writer.write_table(self._read_part(task))
 
     def _read_part(self, task: Shard) -> pa.Table:
         """Return a part; check that it holds each of its episodes once."""

@@ -57,10 +57,6 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
             "khep://default: the robot is a Khepera; expected --model khepera\n",
         ),
         (
-            "rollout --playpen arena4",
-            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for an",
-        ),
-        (
             "conform LOG",
             "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for the checks",
         ),
