@@ -15,7 +15,7 @@ from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensors import core_fields
-from khep_twin.step import STEPS, powers_row
+from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
 from second_robot import model
 from second_robot.model import AMBIENT, BATTERY, BODY, PROXIMITY, SCOUT, ULTRASONIC
 
@@ -62,7 +62,7 @@ def _make_state(scene: Any, indices: Any, measured: Any, entry: Any, first_momen
 
 
 @compilable
-def _look(robot: ScoutState, simulated: Any, inputs: Any, time_ns: int) -> None:
+def _look(robot: ScoutState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
     scene, registers, powers = simulated.scene, robot.registers, inputs.powers[powers_row(simulated, inputs)]
     for channel in range(len(robot.sensors.cameras)):
         noise = draws(inputs.tables, robot.noise, 8 * (time_ns // INFRARED_NS) + channel)
@@ -80,7 +80,9 @@ def _look(robot: ScoutState, simulated: Any, inputs: Any, time_ns: int) -> None:
 
 
 @compilable
-def _measure_distance(robot: ScoutState, scene: Any, inputs: Any, sensor: int, time_ns: int) -> None:
+def _measure_distance(
+    robot: ScoutState, scene: queries.BeamScene, inputs: StepInputs, sensor: int, time_ns: int
+) -> None:
     reach, noise = model.REACH_MM / 1000, draws(inputs.tables, robot.noise, 2**40 + time_ns // BURST_NS)[0]
     length = cast_level_ray(scene, robot.sensors, robot.beam, robot.pose, _PLACES[sensor], reach)
     reading = round(1000 * length + 2 * noise)
@@ -89,7 +91,7 @@ def _measure_distance(robot: ScoutState, scene: Any, inputs: Any, sensor: int, t
 
 
 @compilable
-def _burst(robot: ScoutState, simulated: Any, inputs: Any, sensor: int, time_ns: int) -> None:
+def _burst(robot: ScoutState, simulated: Simulated, inputs: StepInputs, sensor: int, time_ns: int) -> None:
     if robot.flags[EAGER]:
         queries.update_frames(simulated.scene)
         _measure_distance(robot, simulated.scene, inputs, sensor, time_ns)
@@ -100,7 +102,7 @@ def _burst(robot: ScoutState, simulated: Any, inputs: Any, sensor: int, time_ns:
 
 
 @compilable
-def _sense(robot: ScoutState, simulated: Any, inputs: Any, start: int) -> None:
+def _sense(robot: ScoutState, simulated: Simulated, inputs: StepInputs, start: int) -> None:
     time_ns = simulated.counters[STEPS] * simulated.timing.step_ns
     if start >= 0 and time_ns % INFRARED_NS == 0:
         _look(robot, simulated, inputs, time_ns)
@@ -109,7 +111,7 @@ def _sense(robot: ScoutState, simulated: Any, inputs: Any, start: int) -> None:
 
 
 @compilable
-def _scan(robot: ScoutState, simulated: Any, inputs: Any) -> None:
+def _scan(robot: ScoutState, simulated: Simulated, inputs: StepInputs) -> None:
     time_ns = simulated.counters[STEPS] * simulated.timing.step_ns
     _look(robot, simulated, inputs, time_ns)
     for sensor in range(N_SONAR):
@@ -117,13 +119,13 @@ def _scan(robot: ScoutState, simulated: Any, inputs: Any) -> None:
 
 
 @compilable
-def _start(robot: ScoutState, simulated: Any, inputs: Any) -> bool:
+def _start(robot: ScoutState, simulated: Simulated, inputs: StepInputs) -> bool:
     _scan(robot, simulated, inputs)
     return _measure_supply(robot, simulated, 0)
 
 
 @compilable
-def _measure_supply(robot: ScoutState, simulated: Any, time_ns: int) -> bool:
+def _measure_supply(robot: ScoutState, simulated: Simulated, time_ns: int) -> bool:
     current, levels = _IDLE_CURRENT, robot.levels
     for side in range(2):
         current += abs(queries.motor_torque(simulated.scene, robot.motors[side])) / robot.motor_constant
@@ -136,7 +138,7 @@ def _measure_supply(robot: ScoutState, simulated: Any, time_ns: int) -> bool:
 
 
 @compilable
-def _tick(robot: ScoutState, simulated: Any, inputs: Any, time_ns: int) -> bool:
+def _tick(robot: ScoutState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
     scene, registers, levels = simulated.scene, robot.registers, robot.levels
     limit = robot.flags[POWERED] * registers[BATTERY] / 1000
     for side in range(2):
@@ -151,7 +153,7 @@ def _tick(robot: ScoutState, simulated: Any, inputs: Any, time_ns: int) -> bool:
 
 
 @compilable
-def _evaluate(robot: ScoutState, simulated: Any, inputs: Any, part: int) -> None:
+def _evaluate(robot: ScoutState, simulated: Simulated, inputs: StepInputs, part: int) -> None:
     _measure_distance(robot, simulated.scene, inputs, part, robot.flags[TIMES + part])
     robot.flags[TIMES + part] = NONE
 
