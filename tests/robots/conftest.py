@@ -1,13 +1,20 @@
 """The robots of packages outside the product, installed: a Toy, and a Scout (`second_robot`)."""
 
 import sys
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from tomllib import loads
 from typing import Any
 
 import pytest
 
+from khep_twin.playpen import Playpen
+from khep_twin.ports.network import TcpPort
+from khep_twin.ports.pty import PtyPort
+from khep_twin.ports.serve import serve
+from khep_twin.ports.twin import open_twin
 from khep_twin.robots.registry import installed_models
 
 FOLDER = Path(__file__).parent
@@ -44,3 +51,24 @@ def installed(*packages: str) -> Callable[..., Any]:
 
 installed_toy = installed("toy_robot")
 installed_robots = installed("toy_robot", "second_robot")
+
+
+@pytest.fixture(params=["pty", "tcp"])
+def served(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
+    """Return a context that serves the first robot of a playpen on a pty or by TCP, and returns its URL."""
+
+    @contextmanager
+    def serve_playpen(playpen: Playpen) -> Iterator[str]:
+        stop = threading.Event()
+        with open_twin(playpen) as twin:
+            port: Any = PtyPort(str(tmp_path / "link")) if request.param == "pty" else TcpPort("localhost", 0)
+            with closing(port):
+                server = threading.Thread(target=serve, args=(twin, [port]), kwargs={"stop": stop.is_set})
+                server.start()
+                try:
+                    yield port.path
+                finally:
+                    stop.set()
+                    server.join()
+
+    return serve_playpen
