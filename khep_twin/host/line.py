@@ -128,7 +128,7 @@ class Line:
             (reply,) = self._execute([HostCommand(request, str)])
             end = self.port.timeout_time + LONGEST_OUTPUT
             # `serial` replies with one line, and then changes the baud rate.
-            has_output = request.lstrip()[:1].islower() and request.split()[0] != "serial"
+            has_output = not self.port.framing.has_one_reply(request) and request.split()[0] != "serial"
             while has_output and self.port.timeout_time < end:
                 has_output = self.port.read_reply(request)[0] is not None
         return reply

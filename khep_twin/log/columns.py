@@ -1,6 +1,7 @@
 """Columns of a log's channels in tables: names and units."""
 
 import re
+from collections.abc import Collection
 
 from khep_twin.board.turrets import installed_turrets
 from khep_twin.robots.model import Columns, RobotModel
@@ -23,15 +24,16 @@ def columns_of(name: str, count: int, model: RobotModel | None = None) -> Column
     return tuple((f"{to_identifier(name)}_{index}", "") for index in range(count))
 
 
-def name_columns(name: str, count: int, model: RobotModel, *, is_mixed: bool) -> tuple[str, Columns]:
-    """Return name and columns of a channel in a table; `is_mixed` if its robots are of several families.
+def name_columns(name: str, count: int, model: RobotModel, families: Collection[str]) -> tuple[str, Columns]:
+    """Return name and columns of a channel in a table of robots of some families.
 
-    A channel whose columns differ from the default model's has the family's name as a prefix there.
+    The family's name is a prefix there if an earlier family has a channel of this name with other columns:
+    the default model, which may be absent, or one of `families`, in the order of the registry.
     """
     columns = columns_of(name, count, model)
-    default_columns = default_model().channels.get(name)
-    is_other = default_columns and model.channels.get(name) not in (None, default_columns)
-    if is_mixed and is_other:
+    earlier = (default_model(), *(other for key, other in installed_families().items() if key in families))
+    first_columns = next((other.channels[name] for other in earlier if name in other.channels), None)
+    if len(families) > 1 and model.channels.get(name) not in (None, first_columns):
         prefix = f"{model.family}_"
         return f"{prefix}{name}", tuple((prefix + column, unit) for column, unit in columns)
     return name, columns

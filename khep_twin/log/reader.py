@@ -116,13 +116,13 @@ class LoggedRun:
         order = np.argsort(times_ns, kind="stable")
         names = np.repeat([*self.robots], [len(track.times_ns) for track in tracks])
         table: dict[str, NDArray[np.generic]] = {"time_s": times_ns[order] / 1e9, "robot": names[order]}
-        is_mixed = len({track.model.family for track in tracks}) > 1
+        families = {track.model.family for track in tracks}
         values_by_column: dict[str, dict[int, NDArray[np.generic]]] = {}
         for index, track in enumerate(tracks):
             kinds = ("pose", "proximity", "ambient", "speed", "duty")
             channels = {kind: getattr(track, kind) for kind in kinds} | dict(track.extra_channels)
             for kind, values in channels.items():
-                _, columns = name_columns(kind, values.shape[1], track.model, is_mixed=is_mixed)
+                _, columns = name_columns(kind, values.shape[1], track.model, families)
                 for (column, _), column_values in zip(columns, values.T, strict=True):
                     values_by_column.setdefault(column, {})[index] = column_values
         gaps = [np.full(len(track.times_ns), np.nan) for track in tracks]

@@ -61,6 +61,10 @@ class Lines(NamedTuple):
         """Return the command of a message by its text: a letter, or a tool's word."""
         return text.strip().split(",")[0].split(" ")[0][:12]
 
+    def has_one_reply(self, request: str) -> bool:
+        """Return whether a request has exactly one reply, by its text: a tool prints any number of lines."""
+        return not request.lstrip()[:1].islower()
+
     def answers(self, request: str, reply: str) -> bool:
         """Return whether a reply is one to a request, by their texts: it has its letter in lower case."""
         return reply.partition(",")[0] == self.command(request).lower()
@@ -120,7 +124,7 @@ class Frames(NamedTuple):
         return frame
 
     def decode(self, message: bytes) -> str:
-        """Return the text of a frame or of noise, in upper case: lower case is for tools."""
+        """Return the text of a frame or of noise, in upper case."""
         return message.hex().upper()
 
     def command(self, text: str) -> str:
@@ -128,6 +132,10 @@ class Frames(NamedTuple):
         data = _bytes(text)
         is_frame = self.is_message(data, True) or self.is_message(data)
         return f"{self.frame_command(data):02X}" if is_frame else _NOISE
+
+    def has_one_reply(self, request: str) -> bool:
+        """Return whether a request has exactly one reply, by its text: noise has none."""
+        return self.command(request) != _NOISE
 
     def answers(self, request: str, reply: str) -> bool:
         """Return whether a reply is one to a request, by their texts: it has the same command."""

@@ -33,6 +33,8 @@ GROUP = "khep_twin.robots"
 Columns = tuple[tuple[str, str], ...]
 """Name and unit of each column of a channel."""
 
+_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
 Base = TypeVar("Base")
 
 
@@ -245,6 +247,12 @@ class RobotModel:
         if self.interface is None:
             raise RobotModelError(f"model = {self.name!r} gives no interface; expected one for an episode")
         return self.interface
+
+    @property
+    def sonar_unit(self) -> float:
+        """Unit of the channel "ultrasonic" [m]; 0 without the channel, or for a unit other than mm, cm, m."""
+        columns = self.channels.get("ultrasonic", ())
+        return _METRES.get(columns[0][1], 0.0) if columns else 0.0
 
     def load_task(self, name: str) -> object:
         """Return a task.

@@ -22,5 +22,7 @@ def robot_shape(model: RobotModel, calibration_name: str) -> RobotShape:
         "n_ground": len(body.ground_positions),
         "wheels_mm": [round(1e3 * length, 3) for length in wheels],
         "sonar": [[round(rim_mm * x, 2), round(rim_mm * y, 2), angle] for x, y, angle in sonar],
+        "sonar_unit_mm": 1e3 * model.sonar_unit,
+        "sonar_codes": body.sonar.codes if body.sonar else (),
         "bars": {name: asdict(bar) for name, bar in model.bars.items()},
     }

@@ -195,7 +195,7 @@ class TwinActor(SessionActor):
                     "speed": readings["speed"][:2],
                     "vision": None if image is None else image.tolist(),
                     "turrets": self._turrets[index].corners(),
-                    "leds": readings["leds"],
+                    "leds": readings.get("leds", []),
                     "more": {name: readings[name] for name in _EXTRA_CHANNELS if name in readings},
                     "host": host.port.occupied,
                     "host_commands": host.commands,

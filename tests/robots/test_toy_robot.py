@@ -1,8 +1,6 @@
 """A robot of a stranger, the Toy of `toy_robot`: it works in all places that ask its model."""
 
 import math
-import threading
-from contextlib import closing
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 from command_line import complaint, good
 from matplotlib.patches import Circle
-from numba_marks import with_numba
 
 from khep_twin import ConstantSpeed, EpisodeSetup, Function, Network, rollout
 from khep_twin import playpen as playpens
@@ -24,10 +21,7 @@ from khep_twin.host import Khepera
 from khep_twin.host.host_robot import open_robot
 from khep_twin.host.opening import find_baud_rate
 from khep_twin.playpen import Playpen
-from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.pty import PtyPort
-from khep_twin.ports.serve import serve
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.robots.line_server import LineServer
 from khep_twin.robots.registry import find_model
@@ -161,12 +155,6 @@ def test_a_toy_and_a_khepera_share_a_world_and_toys_vary(toys: Playpen) -> None:
     assert drive(varied) != drive(World(toys, seed=3))
 
 
-@with_numba
-def test_a_toy_runs_compiled_as_plain(toys: Playpen) -> None:
-    one = toys.model_copy(update={"robots": toys.robots[:1]})
-    assert drive(World(one, seed=5, compiled=True)) == drive(World(one, seed=5, compiled=False))
-
-
 def test_the_host_class_of_a_toy_drives_a_twin_in_this_process(toys: Playpen) -> None:
     with open_robot(find_model("toy"), Serial.of(open_twin(toys), 1.0)) as robot:
         toy = cast(Any, robot)
@@ -187,25 +175,11 @@ def test_the_baud_rate_of_a_toy_is_found(toys: Playpen) -> None:
     assert find_baud_rate(port, "toy", lambda: twin.world.time_ns / 1e9)[0] == port.baudrate == 57_600
 
 
-@pytest.mark.parametrize("where", ["pty", "tcp"])
-def test_a_toy_is_served(where: str, toys: Playpen, tmp_path: Path) -> None:
-    model = find_model("toy")
-    with open_twin(toys) as twin:
-        link = str(tmp_path / "toy")
-        port: Any = PtyPort(link) if where == "pty" else TcpPort("localhost", 0)
-        stop = threading.Event()
-        with closing(port):
-            server = threading.Thread(target=serve, args=(twin, [port]), kwargs={"stop": stop.is_set})
-            server.start()
-            try:
-                url = port.path
-                with open_robot(model, url) as robot:
-                    robot.check_model()
-                    assert robot.ask("c501 3a") == "C501546F7901FD"
-                    cast(Any, robot).set_speed(0.05, 0.05)
-            finally:
-                stop.set()
-                server.join()
+def test_a_toy_is_served(served: Any, toys: Playpen) -> None:
+    with served(toys) as url, open_robot(find_model("toy"), url) as robot:
+        robot.check_model()
+        assert robot.ask("c501 3a") == "C501546F7901FD"
+        cast(Any, robot).set_speed(0.05, 0.05)
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,8 @@ export class LivePlan {
       node.classList.add("live", "part");
       node.dataset.live = index;
       if (lastPicture) setPose(node, lastPicture.robots[index]);
-      return { node, rays, beams, leds, turrets: node.querySelectorAll(".turret") };
+      const beamPath = (reading) => (robot.sonar_codes.includes(reading) ? "" : sectorPath(reading * robot.sonar_unit_mm));
+      return { node, rays, beams, beamPath, leds, turrets: node.querySelectorAll(".turret") };
     });
     drawing.liveGroup.replaceChildren(...this.#trails.map(({ node }) => node), ...this.#nodes.map(({ node }) => node));
   }
@@ -57,13 +58,13 @@ export class LivePlan {
   showPicture(message, liftedIndex, isHidden) {
     if (!this.#nodes) return;
     message.robots.forEach((robot, index) => {
-      const { node, rays, beams, leds, turrets } = this.#nodes[index] ?? {};
+      const { node, rays, beams, beamPath, leds, turrets } = this.#nodes[index] ?? {};
       if (!node) return;
       this.#trails[index].add(robot.x_mm, robot.y_mm);
       if (isHidden) return;
       if (liftedIndex !== index) setPose(node, robot);
       robot.turrets.forEach((points, turretPart) => turrets[turretPart]?.setAttribute("d", closedPath(points)));
-      robot.more?.ultrasonic?.forEach((cm, sensor) => beams[sensor].setAttribute("d", cm && cm < 1000 ? sectorPath(10 * cm) : ""));
+      robot.more?.ultrasonic?.forEach((reading, sensor) => beams[sensor].setAttribute("d", beamPath(reading)));
       if (robot.leds.length === 3 * leds.length) leds.forEach((led, number) => setLed(led, robot.leds.slice(3 * number, 3 * number + 3)));
       robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
     });

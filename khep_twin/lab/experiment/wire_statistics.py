@@ -45,9 +45,8 @@ def wire(lines: Sequence[TextLine], framing: Framing = LINES) -> Wire:
     for line in lines:
         if line.name == "host":
             # A command's letter or a tool's word.
-            name = framing.command(line.text) or "?"
-            commands[name] += 1
-            if name.isupper() or not name.isalpha():
+            commands[framing.command(line.text) or "?"] += 1
+            if framing.has_one_reply(line.text):
                 open_commands.append((line.text, line.time_ns))
             continue
         is_refusal = line.text.startswith(_REFUSALS)

@@ -88,13 +88,13 @@ def choose_channels(
         LogError: The log has no such channel.
     """
     models = models_of(recording.label.attachments, robots, recording.series)
-    is_mixed = len({model.family for model in models.values()}) > 1
+    families = {model.family for model in models.values()}
     available: dict[str, tuple[str, Columns]] = {}
     for topic, series in recording.series.items():
         owner, _, kind = topic.removeprefix("/").rpartition("/")
         if owner in robots or (not owner and kind.startswith("lamps")):
             model = models.get(owner, default_model())
-            name, columns = name_columns(kind, series.values.shape[1], model, is_mixed=is_mixed)
+            name, columns = name_columns(kind, series.values.shape[1], model, families)
             available.setdefault(name, (kind, columns))
     known_names = order_channels({*available})
     if names is None:
@@ -112,7 +112,7 @@ def choose_channels(
         topics = tuple(
             shared
             if shared in recording.series
-            else f"/{robot}/{kind}" * (name_columns(kind, 0, models[robot], is_mixed=is_mixed)[0] == name)
+            else f"/{robot}/{kind}" * (name_columns(kind, 0, models[robot], families)[0] == name)
             for robot in robots
         )
         empty = TimeSeries(np.zeros(0, np.int64), np.zeros((0, len(columns)), np.int64))

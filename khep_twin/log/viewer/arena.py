@@ -93,8 +93,10 @@ class Rays:
     def led_positions(self, robot: str) -> Floats:
         """Return the positions of a robot's LEDs in its frame (n, 3) [m]."""
         model = self._model
+        bodies = {model.body(index).name for index in range(model.nbody)}
         sites = [model.site(index) for index in range(model.nsite)]
-        return np.array([site.pos for site in sites if re.fullmatch(rf"{robot}/led_\d+", site.name)])
+        is_led = [site.name.startswith(f"{robot}/") and f"{site.name}_light" in bodies for site in sites]
+        return model.site_pos[is_led]
 
     def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the ends of rays in the robot's frame (n, sensors, rays, 3) [m], and a mask of the hits."""

@@ -36,24 +36,26 @@ def arena_chunks(robot: str, model: RobotModel, samples: Samples, led_positions:
     chunks: list[Chunk] = []
     distances, sonar = samples.extra_channels.get("ultrasonic"), model.body.sonar
     if distances is not None and sonar is not None:
-        chunks += _beams(robot, sonar, samples.times_ns, distances)
+        chunks += _beams(robot, sonar, samples.times_ns, distances, model.sonar_unit)
     brightness = samples.extra_channels.get("leds")
     if brightness is not None and model.rgb_leds:
         chunks += _lights(robot, samples.times_ns, brightness, led_positions)
     return chunks
 
 
-def _beams(robot: str, sonar: SonarRing, times_ns: NDArray[np.int64], distances: Floats) -> list[Chunk]:
-    """Return a sector per sensor, as long as its distance [cm] (n, 5); none without a distance."""
-    n, count = distances.shape
+def _beams(
+    robot: str, sonar: SonarRing, times_ns: NDArray[np.int64], readings: Floats, unit: float
+) -> list[Chunk]:
+    """Return a sector per sensor, as long as its reading (n, n_sensors) in a unit [m]; none for a code."""
+    n, count = readings.shape
     headings = np.radians(sonar.headings_deg)
     angles = headings[:, None] + np.linspace(-_HALF_BEAM, _HALF_BEAM, _ARC_POINTS)
     directions = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
     x, y = sonar.radius * np.cos(headings), sonar.radius * np.sin(headings)
     origins = np.stack([x, y, np.full(count, sonar.height)], axis=-1)
-    is_valid = ~np.isin(distances, sonar.codes)
+    is_valid = ~np.isin(readings, sonar.codes)
     strips = np.repeat(origins[None, :, None], n, axis=0).repeat(_ARC_POINTS + 2, axis=2)
-    strips[:, :, 1:-1] += np.where(is_valid, distances / 100, 0)[..., None, None] * directions
+    strips[:, :, 1:-1] += np.where(is_valid, readings * unit, 0)[..., None, None] * directions
     colours = np.zeros((n, count, 4), np.uint8)
     colours[is_valid] = (64, 150, 208, 255)
     lines = strips.reshape(n * count, -1, 3).astype(np.float32), colours.reshape(-1, 4)

@@ -26,8 +26,9 @@ _WHEELS: dict[str, Colour] = {**WHEELS, "setpoint left": _SETPOINT, "setpoint ri
 _EVENT: Colour = (255, 80, 160)
 _Curves = Mapping[str, Colour]
 
-_RANGES = {FAULT_PATH: (-5.0, 105.0), "ultrasonic": (0.0, 260.0)}
-"""Fixed ranges of plots; ultrasonic readings without a distance are outside."""
+_SUSPICION_RANGE = -5.0, 105.0
+_SONAR_MARGIN = 1.04
+"""Range of an ultrasonic plot, in longest distances; readings without a distance are outside."""
 
 _SOLID = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
 
@@ -181,7 +182,7 @@ def _curve_views(log: ShownLog) -> list[rrb.Vertical]:
             _plot(log, robot, "proximity", "proximity [counts]", sensors),
             _plot(log, robot, "ambient", "ambient light [counts, low is bright]", sensors),
             *(
-                _plot(log, robot, "speed", f"{side} wheel [pulses/10 ms]", _WHEELS, side)
+                _plot(log, robot, "speed", f"{side} wheel [{model.channels['speed'][0][1]}]", _WHEELS, side)
                 for side in ("left", "right")
             ),
             name=robot,
@@ -190,11 +191,19 @@ def _curve_views(log: ShownLog) -> list[rrb.Vertical]:
         views.append(base)
         if model.plots:
             plots = (
-                _plot(log, robot, channel, title, curves_of(model, channel))
+                _plot(
+                    log, robot, channel, title, curves_of(model, channel), y_range=_range_of(model, channel)
+                )
                 for channel, title in model.plots.items()
             )
             views.append(rrb.Vertical(*plots, name=f"{robot}: further sensors"))
     return views
+
+
+def _range_of(model: RobotModel, channel: str) -> tuple[float, float] | None:
+    """Return the fixed range of a plot of a channel; None without."""
+    ends = [term.high for term in model.terms if term.name == channel == "ultrasonic"]
+    return (0.0, _SONAR_MARGIN * ends[0]) if ends else None
 
 
 def _residual_views(log: ShownLog, robot: str) -> list[rrb.Vertical]:
@@ -206,7 +215,7 @@ def _residual_views(log: ShownLog, robot: str) -> list[rrb.Vertical]:
         "timing: delay of replies [ms]",
     )
     curves = SENSORS, SENSORS, WHEELS, {"delay": COLD[1]}
-    plots = [_plot(log, robot, FAULT_PATH, "suspected faults: probability [%]")]
+    plots = [_plot(log, robot, FAULT_PATH, "suspected faults: probability [%]", y_range=_SUSPICION_RANGE)]
     plots += [_plot(log, robot, *arguments) for arguments in zip(RESIDUALS, titles, curves, strict=True)]
     proximity = [
         _plot(log, "shadow", name, f"{name} proximity [counts]", SENSORS) for name in ("measured", "expected")
@@ -218,7 +227,13 @@ def _residual_views(log: ShownLog, robot: str) -> list[rrb.Vertical]:
 
 
 def _plot(
-    log: ShownLog, robot: str, topic: str, title: str, curves: _Curves | None = None, side: str = ""
+    log: ShownLog,
+    robot: str,
+    topic: str,
+    title: str,
+    curves: _Curves | None = None,
+    side: str = "",
+    y_range: tuple[float, float] | None = None,
 ) -> rrb.TimeSeriesView:
     """Return a plot of a channel's curves with `side` in the name; by default of the entities below."""
     origin = f"{log.path}/{robot}/{topic}"
@@ -247,7 +262,7 @@ def _plot(
         contents=[origin if curves else f"{origin}/**", events],
         name=title,
         axis_x=rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
-        axis_y=rrb.ScalarAxis(range=_RANGES[topic]) if topic in _RANGES else None,
+        axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
         time_ranges=time_ranges,
         overrides={events: marks, **({origin: lines} if curves else {})},
