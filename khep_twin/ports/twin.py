@@ -20,7 +20,7 @@ from khep_twin.playpen.checks import find_unfit_keys, playpen_problems
 from khep_twin.playpen.parts import model_defaults
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.robots.model import RobotModel
-from khep_twin.robots.registry import installed_models, installed_roms
+from khep_twin.robots.registry import installed_models, installed_roms, is_installed
 from khep_twin.robots.robot import Robot
 from khep_twin.world import World
 
@@ -66,7 +66,7 @@ class TwinOptions:
             raise PortError(key="battery_used_min", value=used_min, expected="0 to 1000")
         if self.rom is not None and self.rom not in installed_roms():
             raise PortError(key="rom", value=self.rom, expected=installed_roms())
-        if self.model is not None and self.model not in installed_models():
+        if self.model is not None and not is_installed(self.model):
             raise PortError(key="model", value=self.model, expected=installed_models())
 
 
