@@ -30,8 +30,13 @@ def check_model(model: RobotModel) -> None:
         raise RobotModelError(f"model {model.name}: {type(error).__name__}: {error}") from error
 
 
-def check_identity(model: RobotModel, host_class: type, reply: str) -> None:
-    """Check the fields of a model about its host class, and about the reply of its twin to the first probe.
+def check_identity(model: RobotModel, host_class: type, reply: str | None) -> None:
+    """Check the fields of a model about its host class, and about the reply to the first probe.
+
+    Args:
+        model: Model.
+        host_class: Its part "host".
+        reply: Reply of its twin; None if it is unknown.
 
     Raises:
         RobotModelError: They are of another class or reply.
@@ -47,7 +52,12 @@ def check_identity(model: RobotModel, host_class: type, reply: str) -> None:
     expected_pattern = f"a pattern of the whole reply to {dialect.probes[0]!r}, {reply!r}"
     rules = (
         _Rule(named_class is host_class, "dialect.host_class", dialect.host_class, path),
-        _Rule(bool(pattern.fullmatch(reply)), "dialect.versions_reply", pattern.pattern, expected_pattern),
+        _Rule(
+            reply is None or pattern.fullmatch(reply) is not None,
+            "dialect.versions_reply",
+            pattern.pattern,
+            expected_pattern,
+        ),
     )
     _check(model, rules)
 

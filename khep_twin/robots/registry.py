@@ -96,13 +96,17 @@ def find_family(name: str) -> RobotModel:
     return shipped.get(name) or installed_families().get(name) or find_model(name)
 
 
-def find_other_family(dialect: Dialect, versions_reply: str) -> RobotModel | None:
-    """Return the first model of the family that identifies itself so; None for this dialect, or none."""
-    if dialect.versions_reply.fullmatch(versions_reply):
-        return None
+def find_replying_family(versions_reply: str) -> RobotModel | None:
+    """Return the first model of the family that identifies itself so; None without one."""
     families = installed_families().values()
     matches = (model for model in families if model.dialect.versions_reply.fullmatch(versions_reply))
     return next(matches, None)
+
+
+def find_other_family(dialect: Dialect, versions_reply: str) -> RobotModel | None:
+    """Return the first model of the family that identifies itself so; None for this dialect, or none."""
+    is_same = dialect.versions_reply.fullmatch(versions_reply)
+    return None if is_same else find_replying_family(versions_reply)
 
 
 def installed_roms() -> Mapping[str, Rom]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from khep_twin import step
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
 from khep_twin.board.turrets import TurretBody
-from khep_twin.errors import FaultError
+from khep_twin.errors import FaultError, RobotModelError
 from khep_twin.robots.model import SampledRegisters, robot_name
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.moments import Moments
@@ -103,6 +103,12 @@ class Robot(WiredBoard, ABC):
             setup.unpaced,
             setup.make_rng("line") if setup.strict_line else None,
         )
+        n_registers = None if model.interface is None else model.interface.n_registers
+        if n_registers not in (None, len(self.registers)):
+            raise RobotModelError(
+                f"model {model.name}: interface.n_registers = {n_registers}; expected {len(self.registers)}, as "
+                "many as its robot has"
+            )
         self.name = robot_name(index)
         self.family = model.family
         self.dialect = model.dialect
