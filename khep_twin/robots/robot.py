@@ -103,18 +103,31 @@ class Robot(WiredBoard, ABC):
             setup.unpaced,
             setup.make_rng("line") if setup.strict_line else None,
         )
-        n_registers = None if model.interface is None else model.interface.n_registers
-        if n_registers not in (None, len(self.registers)):
-            raise RobotModelError(
-                f"model {model.name}: interface.n_registers = {n_registers}; expected {len(self.registers)}, as "
-                "many as its robot has"
-            )
         self.name = robot_name(index)
         self.family = model.family
         self.dialect = model.dialect
         self.indices = indices
         self._context = context
         self._record = context.simulation.robots.record_of(index)
+        if model.interface is not None:
+            n_registers, n_expected = model.interface.n_registers, len(self._record["registers"])
+            if n_registers != n_expected:
+                raise RobotModelError(
+                    f"model {model.name}: interface.n_registers = {n_registers}; expected {n_expected}, the "
+                    "number of registers in its core's state"
+                )
+        self.name = robot_name(index)
+        self.family = model.family
+        self.dialect = model.dialect
+        self.indices = indices
+        self._context = context
+        self._record = context.simulation.robots.record_of(index)
+        n_registers = len(self._record["registers"])
+        if model.interface is not None and model.interface.n_registers != n_registers:
+            raise RobotModelError(
+                f"model {model.name}: interface.n_registers = {model.interface.n_registers}; "
+                f"expected {n_registers}, the number of registers of its core's state"
+            )
         self._has_stopped = False
         self.fit_turrets()
         scene: mujoco.MjModel = context.model

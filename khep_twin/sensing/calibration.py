@@ -349,6 +349,7 @@ def read_for(name: str, model: RobotModel) -> Calibration:
         expected = 1000 * getattr(body, field)
         if name == model.calibration and not math.isclose(value, expected, rel_tol=1e-6):
             raise CalibrationError(
-                f"{name}: wheels: {key} = {value:g}; expected {expected:g}, body.{field} of model {model.name}"
+                f"{name}: wheels: {key} = {value:g}; expected {expected:g}, as body.{field} of model "
+                f"{model.name}"
             )
     return measured

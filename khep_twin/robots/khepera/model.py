@@ -141,5 +141,5 @@ KHEPERA_2 = replace(
     roms={name: ROMS[name] for name in ("khepera2", "5.02", "4.06")},
 )
 """70 mm and 80 g (simulators, host libraries); sensors as in its manual's figure 7, scaled to that diameter,
-their height after Webots; wheel base as in its calibration; 250 mAh that last 60 minutes (manual II), less the motors' share; supports and
-height like the Khepera's (assumed)."""
+their height after Webots; wheel base as in its calibration; 250 mAh that last 60 minutes (manual II), less
+the motors' share; supports and height like the Khepera's (assumed)."""

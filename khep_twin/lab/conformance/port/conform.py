@@ -102,7 +102,7 @@ def conform(
     Raises:
         PortError: The port cannot be opened, its robot is of another model, or time passes there at a speed
             other than 1.
-        RobotModelError: The model is unknown, has no checks, or is wrong about its host class or its identity.
+        RobotModelError: The model is unknown or has no checks, or its host class or identity is wrong.
     """
     if baudrate is not None and baudrate < 1:
         raise PortError(key="baudrate", value=baudrate, expected="the speed of the line, such as 9600")
