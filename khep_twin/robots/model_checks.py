@@ -5,7 +5,7 @@ from importlib.metadata import EntryPoint
 from typing import NamedTuple, cast
 
 from khep_twin.errors import RobotModelError, value_text
-from khep_twin.robots.body import Body
+from khep_twin.robots.body import PER_METRE, Body
 from khep_twin.robots.model import GROUP, Dialect, Interface, RobotModel, Term
 
 
@@ -105,6 +105,8 @@ def _channel_rules(model: RobotModel) -> Iterator[_Rule]:
         columns = f"{len(names)} columns, one for each of {', '.join(names)}"
         is_complete = len(channels[name]) == len(names)
         yield _Rule(is_complete, f"channels[{name!r}]", [column for column, _ in channels[name]], columns)
+    for _, unit in channels["ultrasonic"] if body.sonar is not None else ():
+        yield _Rule(unit in PER_METRE, "channels['ultrasonic']: unit", unit, " or ".join(PER_METRE))
     for name in ("speed", "position"):
         columns = [column for column, _ in channels[name]]
         yield _Rule(len(columns) > 1, f"channels[{name!r}]", columns, "left and right first")
@@ -132,7 +134,10 @@ def _dialect_rules(dialect: Dialect, host: str) -> Iterator[_Rule]:
     _, _, class_name = host.partition(":")
     is_host = dialect.host_class.rpartition(".")[2] == class_name
     yield _Rule(
-        is_host, "dialect.host_class", dialect.host_class, f"the path of the class {class_name}, a part"
+        is_host,
+        "dialect.host_class",
+        dialect.host_class,
+        f"a path that ends in .{class_name}, the class of the part host",
     )
 
 

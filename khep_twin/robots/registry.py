@@ -45,7 +45,7 @@ def installed_models() -> Mapping[str, RobotModel]:
             models[entry.name] = model
         except RobotModelError as error:
             _failures[entry.name] = error
-            warnings.warn(str(error), stacklevel=2)
+            warnings.warn(f"{error}; continuing without this model", stacklevel=2)
     return models
 
 

@@ -60,7 +60,7 @@ def test_the_shipped_models_and_the_toy_pass_their_checks() -> None:
         (
             "dialect",
             {"host_class": "toy_robot.host.Toi"},
-            "'toy_robot.host.Toi'; expected the path of the class",
+            "'toy_robot.host.Toi'; expected a path that ends in .Toy",
         ),
         ("dialect", {"stop_requests": "C5"}, "dialect.stop_requests = 'C5'; expected a tuple of requests"),
         (
@@ -87,6 +87,7 @@ def test_a_wrong_field_is_named_with_the_expected_value(
             {"speed": None},
             "channels = ['proximity', 'ambient', 'ultrasonic', 'position', 'registers']; expected a",
         ),
+        ({"ultrasonic": "beacon [ft]"}, "channels['ultrasonic']: unit = 'ft'; expected m or cm or mm"),
         ({"ultrasonic": None}, "expected a channel 'ultrasonic' among them"),
         ({"ambient": "nose, tail [counts]"}, "['ambient_nose', 'ambient_tail']; expected 5 columns, one for"),
         (

@@ -33,7 +33,10 @@ def test_a_model_that_cannot_be_loaded_is_one_warning_of_a_command_without_it(
 ) -> None:
     command = [sys.executable, "-m", "khep_twin", "playpen", "list"]
     process = subprocess.run(command, env=environment, capture_output=True, text=True)
-    assert (process.returncode, process.stderr) == (0, f"khep-twin: {REASON}\n")
+    assert (process.returncode, process.stderr) == (
+        0,
+        f"khep-twin: {REASON}; continuing without this model\n",
+    )
     assert "default" in process.stdout
 
 
@@ -83,7 +86,7 @@ def test_a_broken_package_is_refused_in_one_line_where_its_model_is_needed(
     source: str, reason: str, offered: Callable[[str], list[str]]
 ) -> None:
     expected = f"robot lost: lost_robot:LOST {reason}"
-    assert offered(source) == [expected]
+    assert offered(source) == [f"{expected}; continuing without this model"]
     assert registry.find_model("khepera1").title == "Khepera"
     text = 'version = 1\nname = "a"\n[arena]\nwidth_mm = 600\nheight_mm = 400\n[[robot]]\nmodel = "lost"\n'
     for use in (

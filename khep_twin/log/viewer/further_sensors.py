@@ -13,7 +13,7 @@ from rerun.chunk import Chunk
 
 from khep_twin.log.viewer.arena import frame_chunk, line_chunks
 from khep_twin.log.viewer.collected import Floats, Samples, time_column
-from khep_twin.robots.body import SonarRing
+from khep_twin.robots.body import PER_METRE, SonarRing
 from khep_twin.robots.model import RobotModel
 from khep_twin.sensing.colours import AXES, Colour, sensor_colour
 
@@ -36,15 +36,18 @@ def arena_chunks(robot: str, model: RobotModel, samples: Samples, led_positions:
     chunks: list[Chunk] = []
     distances, sonar = samples.extra_channels.get("ultrasonic"), model.body.sonar
     if distances is not None and sonar is not None:
-        chunks += _beams(robot, sonar, samples.times_ns, distances)
+        _, unit = model.channels["ultrasonic"][0]
+        chunks += _beams(robot, sonar, samples.times_ns, distances, PER_METRE[unit])
     brightness = samples.extra_channels.get("leds")
     if brightness is not None and model.rgb_leds:
         chunks += _lights(robot, samples.times_ns, brightness, led_positions)
     return chunks
 
 
-def _beams(robot: str, sonar: SonarRing, times_ns: NDArray[np.int64], distances: Floats) -> list[Chunk]:
-    """Return a sector per sensor, as long as its distance [cm] (n, 5); none without a distance."""
+def _beams(
+    robot: str, sonar: SonarRing, times_ns: NDArray[np.int64], distances: Floats, per_metre: int
+) -> list[Chunk]:
+    """Return a sector per sensor, as long as its distance (n, n_sensors); none without a distance."""
     n, count = distances.shape
     headings = np.radians(sonar.headings_deg)
     angles = headings[:, None] + np.linspace(-_HALF_BEAM, _HALF_BEAM, _ARC_POINTS)
@@ -53,7 +56,7 @@ def _beams(robot: str, sonar: SonarRing, times_ns: NDArray[np.int64], distances:
     origins = np.stack([x, y, np.full(count, sonar.height)], axis=-1)
     is_valid = ~np.isin(distances, sonar.codes)
     strips = np.repeat(origins[None, :, None], n, axis=0).repeat(_ARC_POINTS + 2, axis=2)
-    strips[:, :, 1:-1] += np.where(is_valid, distances / 100, 0)[..., None, None] * directions
+    strips[:, :, 1:-1] += np.where(is_valid, distances / per_metre, 0)[..., None, None] * directions
     colours = np.zeros((n, count, 4), np.uint8)
     colours[is_valid] = (64, 150, 208, 255)
     lines = strips.reshape(n * count, -1, 3).astype(np.float32), colours.reshape(-1, 4)
