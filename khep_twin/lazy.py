@@ -13,6 +13,7 @@ A package lists them once, as type checkers read them:
 """
 
 import ast
+import reprlib
 import sys
 from collections.abc import Callable, Iterable
 from importlib import import_module
@@ -58,15 +59,20 @@ def load_plugins(
     """
     plugins: dict[str, Plugin] = {}
     for entry in entries:
+        text = f"{title} {entry.name}: {entry.value}"
         try:
             plugin: object = entry.load()
         except (ImportError, AttributeError) as error:
-            raise error_type(f"{title} {entry.name}: {entry.value} cannot be loaded: {error}") from error
-        if not isinstance(plugin, kind) or plugin.name != entry.name or not is_valid(plugin):
-            text = f"{title} {entry.name}: {entry.value} is {plugin!r}"
-            raise error_type(f"{text}; expected a {kind.__name__} of this name{expected}")
+            raise error_type(f"{text} cannot be loaded: {error}") from error
+        except Exception as error:  # the package's module may raise any error, such as a SyntaxError
+            raise error_type(f"{text} cannot be loaded: {type(error).__name__}: {error}") from error
+        if isinstance(plugin, kind) and plugin.name != entry.name:
+            expected_name = f"expected {entry.name!r}, the name of its entry point"
+            raise error_type(f"{text} has name = {plugin.name!r}; {expected_name}")
+        if not isinstance(plugin, kind) or not is_valid(plugin):
+            raise error_type(f"{text} is {reprlib.repr(plugin)}; expected a {kind.__name__}{expected}")
         if plugins.setdefault(plugin.name, plugin) is not plugin:
-            raise error_type(f"{title} {entry.name}: {entry.value}: the name is taken by another package")
+            raise error_type(f"{text}: the name is taken by another package")
     return plugins
 
 

@@ -5,6 +5,7 @@ import typer
 from khep_twin.cli.option_groups import with_help
 from khep_twin.errors import PortError, PortInUse
 from khep_twin.process.invocation import command
+from khep_twin.robots.registry import default_model
 
 
 @with_help
@@ -30,6 +31,7 @@ def ports(
 
 def _describe_robot(url: str) -> str:
     """Return the model and versions of the robot at a port, or why it does not answer, as text."""
+    from khep_twin.host.commands import versions
     from khep_twin.host.discovery import identify_robot
 
     try:
@@ -40,7 +42,8 @@ def _describe_robot(url: str) -> str:
         return f": {error}"
     if identity is None:
         return ": no answer"
-    baud, versions = identity
-    if versions.bios.isalpha():
-        return f": Khepera IV, revision {''.join(versions)} at {baud} baud"
-    return f": BIOS {versions.bios}, protocol {versions.protocol} at {baud} baud"
+    baud, model, reply = identity
+    if model.family == default_model().family:
+        bios, protocol = versions().read(reply)
+        return f": BIOS {bios}, protocol {protocol} at {baud} baud"
+    return f": {model.title}, {reply} at {baud} baud"

@@ -8,7 +8,6 @@ extra `rl` reads entry points of packages, so a program imports `khep_twin`, or 
 
 import dataclasses
 import sys
-import warnings
 from collections.abc import Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -31,16 +30,10 @@ def register() -> None:
             sys.meta_path.insert(0, _RegistrationFinder())
         return
     from khep_twin.envs.tasks import TASKS
-    from khep_twin.errors import RobotModelError
-    from khep_twin.robots.registry import installed_models, shipped_models
+    from khep_twin.robots.registry import installed_models
 
     registry: Any = module
-    try:
-        models = installed_models()
-    except RobotModelError as error:  # an import of Gymnasium must not end in it
-        warnings.warn(str(error), stacklevel=2)
-        models = shipped_models()
-    for task in (*TASKS, *(name for model in models.values() for name in model.tasks)):
+    for task in (*TASKS, *(name for model in installed_models().values() for name in model.tasks)):
         if (name := f"khep_twin/{task}-v0") not in registry.registry:
             registry.register(
                 name,

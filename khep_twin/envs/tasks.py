@@ -261,7 +261,7 @@ class Task:
             text = value_text(self.observation_terms)
             raise KhepTwinError(f"task {self.name}: observation_terms = {text}; expected a tuple of texts")
         for term in self.observation_terms:
-            check_choice(f"task {self.name}: observation term", term, self.terms)
+            check_choice(f"task {self.name}: model {self.model}: observation term", term, self.terms)
         if not self.observation_terms:
             raise KhepTwinError(f"task {self.name}: no observation terms; {choices('', self.terms)}")
 

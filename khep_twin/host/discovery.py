@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from serial.tools import list_ports
 
 from khep_twin.errors import PortError, PortInUse, PortTimeout
-from khep_twin.host import commands
 from khep_twin.host.opening import find_baud_rate, open_port
 from khep_twin.ports.port_users import port_user
 from khep_twin.ports.service_registry import served_ports
 from khep_twin.renamed import renamed_attribute
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import find_replying_family
 
 _TIMEOUT_S = 0.3
 """Longest wait for a reply to command B [s]."""
@@ -47,13 +48,13 @@ def found_ports() -> list[FoundPort]:
     return twins + adapters
 
 
-def identify_robot(url: str) -> tuple[int, commands.Versions] | None:
-    """Request the versions of a port's robot at every baud rate, without an effect on its motors.
+def identify_robot(url: str) -> tuple[int, RobotModel, str] | None:
+    """Request the identity of a port's robot at every baud rate, without an effect on its motors.
 
     A port that another program has open is not opened, as the programs would share its bytes.
 
     Returns:
-        Baud rate and versions; None without a reply.
+        Baud rate, first model of its family and text of its reply; None without a reply.
 
     Raises:
         PortInUse: Another program has the port open.
@@ -63,11 +64,12 @@ def identify_robot(url: str) -> tuple[int, commands.Versions] | None:
         raise PortInUse(f"{url}: in use by {user}")
     port = open_port(url, 9600, _TIMEOUT_S, exclusive=True)
     try:
-        speed, reply = find_baud_rate(port, url, time.monotonic)
-        return speed, commands.versions().read(reply)
-    except (PortTimeout, ValueError):
+        baud_rate, reply = find_baud_rate(port, url, time.monotonic)
+        model = find_replying_family(reply)
+        return None if model is None else (baud_rate, model, reply)
+    except PortTimeout:
         return None
     except OSError as error:
-        raise PortError(f"{url}: the port failed at 'B': {error}") from error
+        raise PortError(f"{url}: the port failed at its identification: {error}") from error
     finally:
         port.close()

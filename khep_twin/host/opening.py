@@ -130,9 +130,11 @@ def _identify(port: serial.Serial, clock: Callable[[], float]) -> str:
             end = clock() + _REPLY_TIMEOUT_S
             while clock() <= end and (data := framing.read(port, clock)):
                 text = framing.decode(data)
-                reply = text[max(text.find("b,"), 0) :]
-                if framing.is_message(data) and any(pattern.fullmatch(reply) for pattern in patterns):
-                    return "" if caught_warnings else reply
+                # A line may start with noise.
+                replies = (text[start:] for start in range(len(text) if framing.is_message(data) else 0))
+                for reply in replies:
+                    if any(pattern.fullmatch(reply) for pattern in patterns):
+                        return "" if caught_warnings else reply
     return ""
 
 

@@ -169,7 +169,7 @@ class RobotPort:
         duration = max(self.timeout_time - start, self.serial_port.timeout or 0.0)
         return PortTimeout(
             f"{self.name}: no reply to {request!r} within {duration:.2g} s"
-            + (f", only {line!r}" if line else "")
+            + (f", only {self.framing.decode(line)!r}" if line else "")
             + f"; is the robot on, in a serial mode of {self.serial_port.baudrate} baud?"
         )
 

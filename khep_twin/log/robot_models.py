@@ -8,8 +8,9 @@ from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.robots.registry import (
     DEFAULT,
     default_model,
+    find_model,
     installed_families,
-    installed_models,
+    is_installed,
     model_of_channels,
 )
 
@@ -37,11 +38,12 @@ def models_of(
     names = {robot_name(index): str(entry.get("model", DEFAULT)) for index, entry in enumerate(entries)}
     models: dict[str, RobotModel] = {}
     for robot in robots:
-        if (model := installed_models().get(names.get(robot, ""))) is None:
+        if is_installed(name := names.get(robot, "")):
+            models[robot] = find_model(name)
+        else:
             prefix = f"/{robot}/"
             channels = {topic.removeprefix(prefix) for topic in topics if topic.startswith(prefix)}
-            model = model_of_channels(channels)
-        models[robot] = model
+            models[robot] = model_of_channels(channels)
     return models
 
 

@@ -24,7 +24,7 @@ from khep_twin.playpen.stripes import PANEL_LIMIT
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen.tables import PlaypenTables
 from khep_twin.robots.model import Feature
-from khep_twin.robots.registry import installed_models, titles_with
+from khep_twin.robots.registry import is_installed, titles_with
 
 LOWEST_WALL_MM, LOWEST_WALL_WITH_TURRET_MM = 15.0, 30.0
 """Lowest walls of an arena with bare robots, and with turrets [mm]. At full speed,
@@ -135,7 +135,7 @@ def default_keys(model: str, spots: Sequence[Mapping[str, object]]) -> dict[str,
     """Return a robot's keys that follow from its model and spots, for a file that omits them."""
     first_spot: Mapping[str, object] = spots[0] if spots else {}
     pose = {key: first_spot[key] for key in ("x_mm", "y_mm", "heading_deg") if key in first_spot}
-    defaults: Mapping[str, str] = model_defaults(model) if model in installed_models() else {}
+    defaults: Mapping[str, str] = model_defaults(model) if is_installed(model) else {}
     return {**defaults, **pose}
 
 

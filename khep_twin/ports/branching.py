@@ -93,6 +93,7 @@ def branch_off(
         for recorder in filter(None, [twin.recorder for twin in twins]):
             recorder.discard()
         raise
+    resumed.twin.branched_at_ns = resumed.twin.world.time_ns
     return resumed
 
 

@@ -7,11 +7,12 @@ give the same run.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
+from types import TracebackType
 from typing import Self
 
 from khep_twin.board.fault_injection import parse_fault
 from khep_twin.clock import TimeSource
-from khep_twin.errors import PortError
+from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.files.paths import StrPath
 from khep_twin.log.recorder import Recorder, WorldRecorder
 from khep_twin.log.run_description import LogPrefix, RunDescription
@@ -20,7 +21,7 @@ from khep_twin.playpen.checks import find_unfit_keys, playpen_problems
 from khep_twin.playpen.parts import model_defaults
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.robots.model import RobotModel
-from khep_twin.robots.registry import installed_models, installed_roms
+from khep_twin.robots.registry import installed_models, installed_roms, is_installed
 from khep_twin.robots.robot import Robot
 from khep_twin.world import World
 
@@ -66,7 +67,7 @@ class TwinOptions:
             raise PortError(key="battery_used_min", value=used_min, expected="0 to 1000")
         if self.rom is not None and self.rom not in installed_roms():
             raise PortError(key="rom", value=self.rom, expected=installed_roms())
-        if self.model is not None and self.model not in installed_models():
+        if self.model is not None and not is_installed(self.model):
             raise PortError(key="model", value=self.model, expected=installed_models())
 
 
@@ -94,6 +95,7 @@ class Twin:
         robot: First robot on the line.
         options: Options of the twin.
         recorder: Recorder of its log; None without.
+        branched_at_ns: Time at which the run branched off another one [ns]; None for another run.
         views: Recorders of its live views.
     """
 
@@ -110,6 +112,7 @@ class Twin:
         self.robot = robots[0]
         self.options = options
         self.recorder: Recorder | None = None
+        self.branched_at_ns: int | None = None
         self.views: list[WorldRecorder] = []
 
     @property
@@ -120,7 +123,16 @@ class Twin:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the twin; a branch that is refused before its first step leaves no log."""
+        if (
+            isinstance(error, KhepTwinError)
+            and self.recorder is not None
+            and self.branched_at_ns == self.world.time_ns
+        ):
+            self.recorder.discard()
         self.close()
 
     def advance_to(self, time_ns: int) -> None:

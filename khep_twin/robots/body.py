@@ -3,6 +3,9 @@
 import math
 from dataclasses import dataclass
 
+PER_METRE = {"m": 1, "cm": 100, "mm": 1000}
+"""Units of ultrasonic readings, per metre."""
+
 
 @dataclass(frozen=True, slots=True)
 class SonarRing:

@@ -1,6 +1,7 @@
 """Models of robots by name: those that ship, and those of other packages."""
 
-from collections.abc import Container, Mapping
+import warnings
+from collections.abc import Container, Iterable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
@@ -8,6 +9,7 @@ from khep_twin.board.rom import Rom
 from khep_twin.errors import RobotModelError, choices
 from khep_twin.lazy import load_plugins
 from khep_twin.robots.model import GROUP, Dialect, Feature, RobotModel
+from khep_twin.robots.model_checks import check_model
 
 DEFAULT = "khepera1"
 """Model of robots that a file or an option does not name."""
@@ -19,35 +21,67 @@ _SHIPPED = {
 }
 
 
+_failures: dict[str, RobotModelError] = {}
+"""Errors of the models that cannot be used, by name."""
+
+
 @cache
 def installed_models() -> Mapping[str, RobotModel]:
-    """Return the models of all installed packages by name, those that ship first.
+    """Return the usable models of all installed packages by name, those that ship first.
 
-    Raises:
-        RobotModelError: A package registers an object that is no model, or a name that is in use.
+    Another model has no effect on commands that do not need it, but one warning: `find_model` and
+    `is_installed` raise its error.
     """
-    foreign = sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value))
-    return load_plugins([*_shipped_entries(), *foreign], RobotModel, RobotModelError, "robot")
+    models = dict(shipped_models())
+    _failures.clear()
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
+        try:
+            (model,) = _load([entry]).values()
+            check_model(model)
+            if entry.name in models:
+                raise RobotModelError(
+                    f"robot {entry.name}: {entry.value}: the name is taken by another package"
+                )
+            models[entry.name] = model
+        except RobotModelError as error:
+            _failures[entry.name] = error
+            warnings.warn(f"{error}; continuing without this model", stacklevel=2)
+    return models
 
 
 @cache
 def shipped_models() -> Mapping[str, RobotModel]:
     """Return the models that ship, by name."""
-    return load_plugins(_shipped_entries(), RobotModel, RobotModelError, "robot")
+    return _load(
+        [EntryPoint(name, f"khep_twin.robots.{reference}", GROUP) for name, reference in _SHIPPED.items()]
+    )
 
 
-def _shipped_entries() -> list[EntryPoint]:
-    return [EntryPoint(name, f"khep_twin.robots.{reference}", GROUP) for name, reference in _SHIPPED.items()]
+def _load(entries: Iterable[EntryPoint]) -> dict[str, RobotModel]:
+    return load_plugins(entries, RobotModel, RobotModelError, "robot")
+
+
+def is_installed(name: str) -> bool:
+    """Return whether an installed package has a model.
+
+    Raises:
+        RobotModelError: It has one that cannot be used.
+    """
+    if name in installed_models():
+        return True
+    if name in _failures:
+        raise _failures[name]
+    return False
 
 
 def find_model(name: str) -> RobotModel:
     """Return a model by its name.
 
     Raises:
-        RobotModelError: No installed package has it.
+        RobotModelError: No installed package has it, or it cannot be used.
     """
     models = installed_models()
-    if name not in models:
+    if not is_installed(name):
         raise RobotModelError(f"model = {name!r}: unknown; {choices(name, models)}")
     return models[name]
 
@@ -62,13 +96,17 @@ def find_family(name: str) -> RobotModel:
     return shipped.get(name) or installed_families().get(name) or find_model(name)
 
 
-def find_other_family(dialect: Dialect, versions_reply: str) -> RobotModel | None:
-    """Return the first model of the family that identifies itself so; None for this dialect, or none."""
-    if dialect.versions_reply.fullmatch(versions_reply):
-        return None
+def find_replying_family(versions_reply: str) -> RobotModel | None:
+    """Return the first model of the family that identifies itself so; None without one."""
     families = installed_families().values()
     matches = (model for model in families if model.dialect.versions_reply.fullmatch(versions_reply))
     return next(matches, None)
+
+
+def find_other_family(dialect: Dialect, versions_reply: str) -> RobotModel | None:
+    """Return the first model of the family that identifies itself so; None for this dialect, or none."""
+    is_same = dialect.versions_reply.fullmatch(versions_reply)
+    return None if is_same else find_replying_family(versions_reply)
 
 
 def installed_roms() -> Mapping[str, Rom]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from khep_twin import step
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
 from khep_twin.board.turrets import TurretBody
-from khep_twin.errors import FaultError
+from khep_twin.errors import FaultError, RobotModelError
 from khep_twin.robots.model import SampledRegisters, robot_name
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.moments import Moments
@@ -109,6 +109,25 @@ class Robot(WiredBoard, ABC):
         self.indices = indices
         self._context = context
         self._record = context.simulation.robots.record_of(index)
+        if model.interface is not None:
+            n_registers, n_expected = model.interface.n_registers, len(self._record["registers"])
+            if n_registers != n_expected:
+                raise RobotModelError(
+                    f"model {model.name}: interface.n_registers = {n_registers}; expected {n_expected}, the "
+                    "number of registers in its core's state"
+                )
+        self.name = robot_name(index)
+        self.family = model.family
+        self.dialect = model.dialect
+        self.indices = indices
+        self._context = context
+        self._record = context.simulation.robots.record_of(index)
+        n_registers = len(self._record["registers"])
+        if model.interface is not None and model.interface.n_registers != n_registers:
+            raise RobotModelError(
+                f"model {model.name}: interface.n_registers = {model.interface.n_registers}; "
+                f"expected {n_registers}, the number of registers of its core's state"
+            )
         self._has_stopped = False
         self.fit_turrets()
         scene: mujoco.MjModel = context.model

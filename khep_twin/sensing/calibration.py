@@ -4,6 +4,7 @@ Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and 
 assets/calibration are used by bare name, others by path. `khep_twin.sensors` explains the parameters.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import mode
 from typing import Annotated, Self, TypeVar, cast
@@ -329,7 +330,8 @@ def read_for(name: str, model: RobotModel) -> Calibration:
     """Return a calibration of a robot of a model, by bare name or path.
 
     Raises:
-        CalibrationError: As `read`; or the calibration is of a robot with other sensors.
+        CalibrationError: As `read`; or the calibration is of a robot with other sensors, or the model's usual
+            one has other wheels than its body.
     """
     measured, n_ground = read(name)[0], len(model.body.ground_positions)
     n_measured_ground = 0 if measured.ground is None else len(measured.ground.white_counts)
@@ -339,4 +341,15 @@ def read_for(name: str, model: RobotModel) -> Calibration:
             f'{name}: of another robot than model = "{model.name}"; expected a calibration with {n_around} '
             f"sensors around and {n_ground or 'no'} sensors of the ground"
         )
+    wheels, body = measured.wheels, model.body
+    for key, value, field in (
+        ("radius_mm", wheels.radius_mm, "wheel_radius"),
+        ("base_mm", wheels.base_mm, "wheel_base"),
+    ):
+        expected = 1000 * getattr(body, field)
+        if name == model.calibration and not math.isclose(value, expected, rel_tol=1e-6):
+            raise CalibrationError(
+                f"{name}: wheels: {key} = {value:g}; expected {expected:g}, as body.{field} of model "
+                f"{model.name}"
+            )
     return measured

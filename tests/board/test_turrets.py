@@ -124,8 +124,8 @@ def test_the_body_of_a_turret_stands_on_the_one_below_it(
     [
         (["MISSING"], ":MISSING cannot be loaded"),
         (["NOTHING"], ":NOTHING is 5; expected a TurretKind"),
-        (["BEYOND"], "expected a TurretKind of this name with a number from 0 to 31"),
-        (["other=RADIO"], "expected a TurretKind of this name"),
+        (["BEYOND"], "expected a TurretKind with a number from 0 to 31"),
+        (["other=RADIO"], "has name = 'radio'; expected 'other', the name of its entry point"),
     ],
 )
 def test_a_package_that_offers_no_turret_is_named(offered: list[str], names: list[str], part: str) -> None:

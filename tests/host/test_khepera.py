@@ -171,7 +171,7 @@ class Silent(serial.SerialBase):
 def test_silence_is_a_clear_error() -> None:
     with pytest.raises(PortTimeout, match=r"silent: no reply to 'N' within 0.25 s; is the robot on"):
         Khepera(Silent(b"")).proximity()
-    with pytest.raises(PortTimeout, match="only b'n,1,2'"):
+    with pytest.raises(PortTimeout, match="only 'n,1,2'"):
         Khepera(Silent(b"n,1,2")).proximity()
 
 

@@ -12,6 +12,7 @@ from khep_twin.host import Distances, Khepera, Khepera4, Vector3
 from khep_twin.host.discovery import identify_robot
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
+from khep_twin.robots.registry import find_model
 
 
 @pytest.fixture
@@ -142,4 +143,4 @@ def test_a_served_twin_answers_at_each_kind_of_port(kind: list[str]) -> None:
             with pytest.raises(ProtocolError, match="and 8 values; a Khepera IV answers so; expected a Khep"):
                 wrong.proximity()
         if not kind:
-            assert identify_robot(url) == (9600, ("B", "0"))  # a twin takes any speed
+            assert identify_robot(url) == (9600, find_model("khepera4"), "b,B,0")  # a twin takes any speed

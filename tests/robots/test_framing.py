@@ -171,6 +171,12 @@ def test_late_replies_are_dropped_and_lost_ones_are_read_again() -> None:
         assert not twin.robot.registers[SETPOINTS].any()
 
 
+def test_a_timeout_shows_a_part_of_a_frame_as_hexadecimal_digits() -> None:
+    with open_toys() as twin, open_toy(twin) as toy:
+        error = toy._line.port.timeout_error("C50338", frame(3)[:2], toy.time)
+    assert "no reply to 'C50338' within 1 s, only 'C503'; is" in str(error)
+
+
 def test_a_frame_that_moves_is_refused_after_hold_in_any_spelling() -> None:
     with open_toys() as twin, open_toy(twin) as toy:
         toy.set_speed(0.1, 0.1)

@@ -4,6 +4,7 @@ import math
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -211,6 +212,23 @@ def test_a_log_of_a_toy_is_repeated_reported_and_shown(log: Path, tmp_path: Path
     assert ", of a Toy 150" in page
     assert "Distance by counters" in page
     good("view", log, "--save", tmp_path / "view.rrd")
+
+
+def test_a_beam_in_the_viewer_is_as_long_as_the_reading_in_millimetres() -> None:
+    pytest.importorskip("rerun")
+    from khep_twin.log.viewer.further_sensors import arena_chunks
+
+    samples: Any = SimpleNamespace(
+        times_ns=np.zeros(1, np.int64), extra_channels={"ultrasonic": np.full((1, 1), 300.0)}
+    )
+    model = find_model("toy")
+    batches = [
+        chunk.to_record_batch() for chunk in arena_chunks("khepera0", model, samples, np.zeros((0, 3)))
+    ]
+    (strips,) = (batch["LineStrips3D:strips"].to_pylist() for batch in batches if "Line" in str(batch.schema))
+    assert model.body.sonar is not None
+    ends = np.hypot(*np.array(strips[0][0])[:, :2].T)
+    assert ends.max() == pytest.approx(0.3 + model.body.sonar.radius, abs=1e-3)
 
 
 def test_the_map_shows_a_toy_by_its_size(toys: Playpen) -> None:

@@ -133,6 +133,7 @@ KHEPERA_2 = replace(
             (-0.0289, 0.0111),
         ),
         sensor_height=0.017,
+        wheel_base=0.055,
         idle_current=0.2464,
         fits_scene=True,
     ),
@@ -140,5 +141,5 @@ KHEPERA_2 = replace(
     roms={name: ROMS[name] for name in ("khepera2", "5.02", "4.06")},
 )
 """70 mm and 80 g (simulators, host libraries); sensors as in its manual's figure 7, scaled to that diameter,
-their height after Webots; 250 mAh that last 60 minutes (manual II), less the motors' share; supports and
-height like the Khepera's (assumed)."""
+their height after Webots; wheel base as in its calibration; 250 mAh that last 60 minutes (manual II), less
+the motors' share; supports and height like the Khepera's (assumed)."""

@@ -1,5 +1,6 @@
 """Branches: a logged run is resumed at a branch point and equals its parent up to there."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -172,6 +173,18 @@ def test_a_change_that_cannot_be_made_is_one_line_and_leaves_no_log(
         branch_at(parent, tmp_path, **changes)
     assert len(str(error.value).splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_controller_that_is_refused_before_its_first_step_leaves_no_log(
+    parent: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "new.mcap"
+    plan = BranchPlan(parent, BranchPoint(AT_NS), braitenberg, cycles=2)
+    with pytest.raises(LogError, match="robot = 7; expected 0 to 0"):
+        branch(replace(plan, robot=7), path)
+    assert not list(tmp_path.iterdir())
+    branch(plan, path)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_moment_outside_the_run_and_a_damaged_snapshot_are_one_line(parent: Path, tmp_path: Path) -> None:

@@ -6,12 +6,12 @@ that its family of robots has. Checks that move the robot are optional.
 
 import json
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 
-from khep_twin.errors import PORT_FAILURES, PortError
-from khep_twin.host.host_robot import open_robot
+from khep_twin.errors import PORT_FAILURES, PortError, PortTimeout, ProtocolError
+from khep_twin.host.host_robot import HostRobot, open_robot
 from khep_twin.lab.conformance.port.check import (
     Catalogue,
     Check,
@@ -20,6 +20,8 @@ from khep_twin.lab.conformance.port.check import (
     NotPossibleError,
     is_driving,
 )
+from khep_twin.ports.twin import Twin
+from khep_twin.robots.model_checks import check_identity
 from khep_twin.robots.registry import DEFAULT, find_family
 
 
@@ -100,7 +102,7 @@ def conform(
     Raises:
         PortError: The port cannot be opened, its robot is of another model, or time passes there at a speed
             other than 1.
-        RobotModelError: The model is unknown, or has no checks.
+        RobotModelError: The model is unknown or has no checks, or its host class or identity is wrong.
     """
     if baudrate is not None and baudrate < 1:
         raise PortError(key="baudrate", value=baudrate, expected="the speed of the line, such as 9600")
@@ -113,7 +115,17 @@ def conform(
                 f"{url}: checks at a server with --speed {robot.clock_speed:g}; expected --speed 1"
             )
         robot.check_model()
+        check_identity(robot_model, type(robot), _twin_identity(robot))
         return examine(CheckedPort(robot.port, robot_model.dialect.framing), url, move=move, model=model)
+
+
+def _twin_identity(robot: HostRobot) -> str | None:
+    """Return the reply of a twin in this process to the first probe; None without one, or with faults."""
+    twin: Twin | None = getattr(robot.port, "twin", None)
+    with suppress(PortTimeout, ProtocolError):
+        if twin is not None and not twin.options.faults:
+            return robot.ask(robot.dialect.probes[0])
+    return None
 
 
 def examine(line: CheckedPort, name: str, *, move: bool = False, model: str = DEFAULT) -> ConformanceReport:
