@@ -170,7 +170,9 @@ class TaskSetup(CopiedByArguments):
 
     def episode(self, device: Device = "cpu") -> Episode:
         """Return an episode whose speeds the caller sets; for a GPU, one that is only prepared."""
-        driver = Policy(requests=self._requests, terms=self.task.observation_terms)
+        known_terms = {term.name for term in self.playpen.robots[0].robot_model.terms}
+        terms = tuple(name for name in self.task.observation_terms if name in known_terms)
+        driver = Policy(requests=self._requests, terms=terms)
         if device == "cuda":
             from khep_twin.episodes.cuda.card_batch import PreparedEpisode
 

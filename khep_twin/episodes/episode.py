@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from khep_twin.copies import NotCopied
 from khep_twin.episodes import stepping
 from khep_twin.episodes.contacts import in_contact
-from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, Policy, make_controllers
+from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, make_controllers, terms_of
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import NEVER
@@ -138,8 +138,7 @@ class Episode(NotCopied):
             self._use_compiled_if_ready()
         self._controllers = self._new_controllers()
         starts = None if options.start is None else _check_starts(options.start, len(self.boards))
-        if isinstance(self._driver, Policy):
-            self._simulation.terms = self._driver.terms
+        self._simulation.terms = terms_of(self._driver)
         self._simulation.title = f"episode of seed {seed}"
         self._world.reset(seed, noise=options.noise, vary=options.vary, starts=starts, lamps=options.lamps)
         self._has_started = True

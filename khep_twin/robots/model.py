@@ -22,7 +22,7 @@ from itertools import accumulate, pairwise
 from typing import NamedTuple, TypeVar, cast
 
 from khep_twin.board.rom import Rom
-from khep_twin.errors import RobotModelError
+from khep_twin.errors import RobotModelError, choices
 from khep_twin.robots.body import Body
 from khep_twin.robots.framing import LINES, Framing
 from khep_twin.units import COUNTS_LIMIT
@@ -126,7 +126,7 @@ class Interface(NamedTuple):
 
 
 class Term(NamedTuple):
-    """Further readings that tasks observe, by registers.
+    """Further readings that tasks observe and controllers of episodes read, by registers.
 
     Attributes:
         name: Name.
@@ -143,6 +143,16 @@ class Term(NamedTuple):
     low: float
     high: float
     unit: str
+
+    @property
+    def registers(self) -> tuple[int, int]:
+        """First register of the readings, and the end of them."""
+        return self.register, self.register + len(self.names)
+
+    @property
+    def zero(self) -> float:
+        """Value that is the input 0 of a network; `high` is 1, and values are clipped to `low` and `high`."""
+        return max(self.low, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +193,7 @@ class RobotModel:
         plots: Titles of further plots, by channel.
         rgb_leds: Names of LEDs whose red, green and blue are in the channel "leds", 0 to 63.
         interface: Registers for controllers of episodes; None if it runs in no episodes.
-        terms: Further readings that tasks observe.
+        terms: Further readings that tasks observe and controllers of episodes read.
         tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
     """
@@ -245,6 +255,20 @@ class RobotModel:
         if self.interface is None:
             raise RobotModelError(f"model = {self.name!r} gives no interface; expected one for an episode")
         return self.interface
+
+    def find_terms(self, names: Sequence[str]) -> list[Term]:
+        """Return terms by their names.
+
+        Raises:
+            RobotModelError: It has no such term, or a name is there twice.
+        """
+        terms = {term.name: term for term in self.terms}
+        for name in names:
+            if name not in terms:
+                raise RobotModelError(f"model {self.name}: term {name!r}: unknown; {choices(name, terms)}")
+        if len({*names}) < len(names):
+            raise RobotModelError(f"terms = {[*names]}: a name is there twice; expected it once")
+        return [terms[name] for name in names]
 
     def load_task(self, name: str) -> object:
         """Return a task.
