@@ -23,7 +23,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
+from khep_twin.episodes.controllers import Driver, Floats, Network, Policy, readings_of
 from khep_twin.episodes.device import Device, choose_device
 from khep_twin.episodes.episode import Episode, is_compiled
 from khep_twin.episodes.episode_batch import EpisodeBatch
@@ -380,15 +380,10 @@ def _decide_speeds(
     policy: Policy, setup: EpisodeSetup, batch: EpisodeBatch, slots: NDArray[np.int64], group: range
 ) -> Floats:
     """Return the speeds that a policy decides on for some slots (n_slots, n_robots, 2)."""
-    interface, terms = setup.interface, setup.entry.robot_model.find_terms(policy.terms)
-    boards = batch.registers[slots].reshape(-1, interface.n_registers)
+    boards = batch.registers[slots].reshape(-1, setup.interface.n_registers)
     indices = np.repeat(slots + group.start, batch.registers.shape[1])
-    output = policy.decide(
-        boards[:, slice(*interface.proximity)],
-        boards[:, slice(*interface.ambient)],
-        indices,
-        *(boards[:, slice(*term.registers)] for term in terms),
-    )
+    proximity, ambient, *terms = (boards[:, slice(*reading)] for reading in readings_of(policy, setup))
+    output = policy.decide(proximity, ambient, indices, *terms)
     try:
         speeds = np.asarray(output, np.float64)
     except (TypeError, ValueError) as error:

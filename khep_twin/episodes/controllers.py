@@ -3,9 +3,11 @@
 All but a policy run inside the compiled loop. A policy is plain Python that is called for many robots.
 """
 
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from inspect import Parameter
 from pathlib import Path
 from typing import NoReturn, Self
 
@@ -19,8 +21,8 @@ from khep_twin.episodes.metrics import initial_sums
 from khep_twin.episodes.stepping import N_SCALE
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
-from khep_twin.robots.core import Registers, wander_nowhere
-from khep_twin.robots.model import Term
+from khep_twin.robots.core import Registers, core_of, wander_nowhere
+from khep_twin.robots.model import RobotModel, Term
 from khep_twin.robots.registry import default_model, find_family
 from khep_twin.units import SCAN_NS
 
@@ -200,12 +202,43 @@ class Policy:
 Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
 
 
+def terms_in(function: Callable[..., object], count: int) -> tuple[str, ...]:
+    """Return the names of a function's parameters behind the first `count`, except those with a default."""
+    try:
+        parameters = [*inspect.signature(function).parameters.values()][count:]
+    except ValueError:  # a function in C without a signature
+        return ()
+    kinds = Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD
+    required = (parameter for parameter in parameters if parameter.default is Parameter.empty)
+    return tuple(parameter.name for parameter in required if parameter.kind in kinds)
+
+
 def terms_of(driver: Driver) -> tuple[str, ...]:
     """Return the names of the further readings that a controller asks for."""
     return driver.terms if isinstance(driver, Network | Function | Policy) else ()
 
 
 _EXPECTED_DRIVER = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
+
+
+def find_terms(driver: Driver, model: RobotModel) -> list[Term]:
+    """Return the further readings that a controller asks for.
+
+    Raises:
+        ControllerError: It does not control robots of the model.
+        RobotModelError: The model has no such reading.
+    """
+    if isinstance(driver, Braitenberg) and core_of(model).wander is wander_nowhere:
+        raise ControllerError(f"Braitenberg: a robot of model {model.name}; expected a Khepera")
+    if isinstance(driver, Network) and driver.model != model.family:
+        raise ControllerError(f"network of model {driver.model!r}; expected model = {model.family!r}")
+    return model.find_terms(terms_of(driver))
+
+
+def readings_of(driver: Driver, setup: EpisodeSetup) -> tuple[tuple[int, int], ...]:
+    """Return the first register of proximity, ambient light and each term of a controller, and their ends."""
+    interface, terms = setup.interface, find_terms(driver, setup.entry.robot_model)
+    return interface.proximity, interface.ambient, *(term.registers for term in terms)
 
 
 def make_controllers(
@@ -232,23 +265,19 @@ def make_controllers(
             such controller, or the driver is of no known kind.
         RobotModelError: The model has no such term.
     """
-    core, interface, n_robots = setup.core, setup.interface, len(setup.playpen.robots)
+    interface, n_robots = setup.interface, len(setup.playpen.robots)
+    terms = find_terms(driver, setup.entry.robot_model)
     kind, function, sizes, recurrent, top_speed, n_memory = stepping.CONSTANT_SPEED, 0, (), False, 0.0, 0
     if isinstance(driver, Network) and not genes.size:
         genes = np.array(driver.genes, np.float64)
     if genes.ndim == 2 and len(genes) != n_robots:
         raise ControllerError(f"genes for {len(genes)} robots; expected {n_robots}")
-    terms = setup.entry.robot_model.find_terms(terms_of(driver))
-    readings = interface.proximity, interface.ambient, *(term.registers for term in terms)
+    readings = readings_of(driver, setup)
     weights = np.array(np.broadcast_to(genes, (n_robots, genes.shape[-1])), np.float64)
     match driver:
         case Braitenberg():
-            if core.wander is wander_nowhere:
-                raise ControllerError(f"Braitenberg: a robot of model {core.name}; expected a Khepera")
             kind = stepping.BRAITENBERG
         case Network():
-            if driver.model != core.name:
-                raise ControllerError(f"network of model {driver.model!r}; expected model = {core.name!r}")
             if weights.shape[1] != driver.n_genes:
                 raise ControllerError(f"{weights.shape[1]} genes for {driver}; expected {driver.n_genes}")
             kind, sizes, recurrent = stepping.NETWORK, driver.sizes, driver.recurrent

@@ -265,7 +265,8 @@ class RobotModel:
         terms = {term.name: term for term in self.terms}
         for name in names:
             if name not in terms:
-                raise RobotModelError(f"model {self.name}: term {name!r}: unknown; {choices(name, terms)}")
+                expected = choices(name, terms) if terms else "expected proximity and ambient light alone"
+                raise RobotModelError(f"model {self.name}: term {name!r}: unknown; {expected}")
         if len({*names}) < len(names):
             raise RobotModelError(f"terms = {[*names]}: a name is there twice; expected it once")
         return [terms[name] for name in names]
