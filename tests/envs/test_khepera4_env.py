@@ -103,7 +103,7 @@ def test_two_khepera_ivs_start_where_those_of_the_playpen_do() -> None:
 
 def test_robots_without_room_around_their_common_start_are_refused() -> None:
     setup = TaskSetup("KheperaIVObstacleAvoidance", robots=2, randomize={"starts": (50, 180)})
-    with pytest.raises(KhepTwinError, match="arena4: robot 1 at .* overlaps robot 2"):
+    with pytest.raises(KhepTwinError, match=r"arena4: robot 1 at .* overlaps robot 2"):
         setup.beginning(seed=1)
 
 
