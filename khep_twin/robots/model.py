@@ -194,6 +194,7 @@ class RobotModel:
         rgb_leds: Names of LEDs whose red, green and blue are in the channel "leds", 0 to 63.
         interface: Registers for controllers of episodes; None if it runs in no episodes.
         terms: Further readings that tasks observe and controllers of episodes read.
+        speed_modes: Registers of the motors' control, and their values while the speed setpoints are in force.
         tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
     """
@@ -213,6 +214,7 @@ class RobotModel:
     rgb_leds: tuple[str, ...] = ()
     interface: Interface | None = None
     terms: tuple[Term, ...] = ()
+    speed_modes: Mapping[int, int] = field(default_factory=dict[int, int])
     tasks: Mapping[str, str] = field(default_factory=dict[str, str])
     commands: Mapping[str, str] = field(default_factory=dict[str, str])
 
