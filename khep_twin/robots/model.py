@@ -194,7 +194,7 @@ class RobotModel:
         rgb_leds: Names of LEDs whose red, green and blue are in the channel "leds", 0 to 63.
         interface: Registers for controllers of episodes; None if it runs in no episodes.
         terms: Further readings that tasks observe and controllers of episodes read.
-        speed_modes: Registers of the motors' control, and their values while the speed setpoints are in force.
+        speed_modes: Registers of the motors' control, and their values with speed setpoints in force.
         tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
     """

@@ -1,8 +1,9 @@
 """Control periods from the log of a twin, which has all registers of the board every 20 ms.
 
-A Khepera's state 10 ms after a sample follows from this sample and the next one: half of the sensors, each converted
-every 20 ms, have new readings, and the encoders are those of the next sample less one tick of its speed. So
-readings, and speeds over a period, are exact at every tick; poses between samples are interpolated.
+A Khepera's state 10 ms after a sample follows from this sample and the next one: half of the sensors, each
+converted every 20 ms, have new readings, and the encoders are those of the next sample less one tick of its
+speed. So readings, and speeds over a period, are exact at every tick; poses between samples are interpolated.
+Robots of other models need a period of whole samples.
 """
 
 import math
@@ -51,7 +52,8 @@ def periods_of(
     for robot, model in models.items():
         if model.family != task.model:
             raise LogError(
-                f"{path}: {robot}: a robot of model {model.name}; expected the model of {task.name}, {task.model}"
+                f"{path}: {robot}: a robot of model {model.name}; expected one of {task.model}, as in "
+                f"{task.name}"
             )
     model = models[robots[0]]
     n_registers = model.episode_interface.n_registers
