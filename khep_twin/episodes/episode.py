@@ -117,7 +117,7 @@ class Episode(NotCopied):
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
         self.guard = self._world.guard
         self._simulation = self._world.simulation
-        self._simulation.step_with(self._advance, self._compiled, evaluates=False)
+        self._simulation.step_with(self._advance, self._compiled)
         self.boards: NDArray[np.int64] = self._simulation.robots.records[0]["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
         self._has_started = False
@@ -351,7 +351,7 @@ class Episode(NotCopied):
         self._run = run
         self._compiled = True
         self._check_step = None
-        self._simulation.step_with(self._advance, compiled=True, evaluates=False)
+        self._simulation.step_with(self._advance, compiled=True)
         return True
 
     def _new_controllers(self) -> stepping.Controllers:
