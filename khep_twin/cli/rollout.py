@@ -103,12 +103,13 @@ def rollout(
     The metrics of several robots are printed side by side.
 
     Args:
-        controller: braitenberg, a network's FILE.npz, or FILE.py[:NAME], a function of proximity and ambient
-            light that returns both speeds.
+        controller: braitenberg, a network's FILE.npz, or FILE.py[:NAME], a function of proximity, ambient
+            light and named readings that returns both speeds.
         picture: Draw playpen and path as PNG, SVG or PDF.
     """
     from khep_twin.board.fault_injection import parse_fault
     from khep_twin.episodes import Episode, EpisodeOptions, Policy
+    from khep_twin.episodes.controllers import terms_in
     from khep_twin.episodes.device import choose_device
     from khep_twin.lab.experiment.controller_files import find_driver
     from khep_twin.playpen.starts import at_spots
@@ -120,7 +121,7 @@ def rollout(
     options = replace(twin.options(None), faults=tuple(fault or ()))
     playpen = scene.load()
     program = find_driver(controller)
-    driver, function = (Policy(), program) if callable(program) else (program, None)
+    driver, function = (Policy(terms=terms_in(program, 2)), program) if callable(program) else (program, None)
     playpen, _ = equip_playpen(at_spots(playpen, options.seed), options)
     note_firmware_only(options.rom, playpen.robots)
     try:
@@ -193,10 +194,15 @@ def _run_on_gpu(
 ) -> tuple[list[dict[str, float]], list[float], list[list[Pose]]]:
     """Run an episode on a GPU; return metrics, times [s] and the robot's path, as in `_run_episode`."""
     from khep_twin.episodes import Policy, batch
+    from khep_twin.episodes.controllers import terms_of
 
     if function is not None:
         decide = partial(_call_controller, function)
-        driver = Policy(lambda proximity, ambient, _: [decide(proximity[0].tolist(), ambient[0].tolist())])
+
+        def decide_for_one(*rows: Any) -> list[tuple[float, float]]:
+            return [decide(*(row[0].tolist() for row in (*rows[:2], *rows[3:])))]  # without the index
+
+        driver = Policy(decide_for_one, terms=terms_of(driver))
     period = setup.period_ns / 1e9
     path_interval_s = period if draw else None
     results = batch.rollout(
@@ -251,7 +257,7 @@ def _print_results(
 
 
 def _call_controller(function: Callable[..., Any], *readings: list[int]) -> tuple[float, float]:
-    """Return the left and right speed computed by a user's function from readings [pulses/10 ms]."""
+    """Return the left and right speed computed by a user's function from readings [register]."""
     from khep_twin.lab.experiment.controllers import call, name_of
 
     speeds = call(function, *readings)
@@ -260,6 +266,5 @@ def _call_controller(function: Callable[..., Any], *readings: list[int]) -> tupl
         return float(left), float(right)
     except (TypeError, ValueError):
         raise ControllerError(
-            f"{name_of(function)}: returned {speeds!r}; expected two speeds in pulses per 10 ms, such as "
-            "(10, 10)"
+            f"{name_of(function)}: returned {speeds!r}; expected two speeds, such as (10, 10)"
         ) from None

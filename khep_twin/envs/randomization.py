@@ -111,7 +111,11 @@ class Randomization:
         return int(stream(seed, "randomization", "playpen").integers(self.playpens))
 
     def draw_starts(self, playpen: Playpen, seed: int, start: Sequence[Start] | None) -> Sequence[Start]:
-        """Return the robots' starts, drawn around `start` or the playpen's."""
+        """Return the robots' starts, drawn around `start` or the playpen's.
+
+        Raises:
+            KhepTwinError: There is no room for a robot.
+        """
         if self.starts == "anywhere":
             return starts_of(anywhere(playpen, seed))
         playpen = at_spots(playpen, seed) if start is None else place_robots(playpen, start)
@@ -124,7 +128,7 @@ class Randomization:
                 if not find_obstruction(playpen, index, x_mm + dx, y_mm + dy):
                     playpen = at_start(playpen, index, (x_mm + dx, y_mm + dy, heading_deg + turn_deg))
                     break
-        return starts_of(playpen)
+        return starts_of(place_robots(playpen, starts_of(playpen)))
 
     def draw_lamps(self, playpen: Playpen, seed: int) -> Sequence[Lamp]:
         """Return the lamps of a playpen with randomized powers and positions."""

@@ -128,7 +128,8 @@ class TaskSetup(CopiedByArguments):
         playpen_source = task.playpen if playpen is None else playpen
         self.playpen = with_robots(Playpen.load(validate_playpen(playpen_source)), robots)
         self.task = replace(task, model=self.playpen.robots[0].robot_model.family)
-        if robots > 1 and self.task.starts == "playpen" and not self.playpen.robots[0].spots:
+        positions = {(robot.x_mm, robot.y_mm) for robot in self.playpen.robots}
+        if len(positions) < robots and self.task.starts == "playpen" and not self.playpen.robots[0].spots:
             problem = f"{self.playpen.name}: robot 1 has no spots"
             raise PlaypenError(f"{problem}; expected spots, at which {robots} robots start")
         self.noise = noise
@@ -140,7 +141,7 @@ class TaskSetup(CopiedByArguments):
         self._start = None if start is None else self._validate_starts(start)
         self._lamps = None if lamps is None else validate_lamps(lamps)
         self.line = line
-        self._requests = "".join(TERM_REQUESTS.get(term, "") for term in self.task.observation_terms)
+        self._requests = "".join(TERM_REQUESTS.get(term, "") for term in self.task.observation_terms) or "N"
         if self.randomize and self.randomize.delay:
             _check_delay(self.randomize.delay, line, period_ns)
         self.action_limit = 1.0 if normalize else self.task.top_speed
@@ -170,7 +171,9 @@ class TaskSetup(CopiedByArguments):
 
     def episode(self, device: Device = "cpu") -> Episode:
         """Return an episode whose speeds the caller sets; for a GPU, one that is only prepared."""
-        driver = Policy(requests=self._requests, terms=self.task.observation_terms)
+        known_terms = {term.name for term in self.playpen.robots[0].robot_model.terms}
+        terms = tuple(name for name in self.task.observation_terms if name in known_terms)
+        driver = Policy(requests=self._requests, terms=terms)
         if device == "cuda":
             from khep_twin.episodes.cuda.card_batch import PreparedEpisode
 
@@ -305,7 +308,9 @@ def _check_delay(delay: tuple[float, float], line: LineTimes, period_ns: int) ->
 
 
 def with_robots(playpen: Playpen, count: int) -> Playpen:
-    """Return the playpen with `count` copies of its first robot, all at that robot's start pose.
+    """Return the playpen with `count` copies of its first robot.
+
+    They start at the poses of its robots of this model, the remaining ones at that of the first.
 
     Raises:
         PlaypenError: The playpen has no robot.
@@ -313,7 +318,10 @@ def with_robots(playpen: Playpen, count: int) -> Playpen:
     if not playpen.robots:
         raise PlaypenError(f"{playpen.name}: no robot; expected one to copy")
     first_robot = playpen.robots[0].model_copy(update={"name": None} if count > 1 else {})
-    return playpen.model_copy(update={"robots": (first_robot,) * count})
+    others = [robot for robot in playpen.robots[1:] if robot.model == first_robot.model][: count - 1]
+    poses = [robot.model_dump(include={"x_mm", "y_mm", "heading_deg", "spots"}) for robot in others]
+    robots = (first_robot, *(first_robot.model_copy(update=pose) for pose in poses))
+    return playpen.model_copy(update={"robots": robots + (first_robot,) * (count - len(robots))})
 
 
 def _goal_position(playpen: Playpen, name: str) -> tuple[float, float]:

@@ -195,9 +195,9 @@ def terms_of(family: str) -> Mapping[str, ObservationTerm]:
             lambda state: (state.charge,), ("charge",), 0.0, 1.0, "part of a full charge"
         ),
     }
-    for name, first, names, low, high, unit in model.terms:
-        read = partial(_read_registers, slice(first, first + len(names)))
-        terms[name] = ObservationTerm(read, names, low, high, unit)
+    for term in model.terms:
+        read = partial(_read_registers, slice(*term.registers))
+        terms[term.name] = ObservationTerm(read, term.names, term.low, term.high, term.unit)
     return terms
 
 

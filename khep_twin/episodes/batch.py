@@ -23,7 +23,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
+from khep_twin.episodes.controllers import Driver, Floats, Network, Policy, readings_of
 from khep_twin.episodes.device import Device, choose_device
 from khep_twin.episodes.episode import Episode, is_compiled
 from khep_twin.episodes.episode_batch import EpisodeBatch
@@ -35,7 +35,6 @@ from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, PlaypenLike
 from khep_twin.playpen.starts import Start
 from khep_twin.process.machine import n_cores
-from khep_twin.robots.model import Interface
 from khep_twin.simulation.mujoco_forms import movable_names
 from khep_twin.units import SCAN_NS
 
@@ -367,9 +366,7 @@ def _run_group(
         if not len(active_slots):
             break
         if isinstance(driver, Policy):
-            batch.speeds[active_slots] = _decide_speeds(
-                driver, arguments.setup.interface, batch, active_slots, group
-            )
+            batch.speeds[active_slots] = _decide_speeds(driver, arguments.setup, batch, active_slots, group)
             failures |= batch.step(active_slots, arguments.setup.steps_per_period)
         else:
             steps = int(batch.steps[active_slots[0]])
@@ -380,14 +377,13 @@ def _run_group(
 
 
 def _decide_speeds(
-    policy: Policy, interface: Interface, batch: EpisodeBatch, slots: NDArray[np.int64], group: range
+    policy: Policy, setup: EpisodeSetup, batch: EpisodeBatch, slots: NDArray[np.int64], group: range
 ) -> Floats:
     """Return the speeds that a policy decides on for some slots (n_slots, n_robots, 2)."""
-    boards = batch.registers[slots].reshape(-1, interface.n_registers)
+    boards = batch.registers[slots].reshape(-1, setup.interface.n_registers)
     indices = np.repeat(slots + group.start, batch.registers.shape[1])
-    output = policy.decide(
-        boards[:, slice(*interface.proximity)], boards[:, slice(*interface.ambient)], indices
-    )
+    proximity, ambient, *terms = (boards[:, slice(*reading)] for reading in readings_of(policy, setup))
+    output = policy.decide(proximity, ambient, indices, *terms)
     try:
         speeds = np.asarray(output, np.float64)
     except (TypeError, ValueError) as error:

@@ -15,7 +15,6 @@ from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 from khep_twin.episodes import fitness, line, metrics, networks, stepping
 from khep_twin.errors import ControllerError
-from khep_twin.robots.model import Interface
 from khep_twin.sensing.light import Light
 from khep_twin.sensing.simulated import Simulated, StepInputs
 from khep_twin.simulation.compiled import compiled, named, sources_of
@@ -72,31 +71,30 @@ def _call_function(function, registers, memory, genes, speeds):
 
 
 @cache
-def compile_controller(function: Callable[..., tuple[float, float]], interface: Interface) -> int:
+def compile_controller(
+    function: Callable[..., tuple[float, float]], n_registers: int, readings: tuple[tuple[int, int], ...]
+) -> int:
     """Compile a controller; return its address for compiled code.
 
     Args:
-        function: Function of proximity (n,), ambient (n,), memory and genes, plain or by `numba.njit`; it
-            returns left and right speed [register].
-        interface: Registers of the robot.
+        function: Function of proximity (n,), ambient (n,), memory, genes and terms (n,), plain or by
+            `numba.njit`; it returns left and right speed [register].
+        n_registers: Number of registers of the robot.
+        readings: First register of proximity, ambient light and each term, and the end of them.
 
     Raises:
         ControllerError: numba cannot compile it.
     """
-    n_registers = interface.n_registers
-    (first_proximity, end_proximity), (first_ambient, end_ambient) = interface.proximity, interface.ambient
+    read = _reader_of(readings)
     int_pointer, float_pointer = types.CPointer(types.int64), types.CPointer(types.float64)
 
     def call(registers, memory, n_memory, genes, n_genes, speeds):
         board, speed_pair = carray(registers, (n_registers,)), carray(speeds, (2,))
         speed_pair[:] = np.nan
         try:
-            left, right = decide(
-                board[first_proximity:end_proximity],
-                board[first_ambient:end_ambient],
-                carray(memory, (n_memory,)),
-                carray(genes, (n_genes,)),
-            )
+            values = read(board)
+            state = carray(memory, (n_memory,)), carray(genes, (n_genes,))
+            left, right = decide(*(values[:2] + state + values[2:]))
             speed_pair[0], speed_pair[1] = left, right
         except Exception:  # exceptions cannot pass through compiled code: NaN speeds report them
             pass
@@ -115,11 +113,19 @@ def compile_controller(function: Callable[..., tuple[float, float]], interface: 
         ]
         reason = lines[0].rstrip(":.") if lines else type(error).__name__
         raise ControllerError(
-            f"{name}: numba cannot compile it: {reason}; expected a function of proximity, ambient, memory "
-            "and genes that returns two numbers"
+            f"{name}: numba cannot compile it: {reason}; expected a function of proximity, ambient, memory, "
+            "genes and terms that returns two numbers"
         ) from error
     _CALLBACKS.append(callback)
     return int(callback.address or 0)
+
+
+def _reader_of(readings: tuple[tuple[int, int], ...]) -> Any:
+    """Return a compiled function of the registers that returns all readings."""
+    if not readings:
+        return njit(lambda board: ())
+    read_others, (first, end) = _reader_of(readings[:-1]), readings[-1]
+    return njit(lambda board: read_others(board) + (board[first:end],))  # noqa: RUF005
 
 
 def _compile_checked(function: Any) -> Any:

@@ -3,9 +3,11 @@
 All but a policy run inside the compiled loop. A policy is plain Python that is called for many robots.
 """
 
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from inspect import Parameter
 from pathlib import Path
 from typing import NoReturn, Self
 
@@ -16,10 +18,11 @@ from khep_twin.episodes import network_file, networks, stepping
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes, initial_events, line_times
 from khep_twin.episodes.metrics import initial_sums
+from khep_twin.episodes.stepping import N_SCALE
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
-from khep_twin.robots.core import Registers, wander_nowhere
-from khep_twin.robots.model import Interface
+from khep_twin.robots.core import Registers, core_of, wander_nowhere
+from khep_twin.robots.model import RobotModel, Term
 from khep_twin.robots.registry import default_model, find_family
 from khep_twin.units import SCAN_NS
 
@@ -64,6 +67,8 @@ class Network:
         hidden: Neurons of each hidden layer; none to connect sensors directly to motors.
         recurrent: Whether the first layer behind the sensors has feedback of its last values.
         ambient: Whether ambient light (0 dark to 1 bright) is an input behind proximity (0 to 1).
+        terms: Names of further readings (`robots.model.Term`) that are inputs behind these, 0 to 1, or -1 to
+            1 for those with a sign.
         top_speed: Speed for an output of 1 [register], of a Khepera [pulses/10 ms]; 0 for that of metrics.
         model: Model of the robot, or its family, e.g. "khepera4".
         genes: Genome (n_genes,) for episodes whose options have none; empty for none.
@@ -77,6 +82,7 @@ class Network:
     recurrent: bool = False
     ambient: bool = False
     top_speed: float = 0.0
+    terms: tuple[str, ...] = field(default=(), kw_only=True)
     model: str = field(default=default_model().family, kw_only=True)
     genes: Sequence[float] | Floats = field(default=(), repr=False, kw_only=True)
     period_ns: int = field(default=SCAN_NS, kw_only=True)
@@ -86,9 +92,11 @@ class Network:
 
     def __post_init__(self) -> None:
         """Store the genes as a tuple, which is comparable and immutable, and defaults of its model."""
+        model = find_family(self.model)
         if not self.top_speed:
-            object.__setattr__(self, "top_speed", find_family(self.model).episode_interface.top_speed)
-        object.__setattr__(self, "model", find_family(self.model).family)
+            object.__setattr__(self, "top_speed", model.episode_interface.top_speed)
+        object.__setattr__(self, "model", model.family)
+        object.__setattr__(self, "terms", tuple(term.name for term in model.find_terms(self.terms)))
         object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
 
     @classmethod
@@ -136,7 +144,7 @@ class Network:
     @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers of inputs, neurons of each layer and outputs (left and right)."""
-        return network_file.sizes(self.hidden, self.ambient, self.model)
+        return network_file.sizes(self.hidden, self.ambient, self.terms, self.model)
 
     @property
     def requests(self) -> str:
@@ -151,7 +159,7 @@ class Network:
 
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A function of a robot's proximity (n,), ambient (n,), memory and genes.
+    """A function of a robot's proximity (n,), ambient (n,), memory, genes and readings of each term (n,).
 
     It returns left and right speed [register], which are rounded and clipped as by command D. It may change
     only its memory. The decorator `numba.njit` is optional: compiled episodes compile it.
@@ -160,11 +168,13 @@ class Function:
         decide: The function.
         n_memory: Length of its memory, which starts with zeros.
         requests: Requests of a cycle; "N" for a function that needs no light saves time on a line.
+        terms: Names of further readings (`robots.model.Term`) that are its last arguments [register].
     """
 
     decide: Callable[..., tuple[float, float]]
     n_memory: int = 0
     requests: str = "NO"
+    terms: tuple[str, ...] = ()
 
 
 def _no_function(*readings: object) -> NoReturn:
@@ -176,21 +186,59 @@ class Policy:
     """A function in plain Python that is called once per control period for many robots.
 
     Attributes:
-        decide: Function of proximity (n, n_sensors), ambient (n, n_sensors) and indices of the episodes (n,),
-            with a row for each robot. It returns speeds (n, 2) [register]; a row must not depend on other
-            episodes. By default there is none: the caller of the `Episode` sets the speeds.
+        decide: Function of proximity (n, n_sensors), ambient (n, n_sensors), indices of the episodes (n,) and
+            readings of each term (n, n_readings), with a row for each robot. It returns speeds (n, 2)
+            [register]; a row must not depend on other episodes. By default there is none: the caller of the
+            `Episode` sets the speeds.
         requests: Requests of a cycle; "N" for a policy that needs no light saves time on a line.
-        terms: Names of further readings (`robots.core.Term`) that are measured.
+        terms: Names of further readings (`robots.model.Term`) that are its last arguments [register].
     """
 
-    decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], ArrayLike] = _no_function
+    decide: Callable[..., ArrayLike] = _no_function
     requests: str = "NO"
     terms: tuple[str, ...] = ()
 
 
 Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
 
+
+def terms_in(function: Callable[..., object], count: int) -> tuple[str, ...]:
+    """Return the names of a function's parameters behind the first `count`, except those with a default."""
+    try:
+        parameters = [*inspect.signature(function).parameters.values()][count:]
+    except ValueError:  # a function in C without a signature
+        return ()
+    kinds = Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD
+    required = (parameter for parameter in parameters if parameter.default is Parameter.empty)
+    return tuple(parameter.name for parameter in required if parameter.kind in kinds)
+
+
+def terms_of(driver: Driver) -> tuple[str, ...]:
+    """Return the names of the further readings that a controller asks for."""
+    return driver.terms if isinstance(driver, Network | Function | Policy) else ()
+
+
 _EXPECTED_DRIVER = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
+
+
+def find_terms(driver: Driver, model: RobotModel) -> list[Term]:
+    """Return the further readings that a controller asks for.
+
+    Raises:
+        ControllerError: It does not control robots of the model.
+        RobotModelError: The model has no such reading.
+    """
+    if isinstance(driver, Braitenberg) and core_of(model).wander is wander_nowhere:
+        raise ControllerError(f"Braitenberg: a robot of model {model.name}; expected a Khepera")
+    if isinstance(driver, Network) and driver.model != model.family:
+        raise ControllerError(f"network of model {driver.model!r}; expected model = {model.family!r}")
+    return model.find_terms(terms_of(driver))
+
+
+def readings_of(driver: Driver, setup: EpisodeSetup) -> tuple[tuple[int, int], ...]:
+    """Return the first register of proximity, ambient light and each term of a controller, and their ends."""
+    interface, terms = setup.interface, find_terms(driver, setup.entry.robot_model)
+    return interface.proximity, interface.ambient, *(term.registers for term in terms)
 
 
 def make_controllers(
@@ -215,22 +263,21 @@ def make_controllers(
     Raises:
         ControllerError: The number of genes is wrong, numba cannot compile the function, the model has no
             such controller, or the driver is of no known kind.
+        RobotModelError: The model has no such term.
     """
-    core, interface, n_robots = setup.core, setup.interface, len(setup.playpen.robots)
+    interface, n_robots = setup.interface, len(setup.playpen.robots)
+    terms = find_terms(driver, setup.entry.robot_model)
     kind, function, sizes, recurrent, top_speed, n_memory = stepping.CONSTANT_SPEED, 0, (), False, 0.0, 0
     if isinstance(driver, Network) and not genes.size:
         genes = np.array(driver.genes, np.float64)
     if genes.ndim == 2 and len(genes) != n_robots:
         raise ControllerError(f"genes for {len(genes)} robots; expected {n_robots}")
+    readings = readings_of(driver, setup)
     weights = np.array(np.broadcast_to(genes, (n_robots, genes.shape[-1])), np.float64)
     match driver:
         case Braitenberg():
-            if core.wander is wander_nowhere:
-                raise ControllerError(f"Braitenberg: a robot of model {core.name}; expected a Khepera")
             kind = stepping.BRAITENBERG
         case Network():
-            if driver.model != core.name:
-                raise ControllerError(f"network of model {driver.model!r}; expected model = {core.name!r}")
             if weights.shape[1] != driver.n_genes:
                 raise ControllerError(f"{weights.shape[1]} genes for {driver}; expected {driver.n_genes}")
             kind, sizes, recurrent = stepping.NETWORK, driver.sizes, driver.recurrent
@@ -240,9 +287,9 @@ def make_controllers(
             if compiled:
                 from khep_twin.episodes.compiled import compile_controller
 
-                function = compile_controller(driver.decide, interface)
+                function = compile_controller(driver.decide, interface.n_registers, readings)
             else:
-                function = partial(_call_plain, driver.decide, interface)
+                function = partial(_call_plain, driver.decide, readings)
         case Policy():
             kind = stepping.CONSTANT_SPEED if line is None else stepping.CALLER
         case ConstantSpeed():
@@ -256,6 +303,7 @@ def make_controllers(
         np.array(sizes, np.int64),
         recurrent,
         top_speed,
+        _input_scales(terms) if isinstance(driver, Network) else np.zeros((0, N_SCALE)),
         weights,
         np.zeros((n_robots, n_memory)),
         np.zeros(sum(sizes)),
@@ -269,16 +317,27 @@ def make_controllers(
     return controllers if compiled else _to_python(controllers)
 
 
+def _input_scales(terms: Sequence[Term]) -> Floats:
+    """Return the register, lowest and highest value, and value of 0 of each reading (n, N_SCALE)."""
+    rows = [
+        (term.register + index, term.low, term.high, term.zero)
+        for term in terms
+        for index in range(len(term.names))
+    ]
+    return np.array(rows, np.float64).reshape(-1, N_SCALE)
+
+
 def _call_plain(
     function: Callable[..., tuple[float, float]],
-    interface: Interface,
+    readings: Sequence[tuple[int, int]],
     registers: Registers,
     memory: Floats,
     genes: Floats,
 ) -> tuple[float, float]:
     """Call a function with the sensors in the registers."""
-    readings: NDArray[np.int64] = np.asarray(registers)
-    return function(readings[slice(*interface.proximity)], readings[slice(*interface.ambient)], memory, genes)
+    values: NDArray[np.int64] = np.asarray(registers)
+    proximity, ambient, *terms = (values[slice(*reading)] for reading in readings)
+    return function(proximity, ambient, memory, genes, *terms)
 
 
 def _to_python(controllers: stepping.Controllers) -> stepping.Controllers:
@@ -292,6 +351,7 @@ def _to_python(controllers: stepping.Controllers) -> stepping.Controllers:
         return controllers
     return controllers._replace(
         sizes=np.asarray(controllers.sizes).tolist(),
+        terms=controllers.terms.tolist(),
         genes=controllers.genes.tolist(),
         memory=controllers.memory.tolist(),
         neurons=[0.0] * len(controllers.neurons),

@@ -24,7 +24,14 @@ from numpy.typing import NDArray
 from khep_twin.copies import NotCopied
 from khep_twin.episodes import stepping
 from khep_twin.episodes.contacts import in_contact
-from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, Policy, make_controllers
+from khep_twin.episodes.controllers import (
+    ConstantSpeed,
+    Driver,
+    Floats,
+    make_controllers,
+    readings_of,
+    terms_of,
+)
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import NEVER
@@ -131,15 +138,14 @@ class Episode(NotCopied):
         self._genes = np.asarray(options.genes, np.float64)
         self._home = np.array(options.home_in_metres, np.float64)
         self._line = options.line
-        if self._line is not None:
+        if isinstance(self._line, int):
             require_feature(self._setup.playpen, Feature.LINE)
         self._lamps = options.lamps
         if self._check_step is not None:
             self._use_compiled_if_ready()
         self._controllers = self._new_controllers()
         starts = None if options.start is None else _check_starts(options.start, len(self.boards))
-        if isinstance(self._driver, Policy):
-            self._simulation.terms = self._driver.terms
+        self._simulation.terms = terms_of(self._driver)
         self._simulation.title = f"episode of seed {seed}"
         self._world.reset(seed, noise=options.noise, vary=options.vary, starts=starts, lamps=options.lamps)
         self._has_started = True
@@ -206,10 +212,11 @@ class Episode(NotCopied):
         """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers in a plane."""
         return self._world.joints if isinstance(self._world, PlanarWorld) else self.data.qpos.copy()
 
-    def readings(self, robot: int = 0) -> tuple[list[int], list[int]]:
-        """Return proximity and ambient counts from a robot's registers, or at a line as last read."""
-        interface, registers = self._setup.interface, self.read_registers(robot)
-        return registers[slice(*interface.proximity)].tolist(), registers[slice(*interface.ambient)].tolist()
+    def readings(self, robot: int = 0) -> tuple[list[int], ...]:
+        """Return proximity, ambient counts and the driver's terms of a robot, or at a line as last read."""
+        registers = self.read_registers(robot)
+        ranges = readings_of(self._driver, self._setup)
+        return tuple(registers[slice(*pair)].tolist() for pair in ranges)
 
     def read_registers(self, robot: int = 0) -> NDArray[np.int64]:
         """Return a robot's registers, measured now, or at a line as last read (n_registers,)."""

@@ -96,7 +96,8 @@ def line_times(line: LineTimes, requests: str, period_ns: int) -> NDArray[np.int
     if line is None or not codes:
         return np.array([0, 0, period_ns, 0], np.int64)
     if isinstance(line, MeasuredCycle):
-        return np.array([0, to_ns(line.delay), max(period_ns, to_ns(line.period)), *codes], np.int64)
+        # The first request reads all registers, and the others would come at the same time.
+        return np.array([0, to_ns(line.delay), max(period_ns, to_ns(line.period)), codes[0]], np.int64)
     return np.array([line, 0, period_ns, *codes], np.int64)
 
 

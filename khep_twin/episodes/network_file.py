@@ -10,7 +10,7 @@ Arrays of a file, which are checked after reading and before writing:
     genes       weights, in the order of `networks` (n_genes,)
     inputs      names of the inputs in their order (n_inputs,), such as "proximity left_90"
     model       family of the robot; left out for a Khepera
-    zero, one   sensor counts that are inputs of 0 and 1 (n_inputs,)
+    zero, one   readings that are inputs of 0 and 1 (n_inputs,)
     period_ns   control period of training [ns]
     playpen     playpen of training, as text; empty if unknown
     seed        seed of training; left out if unknown
@@ -69,6 +69,7 @@ class NetworkContent(NamedTuple):
     hidden: tuple[int, ...]
     recurrent: bool
     ambient: bool
+    terms: tuple[str, ...]
     top_speed: float
     genes: tuple[float, ...]
     period_ns: int
@@ -78,10 +79,11 @@ class NetworkContent(NamedTuple):
     model: str
 
 
-def sizes(hidden: Sequence[int], ambient: bool, family: str) -> tuple[int, ...]:
+def sizes(hidden: Sequence[int], ambient: bool, terms: Sequence[str], family: str) -> tuple[int, ...]:
     """Return a network's numbers of inputs, neurons of each layer and outputs (left and right)."""
-    interface = find_family(family).episode_interface
-    return (interface.n_proximity + ambient * interface.n_ambient, *hidden, 2)
+    model = find_family(family)
+    interface, n_readings = model.episode_interface, sum(len(t.names) for t in model.find_terms(terms))
+    return (interface.n_proximity + ambient * interface.n_ambient + n_readings, *hidden, 2)
 
 
 def read(path: Path) -> NetworkContent:
@@ -118,7 +120,7 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
     """
     if path.suffix != SUFFIX:
         raise ControllerError(f"{path}: expected a name that ends in {SUFFIX}")
-    names, zero, one = _describe_inputs(content.ambient, content.light, content.model)
+    names, zero, one = _describe_inputs(content.ambient, content.terms, content.light, content.model)
     arrays: dict[str, ArrayLike] = {
         "format": FORMAT,
         "version": VERSION,
@@ -150,15 +152,17 @@ def _is_network(path: Path) -> bool:
 
 
 def _describe_inputs(
-    ambient: bool, light: tuple[float, float], family: str
+    ambient: bool, terms: Sequence[str], light: tuple[float, float], family: str
 ) -> tuple[list[str], list[float], list[float]]:
-    """Return the names of the inputs, and the counts that are 0 and 1."""
-    interface, cameras = find_family(family).episode_interface, find_family(family).body.cameras
-    terms = [("proximity", interface.n_proximity, (0.0, float(interface.counts[1])))]
+    """Return the names of the inputs, and the readings that are 0 and 1."""
+    model = find_family(family)
+    interface, cameras = model.episode_interface, model.body.cameras
+    parts = [("proximity", cameras[: interface.n_proximity], (0.0, float(interface.counts[1])))]
     if ambient:
-        terms.append(("light", interface.n_ambient, light))
-    names = [f"{term} {camera}" for term, count, _ in terms for camera in cameras[:count]]
-    zero, one = ([scale[end] for _, count, scale in terms for _ in range(count)] for end in (0, 1))
+        parts.append(("light", cameras[: interface.n_ambient], light))
+    parts += [(term.name, term.names, (term.zero, float(term.high))) for term in model.find_terms(terms)]
+    names = [f"{part} {name}" for part, part_names, _ in parts for name in part_names]
+    zero, one = ([scale[end] for _, part_names, scale in parts for _ in part_names] for end in (0, 1))
     return names, zero, one
 
 
@@ -195,7 +199,8 @@ def _content(
     seed = int(arrays["seed"]) if "seed" in arrays else None
     family = str(arrays["model"]) if "model" in arrays else default_model().family
     try:
-        interface = find_family(family).episode_interface
+        model = find_family(family)
+        interface = model.episode_interface
     except RobotModelError as error:
         raise ControllerError(str(error), file=path) from error
     if not all(1 <= size <= 1000 for size in hidden) or len(hidden) > 100:
@@ -206,14 +211,17 @@ def _content(
         raise refusal(f"period_ns = {period_ns}", f"whole ticks of {units.TICK_NS} ns")
     if seed is not None and not 0 <= seed < SEED_LIMIT:
         raise refusal(f"seed = {seed}", "an integer from 0 to 2**63-1")
-    ambient = len(inputs) > interface.n_proximity
-    light = LIGHT
+    known_terms = {term.name for term in model.terms}
+    terms = tuple(name for name in dict.fromkeys(map(_part_of, inputs)) if name in known_terms)
+    n_readings = sum(len(term.names) for term in model.find_terms(terms))
+    ambient = len(inputs) > interface.n_proximity + n_readings
+    light, index = LIGHT, interface.n_proximity
     zero, one = arrays["zero"].tolist(), arrays["one"].tolist()
     if ambient and len(zero) == len(one) == len(inputs):
-        light = float(zero[-1]), float(one[-1])
-    names, *expected_scale = _describe_inputs(ambient, light, family)
+        light = float(zero[index]), float(one[index])
+    names, *expected_scale = _describe_inputs(ambient, terms, light, family)
     if len(inputs) != len(names):
-        raise refusal(f"{len(inputs)} inputs", _n_inputs_text(interface))
+        raise refusal(f"{len(inputs)} inputs", _n_inputs_text(interface, n_readings))
     for index, (input_name, name) in enumerate(zip(inputs, names, strict=True)):
         if input_name != name:
             raise refusal(f"inputs[{index}] = {input_name[:40]!r}", repr(name))
@@ -221,8 +229,11 @@ def _content(
         expected = (
             f"proximity from 0 to {interface.counts[1]}, and the same light from dark to bright for all"
         )
+        if terms:
+            expected += f"; {', '.join(terms)} from {expected_scale[0][-n_readings:]}"
+            expected += f" to {expected_scale[1][-n_readings:]}"
         raise refusal(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", expected)
-    layers = sizes(hidden, ambient, family)
+    layers = sizes(hidden, ambient, terms, family)
     if len(genes) != (count := networks.n_genes(layers, recurrent)):
         feedback = ", recurrent" if recurrent else ""
         raise refusal(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")
@@ -231,10 +242,15 @@ def _content(
     if not (playpen := str(arrays["playpen"])).isprintable() or len(playpen) > 200:
         raise refusal(f"playpen = {playpen[:40]!r}", "a name of at most 200 characters")
     return NetworkContent(
-        hidden, recurrent, ambient, top_speed, genes, period_ns, light, playpen, seed, family
+        hidden, recurrent, ambient, terms, top_speed, genes, period_ns, light, playpen, seed, family
     )
 
 
-def _n_inputs_text(interface: Interface) -> str:
-    n_sensors = interface.n_proximity
+def _part_of(input_name: str) -> str:
+    """Return the part of the inputs to which one belongs: "proximity", "light", or the name of a term."""
+    return input_name.partition(" ")[0]
+
+
+def _n_inputs_text(interface: Interface, n_readings: int) -> str:
+    n_sensors = interface.n_proximity + n_readings
     return f"{n_sensors}, or {n_sensors + interface.n_ambient} with light"

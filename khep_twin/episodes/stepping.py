@@ -45,6 +45,10 @@ CONSTANT_SPEED, BRAITENBERG, NETWORK, FUNCTION, CALLER = 0, 1, 2, 3, 4
 """Kinds of controller: none (constant speeds), the robot's Braitenberg vehicle, a network, a function, and
 the caller of the core, which sets speeds after each reading at a line."""
 
+N_SCALE = 4
+TERM_REGISTER, LOWEST, HIGHEST, ZERO = range(N_SCALE)
+"""Columns of `Controllers.terms`."""
+
 _STEP_S = units.STEP_NS * 1e-9
 
 Records = Any
@@ -60,6 +64,8 @@ class Controllers(NamedTuple):
         sizes: Sizes of the network: inputs, layers, outputs.
         recurrent: Whether the network has feedback.
         top_speed: Speed for an output of 1 [register].
+        terms: Register, lowest and highest value, and value of 0 of each of a network's further inputs
+            (n, N_SCALE).
         genes: Weights of the networks, or parameters of the functions (n_robots, n_genes).
         memory: Memories between control periods (n_robots, n_memory).
         neurons: Buffer for the values of a network's neurons.
@@ -76,6 +82,7 @@ class Controllers(NamedTuple):
     sizes: Vector[int]
     recurrent: bool
     top_speed: float
+    terms: Any
     genes: Any
     memory: Any
     neurons: Vector[float]
@@ -320,7 +327,12 @@ def _decide(robot: RobotState, registers: Registers, controllers: Controllers, i
         n_sensors, dark, floor = end - first, ambient.dark, ambient.floor
         for sensor in range(n_sensors):
             neurons[sensor] = registers[first + sensor] / interface.counts[1]
-        for sensor in range(controllers.sizes[0] - n_sensors):
+        first_term = controllers.sizes[0] - len(controllers.terms)
+        for reading in range(len(controllers.terms)):
+            term = controllers.terms[reading]
+            value = min(max(float(registers[int(term[TERM_REGISTER])]), term[LOWEST]), term[HIGHEST])
+            neurons[first_term + reading] = (value - term[ZERO]) / (term[HIGHEST] - term[ZERO])
+        for sensor in range(first_term - n_sensors):
             neurons[n_sensors + sensor] = (dark - registers[interface.ambient[0] + sensor]) / (dark - floor)
         genes, memory = controllers.genes[index], controllers.memory[index]
         output = networks.forward(controllers.sizes, controllers.recurrent, genes, memory, neurons)

@@ -22,8 +22,8 @@ from itertools import accumulate, pairwise
 from typing import NamedTuple, TypeVar, cast
 
 from khep_twin.board.rom import Rom
-from khep_twin.errors import RobotModelError
-from khep_twin.robots.body import Body
+from khep_twin.errors import RobotModelError, choices
+from khep_twin.robots.body import PER_METRE, Body
 from khep_twin.robots.framing import LINES, Framing
 from khep_twin.units import COUNTS_LIMIT
 
@@ -33,7 +33,6 @@ GROUP = "khep_twin.robots"
 Columns = tuple[tuple[str, str], ...]
 """Name and unit of each column of a channel."""
 
-_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 Base = TypeVar("Base")
 
@@ -128,7 +127,7 @@ class Interface(NamedTuple):
 
 
 class Term(NamedTuple):
-    """Further readings that tasks observe, by registers.
+    """Further readings that tasks observe and controllers of episodes read, by registers.
 
     Attributes:
         name: Name.
@@ -145,6 +144,16 @@ class Term(NamedTuple):
     low: float
     high: float
     unit: str
+
+    @property
+    def registers(self) -> tuple[int, int]:
+        """First register of the readings, and the end of them."""
+        return self.register, self.register + len(self.names)
+
+    @property
+    def zero(self) -> float:
+        """Value that is the input 0 of a network; `high` is 1, and values are clipped to `low` and `high`."""
+        return max(self.low, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +194,8 @@ class RobotModel:
         plots: Titles of further plots, by channel.
         rgb_leds: Names of LEDs whose red, green and blue are in the channel "leds", 0 to 63.
         interface: Registers for controllers of episodes; None if it runs in no episodes.
-        terms: Further readings that tasks observe.
+        terms: Further readings that tasks observe and controllers of episodes read.
+        speed_modes: Registers of the motors' control, and their values with speed setpoints in force.
         tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
     """
@@ -205,6 +215,7 @@ class RobotModel:
     rgb_leds: tuple[str, ...] = ()
     interface: Interface | None = None
     terms: tuple[Term, ...] = ()
+    speed_modes: Mapping[int, int] = field(default_factory=dict[int, int])
     tasks: Mapping[str, str] = field(default_factory=dict[str, str])
     commands: Mapping[str, str] = field(default_factory=dict[str, str])
 
@@ -250,9 +261,24 @@ class RobotModel:
 
     @property
     def sonar_unit(self) -> float:
-        """Unit of the channel "ultrasonic" [m]; 0 without the channel, or for a unit other than mm, cm, m."""
+        """Unit of the channel "ultrasonic" [m]; 0 without the channel."""
         columns = self.channels.get("ultrasonic", ())
-        return _METRES.get(columns[0][1], 0.0) if columns else 0.0
+        return 1 / PER_METRE[columns[0][1]] if columns else 0.0
+
+    def find_terms(self, names: Sequence[str]) -> list[Term]:
+        """Return terms by their names.
+
+        Raises:
+            RobotModelError: It has no such term, or a name is there twice.
+        """
+        terms = {term.name: term for term in self.terms}
+        for name in names:
+            if name not in terms:
+                expected = choices(name, terms) if terms else "expected proximity and ambient light alone"
+                raise RobotModelError(f"model {self.name}: term {name!r}: unknown; {expected}")
+        if len({*names}) < len(names):
+            raise RobotModelError(f"terms = {[*names]}: a name is there twice; expected it once")
+        return [terms[name] for name in names]
 
     def load_task(self, name: str) -> object:
         """Return a task.

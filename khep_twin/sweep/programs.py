@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from khep_twin.episodes.controllers import Driver, Floats, Function
+from khep_twin.episodes.controllers import Driver, Floats, Function, terms_in
 from khep_twin.errors import ControllerError, choices, exception_text
 from khep_twin.files.atomic import read_regular
 from khep_twin.files.text import decode
@@ -24,6 +24,9 @@ from khep_twin.files.toml_files import format_value
 from khep_twin.process.signals import is_interruption
 from khep_twin.randomness import stream
 from khep_twin.sweep.study import NetworkTable, StudyFile
+
+N_ARGUMENTS = 4
+"""Number of arguments of a program before its terms: proximity, ambient light, memory and genes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +41,10 @@ class Program:
 
 def driver_of(driver: Driver | Program) -> Driver:
     """Return a controller; a program is executed and cached."""
-    return Function(function_of(driver), driver.memory) if isinstance(driver, Program) else driver
+    if not isinstance(driver, Program):
+        return driver
+    function = function_of(driver)
+    return Function(function, driver.memory, terms=terms_in(function, N_ARGUMENTS))
 
 
 @lru_cache(maxsize=32)
@@ -66,10 +72,18 @@ def function_of(program: Program) -> Callable[..., Any]:
     return member
 
 
-def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int) -> Floats:
-    """Return the genomes of one of a study's controllers (n, n_genes); n_genes is 0 if it has none."""
+def genomes_of(
+    file: StudyFile, kind: Literal["network", "program"], index: int, n_genes: int | None
+) -> Floats:
+    """Return the genomes of one of a study's controllers (n, n_genes); n_genes is 0 if it has none.
+
+    Args:
+        file: Study.
+        kind: Kind of the controller.
+        index: Index of the controller among those of its kind.
+        n_genes: Length of a network's genome; None for a program.
+    """
     table = file.study.networks[index] if kind == "network" else file.study.programs[index]
-    n_genes = table.network().n_genes if isinstance(table, NetworkTable) else None
     if isinstance(table, NetworkTable) and table.drawn is not None:
         rng = stream(table.drawn_seed, "genomes", table.name)
         return rng.normal(0.0, table.drawn_sd, (table.drawn, n_genes or 0))

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from khep_twin import __version__, playpen
-from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
+from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network, find_terms
 from khep_twin.episodes.device import find_unsupported
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.network_file import SUFFIX
@@ -24,8 +24,9 @@ from khep_twin.files.atomic import read_regular
 from khep_twin.files.text import decode
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
+from khep_twin.robots.model import RobotModel
 from khep_twin.sensing import calibration
-from khep_twin.sweep.programs import Program, function_of, genomes_of
+from khep_twin.sweep.programs import Program, driver_of, function_of, genomes_of
 from khep_twin.sweep.study import COLUMNS, Point, Study, StudyFile, study_error
 
 
@@ -119,7 +120,12 @@ def work_of(file: StudyFile) -> Work:
     """
     study = file.study
     playpens = [_load_playpen(file, name) for name in study.playpens]
-    controllers = tuple(_load_controllers(file))
+    models = {model.robots[0].robot_model.family: model.robots[0].robot_model for model in playpens}
+    if len(models) > 1:
+        problem = f"playpens: robots of the models {', '.join(models)}; expected one model"
+        raise file.error(("playpens",), problem)
+    (robot_model,) = models.values()
+    controllers = tuple(_load_controllers(file, robot_model))
     groups: list[Group] = []
     first_episode = 0
     starts = [tuple(_start_texts(file, model)) for model in playpens]
@@ -158,21 +164,33 @@ def _load_playpen(file: StudyFile, name: str) -> Playpen:
     return model
 
 
-def _load_controllers(file: StudyFile) -> Iterator[ControllerSpec]:
+def _load_controllers(file: StudyFile, model: RobotModel) -> Iterator[ControllerSpec]:
     for name in file.study.controllers:
-        if not name.endswith(SUFFIX):
-            yield ControllerSpec(name, Braitenberg(), np.zeros((1, 0)))
-            continue
         try:
-            network = Network.load(file.folder / name)
-        except ControllerError as error:
+            driver = Network.load(file.folder / name) if name.endswith(SUFFIX) else Braitenberg()
+            find_terms(driver, model)
+        except KhepTwinError as error:
             raise study_error(file, ("controllers",), f'controllers: "{name}"', error) from None
-        yield ControllerSpec(name, network, np.array([network.genes]))
+        yield ControllerSpec(name, driver, np.array([getattr(driver, "genes", ())]))
     for index, table in enumerate(file.study.networks):
-        yield ControllerSpec(table.name, table.network(), genomes_of(file, "network", index))
+        try:
+            network, limit = table.network(model), model.episode_interface.speed_limit
+        except KhepTwinError as error:
+            location = "network", index, "terms"
+            raise study_error(file, location, f"network {index + 1}: terms", error) from None
+        if network.top_speed > limit:
+            location = "network", index, "top_speed_pulses"
+            problem = f"network {index + 1}: top_speed_pulses = {network.top_speed:g}"
+            raise file.error(location, f"{problem}; expected a number up to {limit}")
+        yield ControllerSpec(table.name, network, genomes_of(file, "network", index, network.n_genes))
     for index, table in enumerate(file.study.programs):
         program = _load_program(file, "program", index, table.file, table.memory)
-        yield ControllerSpec(table.name, program, genomes_of(file, "program", index))
+        try:
+            find_terms(driver_of(program), model)
+        except KhepTwinError as error:
+            location, key = ("program", index, "file"), f'program {index + 1}: file = "{table.file}"'
+            raise study_error(file, location, key, error) from None
+        yield ControllerSpec(table.name, program, genomes_of(file, "program", index, None))
 
 
 def _load_program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0) -> Program:

@@ -29,7 +29,6 @@ from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.controllers import Network
 from khep_twin.episodes.device import Device
 from khep_twin.episodes.episode_setup import PLANAR_STEP_NS
-from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import KhepTwinError, Location, Problem, StudyError
@@ -38,6 +37,7 @@ from khep_twin.files.paths import StrPath
 from khep_twin.files.toml_files import Name, Problems, TomlTable, format_value
 from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
+from khep_twin.robots.model import RobotModel
 from khep_twin.sensing.noise import MAX_SCALE, Scale
 
 # Type checkers accept only literal choices; pydantic accepts the tuple, and suggests similar names.
@@ -113,15 +113,23 @@ class NetworkTable(TomlTable):
     ] = ()
     recurrent: bool = False
     ambient: bool = False
-    top_speed_pulses: Annotated[float, Field(gt=0, le=127)] = float(TOP_SPEED_PULSES)
+    terms: tuple[str, ...] = ()
+    top_speed_pulses: Annotated[float | None, Field(gt=0)] = None
     genomes: Annotated[str | None, Field(description="the path of a .npy or .csv file")] = None
     drawn: Annotated[int | None, Field(ge=1, le=10**7)] = None
     drawn_seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT)] = 0
     drawn_sd: Annotated[float, Field(gt=0, le=1000)] = 1.0
 
-    def network(self) -> Network:
-        """Return the controller."""
-        return Network(self.hidden, self.recurrent, self.ambient, self.top_speed_pulses)
+    def network(self, model: RobotModel) -> Network:
+        """Return the controller of a robot.
+
+        Raises:
+            RobotModelError: The model has no such term.
+        """
+        top_speed = self.top_speed_pulses or 0.0
+        return Network(
+            self.hidden, self.recurrent, self.ambient, top_speed, terms=self.terms, model=model.family
+        )
 
 
 class ProgramTable(TomlTable):

@@ -55,8 +55,8 @@ def test_the_path_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> N
         (("--seconds", "0"), "--seconds and --cycles are above 0 and finite"),
         (("--seconds", "1e300"), "1e+300 s; expected less than"),
         (("--period", "inf"), "--period inf: expected a time in ms, above 0 and at most 1e9"),
-        (("own.py:three",), "expected proximity and ambient light"),
-        (("own.py:nothing",), "nothing: returned None; expected two speeds in pulses per 10 ms"),
+        (("own.py:three",), "term 'memory': unknown; expected proximity and ambient light alone"),
+        (("own.py:nothing",), "nothing: returned None; expected two speeds, such as (10, 10)"),
     ],
 )
 def test_a_mistake_gets_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 import khep_twin  # noqa: E402
 from khep_twin import World  # noqa: E402
-from khep_twin.envs import KheperaEnvironment, TaskEpisode, TaskSetup, make_vec  # noqa: E402
+from khep_twin.envs import KheperaEnvironment, ParallelEnvironment, TaskEpisode, TaskSetup, make_vec  # noqa: E402
 from khep_twin.envs.dm_env import load  # noqa: E402
 from khep_twin.errors import KhepTwinError  # noqa: E402
 from khep_twin.robots.khepera4.model import KHEPERA_4  # noqa: E402
@@ -85,3 +85,39 @@ def test_a_term_that_a_model_lacks_is_refused() -> None:
         TaskSetup("KheperaIVLineFollowing", playpen="obstacles")
     with pytest.raises(KhepTwinError, match="task 'Line': unknown"):
         TaskSetup("Line")
+
+
+def test_two_khepera_ivs_start_where_those_of_the_playpen_do() -> None:
+    environment = ParallelEnvironment(
+        "KheperaIVLineFollowing", robots=2, playpen="arena4-two", seconds=1, compiled=False
+    )
+    _, infos = environment.reset(seed=1)
+    assert [info["x"] for info in infos.values()] == pytest.approx([0.5, 1.5])
+    assert [np.cos(info["heading"]) for info in infos.values()] == pytest.approx([1, -1])
+    setup = TaskSetup(
+        "KheperaIVObstacleAvoidance", playpen="arena4-two", robots=2, randomize={"starts": (50, 9)}
+    )
+    (x, *_), (other_x, *_) = setup.beginning(seed=1).options.start
+    assert 450 <= x <= 550
+    assert 1450 <= other_x <= 1550
+
+
+def test_robots_without_room_around_their_common_start_are_refused() -> None:
+    setup = TaskSetup("KheperaIVObstacleAvoidance", robots=2, randomize={"starts": (50, 180)})
+    with pytest.raises(KhepTwinError, match=r"arena4: robot 1 at .* overlaps robot 2"):
+        setup.beginning(seed=1)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_drawn_delay_postpones_the_speeds_of_a_khepera_iv(planar: bool) -> None:
+    def speeds(task: str, delay: float) -> list[float]:
+        randomize = {"delay": (delay, delay)}
+        environment = KheperaEnvironment(task, randomize=randomize, planar=planar, compiled=False)
+        environment.reset(seed=1)
+        column = environment.labels.index("speed left")
+        return [float(environment.step(np.array([0.3, 0.3]))[0][column]) for _ in range(3)]
+
+    for task in KHEPERA_4.tasks:
+        prompt, late = speeds(task, 0.0), speeds(task, 0.05)
+        assert late[0] == pytest.approx(0, abs=0.01)
+        np.testing.assert_allclose(late[1:], prompt[:2], atol=0.01)

@@ -73,6 +73,15 @@ def compare(setup: EpisodeSetup, driver: Driver, seconds: float = PERIODS, **opt
     return results
 
 
+def test_further_readings_of_a_khepera_iv_on_a_gpu_equal_those_on_the_cpu() -> None:
+    network = Network(hidden=(2,), terms=("ultrasonic", "gyroscope"), model="khepera4")
+    genes = np.random.default_rng(5).normal(size=(3, network.n_genes))
+    results = compare(planar("arena4"), network, 0.12, genes=genes)
+    assert (results.registers[:, 24:29] < 250).any()  # ultrasonic
+    policy = Policy(lambda proximity, ambient, which, distances: distances[:, :2], terms=("ultrasonic",))
+    compare(planar("arena4"), policy)
+
+
 @pytest.mark.parametrize("name", ["obstacles", "looping-maze", "default", "garbage"])
 def test_networks_on_a_gpu_equal_those_on_the_cpu(name: str) -> None:
     compare(planar(name), NETWORK, genes=GENES)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from khep_twin import Braitenberg, ConstantSpeed, Episode, Function, Network, World, rollout
+from khep_twin import Braitenberg, ConstantSpeed, Episode, Function, Network, Policy, World, rollout
 from khep_twin.episodes.controllers import Driver
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -18,12 +18,18 @@ from khep_twin.sensing import calibration
 CHANNELS = {channel.name: slice(channel.registers[0], channel.registers[-1] + 1) for channel in SAMPLED}
 GROUND = slice(8, 12)
 INERTIAL = slice(CHANNELS["accelerometer"].start, CHANNELS["gyroscope"].stop)
-GENES = np.random.default_rng(5).normal(size=(2, Network(hidden=(3,), model="khepera4").n_genes))
+TERMS = "ultrasonic", "ground"
+NETWORK = Network(hidden=(3,), ambient=True, terms=(*TERMS, "gyroscope"), model="khepera4")
+GENES = np.random.default_rng(5).normal(size=(2, NETWORK.n_genes))
 
 
-def avoid(proximity, ambient, memory, genes):
+def avoid(proximity, ambient, memory, genes, ultrasonic, ground):
     memory[0] += 1
-    return 150.0 + memory[0], 150.0 if proximity[3] < 300 else -150.0
+    return 150.0 + memory[0] + ultrasonic[2] / 10, 150.0 if proximity[3] < 300 else -ground[1]
+
+
+def policy(proximity, ambient, which, ultrasonic, ground):
+    return np.stack([150.0 + ultrasonic[:, 2] / 10, ground[:, 1] / 5 + which], axis=1)
 
 
 def orders_of(left: int, right: int) -> bytes:
@@ -48,7 +54,9 @@ def test_an_episode_of_a_khepera_iv_is_a_world_of_it() -> None:
         assert registers[CHANNELS[name]].tolist() == readings[name], name
 
 
-@pytest.mark.parametrize("driver", [Function(avoid, n_memory=1), Network(hidden=(3,), model="khepera4")])
+@pytest.mark.parametrize(
+    "driver", [Function(avoid, n_memory=1, terms=TERMS), NETWORK, Policy(policy, terms=TERMS)]
+)
 @pytest.mark.parametrize("planar", [False, True])
 def test_compiled_episodes_of_a_khepera_iv_equal_plain_ones(driver: Driver, planar: bool) -> None:
     genes = GENES if isinstance(driver, Network) else None
@@ -58,6 +66,7 @@ def test_compiled_episodes_of_a_khepera_iv_equal_plain_ones(driver: Driver, plan
     )
     assert (plain.registers == compiled.registers).all()
     assert (plain.poses == compiled.poses).all()
+    assert (plain.registers[:, CHANNELS["ultrasonic"]] < 200).any()  # they are measured
     assert all((plain.metrics[name] == compiled.metrics[name])[0] for name in ("effort", "distance_m"))
 
 
@@ -103,6 +112,31 @@ def test_a_controller_of_another_model_is_refused() -> None:
         Network(model="kepler")
 
 
+def test_a_networks_further_inputs_are_readings_within_their_limits() -> None:
+    network = Network(terms=(*TERMS, "gyroscope"), model="khepera4", top_speed=1000)
+    for reading in (0, 2, 6, 9):
+        weights = np.zeros((1, network.n_genes))
+        weights[0, 1 + 8 + reading] = 1.0
+        before, after = (
+            rollout("arena4", network, [1], seconds, genes=weights, compiled=False).registers[0]
+            for seconds in (0.18, 0.2)
+        )
+        values = *before[CHANNELS["ultrasonic"]] / 250, *before[GROUND] / 1023, before[INERTIAL][-1] / 8000
+        expected = 1000 * np.tanh(np.clip(values[reading], -1, 1))
+        assert after[CHANNELS["speed"]][2] == pytest.approx(expected, abs=0.5)
+
+
+def test_terms_that_a_model_lacks_are_refused() -> None:
+    for driver, message in (
+        (Function(avoid, terms=("grund",)), "model khepera4: term 'grund': unknown; did you mean 'ground'"),
+        (Policy(policy, terms=("ground", "ground")), "a name is there twice; expected it once"),
+    ):
+        with pytest.raises(RobotModelError, match=message):
+            rollout("arena4", driver, [0], 1.0, compiled=False)
+    with pytest.raises(RobotModelError, match="model khepera1: term 'ground': unknown"):
+        Network(terms=("ground",))
+
+
 def test_a_line_of_a_khepera_iv_is_refused() -> None:
     with pytest.raises(PlaypenError, match="arena4: robot 1: model = 'khepera4'; expected a Khepera or"):
         rollout(
@@ -111,14 +145,21 @@ def test_a_line_of_a_khepera_iv_is_refused() -> None:
 
 
 def test_a_network_file_names_its_model(tmp_path: Path) -> None:
-    network = Network(hidden=(3,), ambient=True, model="khepera4")
+    network = NETWORK
     assert network.top_speed == 600
     genes = np.zeros(network.n_genes)
     network.save(tmp_path / "network.npz", genes, setup=EpisodeSetup(Playpen.load("arena4")))
     loaded = Network.load(tmp_path / "network.npz")
-    assert (loaded.model, loaded.top_speed, loaded.sizes) == ("khepera4", 600, (16, 3, 2))
+    assert (loaded.model, loaded.top_speed, loaded.sizes) == ("khepera4", 600, (26, 3, 2))
+    assert (loaded.ambient, loaded.terms) == (True, (*TERMS, "gyroscope"))
+    assert loaded.light == (980.0, 20.0)
     with np.load(tmp_path / "network.npz") as file:
-        assert file["inputs"][0] == "proximity back_left"
+        assert file["inputs"][[0, 18, 25]].tolist() == [
+            "proximity back_left",
+            "ultrasonic front",
+            "gyroscope turn",
+        ]
+        assert [file["zero"][25], file["one"][25], file["one"][18]] == [0, 8000, 250]
         assert file["model"] == "khepera4"
 
 

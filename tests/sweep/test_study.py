@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.controllers import Function, Network
 from khep_twin.errors import StudyError
 from khep_twin.sweep import study as studies
+from khep_twin.sweep.programs import driver_of
 from khep_twin.sweep.shards import work_of
 
 STUDY = """version = 1
@@ -163,6 +164,50 @@ def test_genomes_come_from_files_beside_the_study_or_are_drawn_by_a_seed(tmp_pat
     assert not np.isclose(c, d).any()
     again = work_of(loaded(tmp_path, STUDY + networks)).controllers
     assert again[3].genomes.tobytes() == c.tobytes()
+
+
+FOUR = """version = 1
+name = "four"
+playpens = ["arena4", "arena4-room"]
+seeds = 1
+seconds = 1
+output = "out"
+[[network]]
+name = "drawn"
+drawn = 2
+terms = ["ultrasonic"]
+[[program]]
+name = "own"
+file = "own.py:steer"
+"""
+
+
+def test_controllers_of_a_study_are_of_its_playpens_model(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("def steer(proximity, ambient, memory, genes, ground, gain=1): ...")
+    network, program = (driver_of(each.driver) for each in work_of(loaded(tmp_path, FOUR)).controllers)
+    assert network == Network(model="khepera4", terms=("ultrasonic",))
+    assert isinstance(program, Function)
+    assert program.terms == ("ground",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"arena4-room"', '"default"', "study.toml:3: playpens: robots of the models khepera4, khepera"),
+        ('["ultrasonic"]', '["sonar"]', "study.toml:10: network 1: terms: model khepera4: term 'sonar': unk"),
+        ("drawn = 2", "drawn = 2\ntop_speed_pulses = 4e4", "study.toml:10: .* = 40000; expected .* to 32767"),
+        ("own.py:steer", "own.py:late", "study.toml:13: program 1: file = \".*term 'odour': unknown"),
+        ("seeds", 'controllers = ["braitenberg"]\nseeds', "study.toml:4: .*braitenberg.*expected a Khepera"),
+    ],
+)
+def test_a_controller_of_another_model_in_a_study_is_refused(
+    old: str, new: str, message: str, tmp_path: Path
+) -> None:
+    (tmp_path / "own.py").write_text(
+        "def steer(proximity, ambient, memory, genes): ...\ndef late(a, b, c, d, odour): ..."
+    )
+    with pytest.raises(StudyError, match=message):
+        work_of(loaded(tmp_path, FOUR.replace(old, new)))
 
 
 def test_work_is_distinguished_by_everything_but_the_folder_of_its_results(tmp_path: Path) -> None:

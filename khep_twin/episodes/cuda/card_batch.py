@@ -228,6 +228,7 @@ class _GpuStates:
             "kind": controllers.kind,
             "recurrent": controllers.recurrent,
             "top_speed": controllers.top_speed,
+            "terms": cuda.to_device(controllers.terms),
             "sizes": cuda.to_device(controllers.sizes),
             "line": cuda.to_device(controllers.line),
         }

@@ -174,8 +174,9 @@ def _shared_properties(arguments: EpisodeArguments) -> tuple[object, ...]:
     """Return the properties that all episodes of a batch must share."""
     controllers, plane = arguments.controllers, _plane(arguments)
     network = controllers.sizes.tolist(), controllers.recurrent, controllers.top_speed
+    terms = controllers.terms.tolist()
     counts = len(plane.fixed_by_distance), len(plane.bodies)
-    return *counts, controllers.kind, *network, controllers.line.tolist()
+    return *counts, controllers.kind, *network, terms, controllers.line.tolist()
 
 
 def _state_arrays(arguments: EpisodeArguments) -> Iterator[tuple[tuple[str, ...], NDArray[Any]]]:

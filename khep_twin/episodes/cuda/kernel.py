@@ -58,6 +58,7 @@ class Constants(NamedTuple):
         kind: Kind of controller.
         recurrent: Whether the network has feedback.
         top_speed: Speed for an output of 1 [pulses/10 ms].
+        terms: Further inputs of the network.
         sizes: Sizes of the network.
         line: Times of the line.
         tables: Quantiles of the random draws.
@@ -78,6 +79,7 @@ class Constants(NamedTuple):
     kind: Any
     recurrent: Any
     top_speed: Any
+    terms: Any
     sizes: Any
     line: Any
     tables: Any
@@ -172,6 +174,7 @@ def make_run(capacity: int) -> Any:
                 constants.sizes,
                 constants.recurrent,
                 constants.top_speed,
+                constants.terms,
                 constant_of(constants.genes, slot),
                 array_at(local, offsets.memory, templates.memory),
                 neurons,

@@ -106,7 +106,7 @@ def _episode(
             charge_ns = full_ns if at_goal else max(charge_ns - periods.period_ns, 0)
         left, right = periods.speeds[border].tolist()
         registers, charge = periods.registers[border], charge_ns / full_ns if full_ns else 1.0
-        state = State(registers, left, right, periods.dark, periods.floor, at_goal, charge)
+        state = State(registers, left, right, periods.dark, periods.floor, at_goal, charge, task.model)
         observations.append(task.observe(state))
         rewards.append(task.reward(state))
         if charge <= 0:

@@ -1,8 +1,9 @@
 """Control periods from the log of a twin, which has all registers of the board every 20 ms.
 
-The state 10 ms after a sample follows from this sample and the next one: half of the sensors, each converted
-every 20 ms, have new readings, and the encoders are those of the next sample less one tick of its speed. So
-readings, and speeds over a period, are exact at every tick; poses between samples are interpolated.
+A Khepera's state 10 ms after a sample follows from this sample and the next one: half of the sensors, each
+converted every 20 ms, have new readings, and the encoders are those of the next sample less one tick of its
+speed. So readings, and speeds over a period, are exact at every tick; poses between samples are interpolated.
+Robots of other models need a period of whole samples.
 """
 
 import math
@@ -13,18 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board.kernel import AMBIENT, LEFT, N_REGISTERS, PROXIMITY, RIGHT, SETPOINTS, Board, Mode, Wheel
+from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, Board, Wheel
 from khep_twin.envs.tasks import Task
 from khep_twin.errors import LogError, choices
 from khep_twin.lab.dataset.periods import Periods
 from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_batches
+from khep_twin.log.robot_models import models_of
 from khep_twin.observers import SAMPLE_NS
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import default_model
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 _SPEEDS = [LEFT + Wheel.SPEED, RIGHT + Wheel.SPEED]
-_MODES = [LEFT + Wheel.MODE, RIGHT + Wheel.MODE]
 _MOVE_EVENT = "put to ("
 """Start of an event's text if a robot is moved by hand."""
 
@@ -45,6 +48,20 @@ def periods_of(
         LogError: The log is incomplete, or lacks samples, a calibration or the task's goal.
     """
     goal = _find_goal(label, task, path)
+    models = models_of(label.attachments, robots)
+    for robot, model in models.items():
+        if model.family != task.model:
+            raise LogError(
+                f"{path}: {robot}: a robot of model {model.name}; expected one of {task.model}, as in "
+                f"{task.name}"
+            )
+    model = models[robots[0]]
+    n_registers = model.episode_interface.n_registers
+    if period_ns % SAMPLE_NS and model.family != default_model().family:
+        raise LogError(
+            f"{path}: a control period of {period_ns / 1e6:g} ms; expected a multiple of the "
+            f"{SAMPLE_NS // 10**6} ms between samples, as the log is of a {model.title}"
+        )
     times_ns: list[NDArray[np.int64]] = []
     registers: dict[str, list[NDArray[np.int32]]] = {robot: [] for robot in robots}
     poses: dict[str, list[NDArray[np.float64]]] = {robot: [] for robot in robots}
@@ -57,10 +74,10 @@ def periods_of(
             series, pose = (piece.series.get(f"/{robot}/{name}") for name in ("registers", "pose"))
             if series is None or pose is None:
                 continue
-            if series.values.shape[1] != N_REGISTERS or series.values.dtype != np.int64:
+            if series.values.shape[1] != n_registers or series.values.dtype != np.int64:
                 raise LogError(
                     f"{path}: /{robot}/registers: {series.values.shape[1]} numbers ({series.values.dtype}); "
-                    f"expected {N_REGISTERS} integers"
+                    f"expected {n_registers} integers"
                 )
             times_ns += [series.times_ns] if robot == robots[0] else []
             registers[robot].append(series.values.astype(np.int32))
@@ -76,10 +93,11 @@ def periods_of(
             counts = f"{len(samples)} samples and {len(pose)} poses"
             raise LogError(f"{path}: {robot}: {counts}; expected {n_samples} of each")
         dark, floor = calibration.ambient.dark_counts, calibration.ambient.floor_counts
-        yield _make_periods(samples, pose, moves_ns[robot], period_ns, (dark, floor), goal)
+        yield _make_periods(model, samples, pose, moves_ns[robot], period_ns, (dark, floor), goal)
 
 
 def _make_periods(
+    model: RobotModel,
     samples: NDArray[np.int32],
     poses: NDArray[np.float64],
     moves_ns: Sequence[int],
@@ -90,13 +108,15 @@ def _make_periods(
     """Return the control periods of one robot.
 
     Args:
-        samples: Registers every 20 ms (m, N_REGISTERS).
+        model: Model of the robot.
+        samples: Registers every 20 ms (m, n_registers).
         poses: True x, y [m] and heading [rad] at the same times (m, 3).
         moves_ns: Times at which the robot was moved by hand [ns].
         period_ns: Control period [ns].
         light_limits: Ambient readings in the dark and in the brightest light [counts].
         goal: Position x, y of the goal [m].
     """
+    interface, modes = model.episode_interface, list(model.speed_modes)
     times_ns = np.arange(0, (len(samples) - 1) * SAMPLE_NS + 1, period_ns)
     rows, remainder_ns = np.divmod(times_ns, SAMPLE_NS)
     is_between = remainder_ns > 0
@@ -108,11 +128,12 @@ def _make_periods(
         pose[is_between] += pose_changes / 2
         pose[:, 2] = np.remainder(pose[:, 2] + math.pi, 2 * math.pi) - math.pi
     speeds = np.zeros((len(times_ns), 2))
-    speeds[1:] = np.diff(registers[:, _ENCODERS], axis=0) / (period_ns // units.TICK_NS)
+    speeds[1:] = np.diff(registers[:, interface.positions], axis=0) / (period_ns // units.TICK_NS)
+    speeds *= interface.speed_per_pulse
     middle_rows = -(-(times_ns[:-1] + period_ns // 2) // SAMPLE_NS)
-    commanded = samples[middle_rows][:, SETPOINTS].astype(np.float64)
+    commanded = samples[middle_rows][:, interface.setpoints].astype(np.float64)
     # A sample at the end of a period belongs to it, as it has the setpoints of the time before.
-    n_other_modes = np.cumsum((samples[:, _MODES] != Mode.SPEED).any(axis=1))
+    n_other_modes = np.cumsum((samples[:, modes] != list(model.speed_modes.values())).any(axis=1))
     is_complete = np.diff(n_other_modes[rows]) == 0
     for move_ns in moves_ns:
         # A move at a border may affect both periods.
@@ -122,7 +143,7 @@ def _make_periods(
 
 
 def _interpolate(start: NDArray[np.int32], end: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the registers a tick after one sample and a tick before the next (n, N_REGISTERS)."""
+    """Return the registers of a Khepera a tick after one sample and before the next (n, n_registers)."""
     registers = start.astype(np.int64)
     registers[:, _ENCODERS] = end[:, _ENCODERS] - end[:, _SPEEDS]
     n_converted = units.N_SENSORS // 2

@@ -76,8 +76,8 @@ def find_controller(
 def find_driver(name: str) -> Driver | AnyFunction:
     """Find a controller for episodes: a built-in one, a network's FILE.npz, or a function.
 
-    The function takes proximity and ambient light, and is named as FILE.py or FILE.py:NAME. Without NAME, the
-    file's `controller` is used, or its only public function.
+    The function takes proximity and ambient light, then terms of the robot by their names, and is named as
+    FILE.py or FILE.py:NAME. Without NAME, the file's `controller` is used, or its only public function.
 
     Raises:
         ControllerError: There is no such controller, or its file fails.
@@ -90,7 +90,7 @@ def find_driver(name: str) -> Driver | AnyFunction:
     reset_users_folder()
     module = _load_module(path)
     attribute, function = _choose(path, attribute, module, _find_functions(module), _DRIVER)
-    if (n_parameters := len(inspect.signature(function).parameters)) != 2:
+    if (n_parameters := len(inspect.signature(function).parameters)) < 2:
         hint = f"; for one of a robot: {command('run', name)}" if n_parameters == 1 else ""
         problem = f"{path}: {attribute!r} takes {inspect.signature(function)}; expected {_DRIVER.parameters}"
         raise ControllerError(problem, hint)

@@ -13,7 +13,7 @@ from rerun.chunk import Chunk
 
 from khep_twin.log.viewer.arena import frame_chunk, line_chunks
 from khep_twin.log.viewer.collected import Floats, Samples, time_column
-from khep_twin.robots.body import PER_METRE, SonarRing
+from khep_twin.robots.body import SonarRing
 from khep_twin.robots.model import RobotModel
 from khep_twin.sensing.colours import AXES, Colour, sensor_colour
 

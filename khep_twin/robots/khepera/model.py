@@ -3,7 +3,7 @@
 import re
 from dataclasses import replace
 
-from khep_twin.board.kernel import AMBIENT, LEFT, N_REGISTERS, PROXIMITY, RIGHT, SETPOINTS, Board, Wheel
+from khep_twin.board.kernel import AMBIENT, LEFT, N_REGISTERS, PROXIMITY, RIGHT, SETPOINTS, Board, Mode, Wheel
 from khep_twin.board.protocol import MOTION_COMMANDS
 from khep_twin.board.rom import ROMS
 from khep_twin.robots.body import Body
@@ -111,6 +111,7 @@ KHEPERA_1 = RobotModel(
     parts=_PARTS,
     features=frozenset(Feature),
     interface=_INTERFACE,
+    speed_modes={first + Wheel.MODE: Mode.SPEED for first in (LEFT, RIGHT)},
 )
 
 KHEPERA_2 = replace(

@@ -15,6 +15,7 @@ from khep_twin.robots.khepera4.channels import (
     ULTRASONIC,
     ULTRASONIC_CODES,
 )
+from khep_twin.robots.khepera4.registers import Control
 from khep_twin.robots.model import (
     Dialect,
     Interface,
@@ -112,6 +113,7 @@ KHEPERA_4 = RobotModel(
     commands={"exec": "khep_twin.robots.khepera4.command:execute"},
     interface=_INTERFACE,
     terms=_TERMS,
+    speed_modes={_FIRST["control"]: Control.SPEED},
     tasks={
         "KheperaIVObstacleAvoidance": "khep_twin.robots.khepera4.tasks:OBSTACLE_AVOIDANCE",
         "KheperaIVLineFollowing": "khep_twin.robots.khepera4.tasks:LINE_FOLLOWING",

@@ -49,8 +49,14 @@ def refusal(path: Path, name: str = "ObstacleAvoidance", period_ns: int = 50 * M
     return line
 
 
-@pytest.mark.parametrize("period_ms", [20, 50, 60])
-@pytest.mark.parametrize("name", ["Homing", "LightSeeking"])
+@pytest.mark.parametrize(
+    ("name", "period_ms"),
+    [
+        *((name, period_ms) for name in ("Homing", "LightSeeking") for period_ms in (20, 50, 60)),
+        *(("KheperaIVObstacleAvoidance", period_ms) for period_ms in (20, 60)),
+        ("KheperaIVLineFollowing", 40),
+    ],
+)
 def test_a_logged_episode_equals_that_of_the_environment(name: str, period_ms: int, tmp_path: Path) -> None:
     setup = TaskSetup(name, period_ns=period_ms * MS, seconds=period_ms / 50, compiled=False)
     path = recorded(tmp_path / "run.mcap", setup, 3, SPEEDS)
