@@ -55,7 +55,7 @@ def _make_state(scene: Any, indices: Any, measured: Any, entry: Any, first_momen
         is_discharged=int(used_min is not None),
         first_moment=first_moment,
         beam=queries.Beams.of(1),
-        registers=np.full(model.N_REGISTERS, 0),
+        registers=np.repeat([0, model.NO_ECHO, 0], [ULTRASONIC, N_SONAR, model.N_REGISTERS - model.SPEED]),
         flags=np.array([1, 0, *[NONE] * N_SONAR]),
         levels=np.array([CAPACITY * min((used_min or 0) / 60, 1), 0, 0]),
     )
