@@ -13,7 +13,8 @@ class RobotShape(TypedDict):
 
     `names` are those of the infrared sensors, of which `n_ground` point at the floor; `wheels_mm` has the
     distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`;
-    `sonar_codes` are their readings without a distance, `sonar_unit_mm` is the unit of others; `bars` the kinds of bars.
+    `sonar_codes` are their readings without a distance, `sonar_unit_mm` is the unit of others; `bars` are the
+    kinds of bars.
     """
 
     radius_mm: float
