@@ -14,8 +14,8 @@ from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
+from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 from khep_twin.sensors import core_fields
-from khep_twin.step import STEPS, Simulated, StepInputs, powers_row
 from second_robot import model
 from second_robot.model import AMBIENT, BATTERY, BODY, PROXIMITY, SCOUT, ULTRASONIC
 
