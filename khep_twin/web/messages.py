@@ -12,8 +12,8 @@ class RobotShape(TypedDict):
     """Radius of a robot [mm], and position [mm] and heading [deg] of each proximity sensor.
 
     `names` are those of the infrared sensors, of which `n_ground` point at the floor; `wheels_mm` has the
-    distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`;
-    `sonar_codes` are their readings without a distance, `sonar_unit_mm` is the unit of others; `bars` are the
+    distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`,
+    `sonar_codes` their readings without a distance, and `sonar_unit_mm` the unit of others; `bars` has the
     kinds of bars.
     """
 

@@ -2,7 +2,7 @@
 
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from tomllib import loads
@@ -58,7 +58,7 @@ def served(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     """Return a context that serves the first robot of a playpen on a pty or by TCP, and returns its URL."""
 
     @contextmanager
-    def serve_playpen(playpen: Playpen) -> Iterator[str]:
+    def serve_playpen(playpen: Playpen) -> Generator[str]:
         stop = threading.Event()
         with open_twin(playpen) as twin:
             port: Any = PtyPort(str(tmp_path / "link")) if request.param == "pty" else TcpPort("localhost", 0)

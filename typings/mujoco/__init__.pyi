@@ -124,6 +124,7 @@ class MjModel:
     pair_geom1: NDArray[np.int32]
     pair_geom2: NDArray[np.int32]
     actuator_gainprm: NDArray[np.float64]
+    actuator_ctrlrange: NDArray[np.float64]
     geom_rgba: NDArray[np.float32]
     geom_friction: NDArray[np.float64]
     geom_size: NDArray[np.float64]

@@ -136,7 +136,7 @@ def _robot_constants(
         linear_decay=linear_inertia / (linear_inertia + h * damping),
         angular_decay=angular_inertia / (angular_inertia + h * damping),
         gear_friction=gear_torque / radius,
-        max_voltage=float(model.actuator(indices.motors[0]).ctrlrange[1]),
+        max_voltage=float(model.actuator_ctrlrange[indices.motors[0], 1]),
         dead_voltage=gear_torque / stall_torque,
         tyre_force=tyre_friction * weight / 2,
         left_grip=1.0,
