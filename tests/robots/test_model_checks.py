@@ -70,6 +70,7 @@ def test_the_shipped_models_and_the_toy_pass_their_checks() -> None:
         ),
         ("", {"roms": {}}, "roms = {}; expected one version of firmware or more"),
         ("", {"plots": {"sonar": "sonar"}}, "expected a channel 'sonar' among them"),
+        ("", {"rgb_leds": ("top",)}, "expected a channel 'leds' among them"),
         ("", {"parts": {}}, "KeyError: 'host'"),
     ],
 )
