@@ -60,12 +60,7 @@ def load_plugins(
     plugins: dict[str, Plugin] = {}
     for entry in entries:
         text = f"{title} {entry.name}: {entry.value}"
-        try:
-            plugin: object = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise error_type(f"{text} cannot be loaded: {error}") from error
-        except Exception as error:  # the package's module may raise any error, such as a SyntaxError
-            raise error_type(f"{text} cannot be loaded: {type(error).__name__}: {error}") from error
+        plugin = load_entry(entry, text, error_type)
         if isinstance(plugin, kind) and plugin.name != entry.name:
             expected_name = f"expected {entry.name!r}, the name of its entry point"
             raise error_type(f"{text} has name = {plugin.name!r}; {expected_name}")
@@ -74,6 +69,20 @@ def load_plugins(
         if plugins.setdefault(plugin.name, plugin) is not plugin:
             raise error_type(f"{text}: the name is taken by another package")
     return plugins
+
+
+def load_entry(entry: "EntryPoint", text: str, error_type: type[Exception]) -> object:
+    """Return the object of an entry point; `text` names it in the error.
+
+    Raises:
+        error_type: Its module cannot be imported, or has no such object.
+    """
+    try:
+        return entry.load()
+    except (ImportError, AttributeError) as error:
+        raise error_type(f"{text} cannot be loaded: {error}") from error
+    except Exception as error:  # the package's module may raise any error, such as a SyntaxError
+        raise error_type(f"{text} cannot be loaded: {type(error).__name__}: {error}") from error
 
 
 def names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:

@@ -2,6 +2,7 @@
 
 import os
 import re
+import warnings
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
@@ -129,7 +130,7 @@ def complete_in_bash(complete: Callable[[], object]) -> None:
     word = words[index] if index < len(words) else ""
     output = StringIO()
     try:
-        with redirect_stdout(output):
+        with redirect_stdout(output), warnings.catch_warnings(action="ignore"):
             complete()
     finally:
         prefix = word.rpartition(":")[0]

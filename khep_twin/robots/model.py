@@ -23,6 +23,7 @@ from typing import NamedTuple, TypeVar, cast
 
 from khep_twin.board.rom import Rom
 from khep_twin.errors import RobotModelError, choices
+from khep_twin.lazy import load_entry
 from khep_twin.robots.body import PER_METRE, Body
 from khep_twin.robots.framing import LINES, Framing
 from khep_twin.units import COUNTS_LIMIT
@@ -296,11 +297,8 @@ class RobotModel:
 
     def _load(self, reference: str) -> object:
         """Import an object by its reference."""
-        try:
-            value: object = EntryPoint(self.name, reference, GROUP).load()
-        except (ImportError, AttributeError) as error:
-            raise RobotModelError(f"model {self.name}: {reference} cannot be loaded: {error}") from error
-        return value
+        entry = EntryPoint(self.name, reference, GROUP)
+        return load_entry(entry, f"model {self.name}: {reference}", RobotModelError)
 
     def _part_error(self, part: str, value: object, expected: str) -> RobotModelError:
         return RobotModelError(f"model {self.name}: part {part} is {value!r}; expected {expected}")

@@ -99,7 +99,8 @@ def _channel_rules(model: RobotModel) -> Iterator[_Rule]:
     sensors = {"proximity": body.sensors, "ambient": body.sensors}
     if body.sonar is not None:
         sensors["ultrasonic"] = body.sonar.names
-    for name in (*sensors, "speed", "position", *model.plots):
+    leds = ("leds",) if model.rgb_leds else ()
+    for name in (*sensors, "speed", "position", *leds, *model.plots):
         yield _Rule(name in channels, "channels", [*channels], f"a channel {name!r} among them")
     for name, names in sensors.items():
         columns = f"{len(names)} columns, one for each of {', '.join(names)}"
@@ -107,6 +108,9 @@ def _channel_rules(model: RobotModel) -> Iterator[_Rule]:
         yield _Rule(is_complete, f"channels[{name!r}]", [column for column, _ in channels[name]], columns)
     for _, unit in channels["ultrasonic"] if body.sonar is not None else ():
         yield _Rule(unit in PER_METRE, "channels['ultrasonic']: unit", unit, " or ".join(PER_METRE))
+    for name in leds:
+        size, text = len(channels[name]), f"{3 * len(model.rgb_leds)}, three for each of rgb_leds"
+        yield _Rule(size == 3 * len(model.rgb_leds), f"channels[{name!r}]: number of columns", size, text)
     for name in ("speed", "position"):
         columns = [column for column, _ in channels[name]]
         yield _Rule(len(columns) > 1, f"channels[{name!r}]", columns, "left and right first")

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -70,6 +71,7 @@ def test_the_shipped_models_and_the_toy_pass_their_checks() -> None:
         ),
         ("", {"roms": {}}, "roms = {}; expected one version of firmware or more"),
         ("", {"plots": {"sonar": "sonar"}}, "expected a channel 'sonar' among them"),
+        ("", {"rgb_leds": ("top",)}, "expected a channel 'leds' among them"),
         ("", {"parts": {}}, "KeyError: 'host'"),
     ],
 )
@@ -196,3 +198,16 @@ def test_a_term_of_another_model_is_refused_with_the_model_whose_terms_are_liste
     ):
         Task("look", "default", ("ultrasonic",), lambda state: 1.0)
     assert Task("look", "default", ("ultrasonic",), lambda state: 1.0, model="toy").terms["ultrasonic"]
+
+
+def test_an_error_in_the_code_of_a_part_is_one_line(
+    toy: RobotModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_part.py").write_text("def f(:\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    model = replace(toy, parts={**toy.parts, "core": "broken_part:CORE"})
+    with pytest.raises(RobotModelError) as caught:
+        model.load("core", object)
+    assert str(caught.value) == (
+        "model toy: broken_part:CORE cannot be loaded: SyntaxError: invalid syntax (broken_part.py, line 1)"
+    )
