@@ -167,7 +167,8 @@ def locate(fault: Fault, sensors: Sequence[str] | None, robot: str) -> Fault:
         return fault
     names = [*map(str, range(len(sensors))), *sensors]
     if fault.sensor not in names:
-        expected = f"a number below {len(sensors)}, or a name; {choices(fault.sensor, sensors)}"
+        motors = "".join(f"{side}, " for side in _SIDES) if fault.kind == "dead" else ""
+        expected = f"{motors}a number below {len(sensors)}, or a name; {choices(fault.sensor, sensors)}"
         raise FaultError(f"fault {fault.text!r}: {robot}; expected {expected}")
     return replace(fault, which=names.index(fault.sensor) % len(sensors))
 

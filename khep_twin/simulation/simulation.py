@@ -106,6 +106,7 @@ class Simulation:
         self.plain = Simulated(scene.plain(), timing, NO_LIGHT, self.robots.plain, self.counters.data)
         self.inputs = StepInputs([[]], plain_tables(0.0))
         self._core: Advance = plain_advance
+        self._evaluates = False
         self._scene_args: tuple[Any, ...] = ()
         self._bind_arguments()
 
@@ -131,9 +132,9 @@ class Simulation:
         are_constant = self.lamps is None or self.lamps.are_constant
         return self._arguments if self.is_compiled and are_constant else None
 
-    def step_with(self, advance: Advance, compiled: bool) -> None:
-        """Use another function for all further steps."""
-        self._core = advance
+    def step_with(self, advance: Advance, compiled: bool, *, evaluates: bool = False) -> None:
+        """Use another function for all further steps; one that `evaluates` also for measurements."""
+        self._core, self._evaluates = advance, evaluates
         self.is_compiled = compiled
         if compiled:
             timing, light = self.plain.timing, self.plain.light
@@ -256,13 +257,13 @@ class Simulation:
         """
         moments.show(moment)
         number, powers = step.EVALUATE - self.robots.position_of(robot), moments.powers(moment)
-        if self.is_compiled:
+        if self._evaluates:
             *arguments, _, tables = self._arguments
             arguments[0] = moments.compiled()
             self._core(*arguments, powers, tables, number, part)
         else:
             inputs = self.inputs._replace(powers=powers.tolist())
-            self._core(self.plain._replace(scene=moments.plain()), inputs, number, part)
+            plain_advance(self.plain._replace(scene=moments.plain()), inputs, number, part)
 
     def check_reason(self, reason: int) -> int:
         """Check the reason of a return of the stepping core, and return it.

@@ -47,6 +47,6 @@ class SteppingCode:
     def _switch_to(self, advance: Advance) -> None:
         self.switch_step = None
         if self._simulation.robots.n_robots:  # without robots there is nothing to compile
-            self._simulation.step_with(advance, compiled=True)
+            self._simulation.step_with(advance, compiled=True, evaluates=True)
             # The first call loads the code: now, rather than while a host waits for a reply.
             self._simulation.advance(self._simulation.steps)
