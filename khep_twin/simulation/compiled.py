@@ -47,9 +47,8 @@ from khep_twin.simulation.mujoco_calls import MujocoCalls
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _OPTICS = noise, seen_surfaces, reflection, robot_sensors, light, optics, mujoco_scene
-_CORE_SOURCES = (
-    *(units, scene, simulated, *_OPTICS, device_faults, robot_core, step, addresses, foreign, mujoco_calls),
-)
+_SENSING = scene, simulated, *_OPTICS, device_faults
+_CORE_SOURCES = units, *_SENSING, robot_core, step, addresses, foreign, mujoco_calls
 """Modules that are compiled for all robots."""
 
 _REGISTERED: list[object] = []
