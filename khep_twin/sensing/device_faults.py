@@ -48,6 +48,14 @@ def sensor_reading(faults: DeviceFaults, sensor: int, reading: int, last: int, d
 
 
 @compilable
+def set_reading(
+    registers: Vector[int], register: int, faults: DeviceFaults, sensor: int, reading: int, dead: int
+) -> None:
+    """Set the register of a sensor to its reading with its fault; arguments as for `sensor_reading`."""
+    registers[register] = sensor_reading(faults, sensor, reading, registers[register], dead)
+
+
+@compilable
 def drive_motor(
     scene: Scene, faults: DeviceFaults, side: int, motor: int, speed: int, constant: float, voltage: float
 ) -> None:

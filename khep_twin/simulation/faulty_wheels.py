@@ -15,7 +15,7 @@ _INERTIA = 1.0
 creeps by only 0.3 nm/s (measured)."""
 
 _FRICTION_TORQUE = 1.0
-"""Dry friction of a blocked wheel [N m], a hundred times a motor's torque."""
+"""Dry friction of a blocked wheel [N m], a five times the largest torque of a calibration's motor."""
 
 
 class FaultyWheels:

@@ -31,7 +31,7 @@ from khep_twin.robots.khepera4.server import N_VEHICLE, WANDERING
 from khep_twin.robots.khepera4.ultrasonic import Sonar
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, sensor_reading
+from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, set_reading
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import (
@@ -331,9 +331,8 @@ def _evaluate(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, pa
 @compilable
 def _set_distance(robot: Khepera4State, sensor: int, distance: int) -> None:
     """Set the reading of an ultrasonic sensor; a dead one hears no echo (assumed)."""
-    distances = robot.distances
     number, silence = N_INFRARED + sensor, ultrasonic.NO_ECHO
-    distances[sensor] = sensor_reading(robot.faults, number, distance, distances[sensor], silence)
+    set_reading(robot.distances, sensor, robot.faults, number, distance, silence)
 
 
 @compilable

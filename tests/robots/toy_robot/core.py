@@ -10,7 +10,7 @@ from khep_twin.compilable import compilable
 from khep_twin.robots.core import Core, register
 from khep_twin.sensing.beams import cast_level_ray
 from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, sensor_reading
+from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, set_reading
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
@@ -50,23 +50,16 @@ def _make_state(*setup: Any) -> ToyState:
 @compilable
 def _measure(robot: ToyState, simulated: Simulated, inputs: StepInputs) -> None:
     """Measure with all sensors."""
-    scene, sensors = simulated.scene, robot.sensors
+    scene, sensors, registers = simulated.scene, robot.sensors, robot.registers
     powers = inputs.powers[powers_row(simulated, inputs)]
     time_ns = simulated.counters[STEPS] * simulated.timing.step_ns
     for channel in range(N_INFRARED):
         noise = draws(inputs.tables, robot.noise, time_ns // PERIOD_NS * N_INFRARED + channel)
         near, light = convert(scene, sensors, simulated.light, powers, time_ns, channel, noise)
-        _set_reading(robot, PROXIMITY + channel, channel, near, 0)
-        _set_reading(robot, AMBIENT + channel, channel, light, sensors.ambient.ceiling)
+        set_reading(registers, PROXIMITY + channel, robot.faults, channel, near, 0)
+        set_reading(registers, AMBIENT + channel, robot.faults, channel, light, sensors.ambient.ceiling)
     distance = cast_level_ray(scene, sensors, robot.beam, robot.pose, _EYE, REACH)
-    _set_reading(robot, ULTRASONIC, N_INFRARED, max(round(1000 * distance), 0), 0)
-
-
-@compilable
-def _set_reading(robot: ToyState, register: int, sensor: int, reading: int, dead: int) -> None:
-    """Set a register to the reading of a sensor, which may have a fault."""
-    registers = robot.registers
-    registers[register] = sensor_reading(robot.faults, sensor, reading, registers[register], dead)
+    set_reading(registers, ULTRASONIC, robot.faults, N_INFRARED, max(round(1000 * distance), 0), 0)
 
 
 @compilable
@@ -79,12 +72,11 @@ def _sense(robot: ToyState, simulated: Simulated, inputs: StepInputs, start: int
 @compilable
 def _tick(robot: ToyState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
     """Run the speed controllers, and count the wheels' ways."""
-    scene, registers, constant = simulated.scene, robot.registers, robot.motor_constant
+    scene, registers, constant, axles = simulated.scene, robot.registers, robot.motor_constant, robot.speeds
     for side in range(2):
-        motor, axle = robot.motors[side], robot.speeds[side]
-        speed, setpoint = joint_speed(scene, axle), registers[SETPOINT + side] / _MM_PER_RAD
+        speed, setpoint = joint_speed(scene, axles[side]), registers[SETPOINT + side] / _MM_PER_RAD
         voltage = constant * (setpoint + 4 * (setpoint - speed))
-        drive_motor(scene, robot.faults, side, motor, axle, constant, voltage)
+        drive_motor(scene, robot.faults, side, robot.motors[side], axles[side], constant, voltage)
         registers[SPEED + side] = round(speed * _MM_PER_RAD)
         registers[POSITION + side] = round(joint_position(scene, robot.angles[side]) * _PULSES_PER_RAD)
     return False
