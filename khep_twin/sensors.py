@@ -26,6 +26,7 @@ from khep_twin.playpen import RobotEntry
 from khep_twin.sensing import lobes
 from khep_twin.sensing.ambient import ambient_optics
 from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.device_faults import DeviceFaults
 from khep_twin.sensing.mujoco_scene import visible_geoms
 from khep_twin.sensing.optics import NEGLIGIBLE
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -52,7 +53,7 @@ def core_fields(
     """Return the fields of a core's state that most models have; the arguments are those of `make_state`.
 
     They are indices of the left and right `angles`, `speeds` and `motors`, and of the `pose`; `radius` [m],
-    `motor_constant` [N m/A], `sensors`, and `noise`, the key of the random draws.
+    `motor_constant` [N m/A], `sensors`, `faults`, and `noise`, the key of the random draws.
     """
     return {
         "angles": list(robot.wheel_qpos),
@@ -62,6 +63,7 @@ def core_fields(
         "radius": entry.body.radius,
         "motor_constant": calibration.motors.constant,
         "sensors": robot_sensors(model, robot, calibration),
+        "faults": DeviceFaults.of(entry.body),
         "noise": np.zeros(2, np.int64),
     }
 

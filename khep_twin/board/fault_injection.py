@@ -3,8 +3,8 @@
     drop:0.01            each byte on the line is lost with this probability
     garble:0.01          each byte has one bit flipped with this probability
     late:0.1:60          a reply starts 60 ms late with this probability
-    stuck:2              the sensor with this number (order of N) repeats its last reading
-    dead:2               this sensor's receiver passes no current (assumed: proximity 0, ambient highest)
+    stuck:2              the sensor with this number or name (`Body.fault_sensors`) repeats its last reading
+    dead:2               this sensor's receiver passes no current (assumed: proximity 0, ambient as if dark)
     dead:left            this motor gets no current: left or right
     weak:left:0.5        this motor gives this fraction of its torque
     slip:left:0.1        this wheel's tyre has this fraction of its friction on the floor
@@ -17,8 +17,8 @@ random numbers of the run; every occurrence is logged.
 """
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from khep_twin.clock import NEVER_NS, to_ns
 from khep_twin.errors import FaultError, choices
 from khep_twin.randomness import StreamState, position, resume
-from khep_twin.units import N_SENSORS
 
 SENSOR, MOTOR, WHEEL = "sensor", "motor", "wheel"
 """Devices that can be faulty."""
@@ -48,7 +47,8 @@ class Fault:
         probability: Probability of each occurrence; 1 for a deterministic fault.
         delay_ns: Delay of a late reply [ns].
         device: SENSOR, MOTOR or WHEEL; empty for a fault of line or processor.
-        which: Index of the sensor, or 0 for the left and 1 for the right motor or wheel.
+        which: 0 for the left and 1 for the right motor or wheel; index of the sensor, set by `locate`.
+        sensor: Number or name of the sensor.
         part: Remaining fraction of a motor's torque or a tyre's friction.
         start_ns: Start of the fault [ns].
         end_ns: End of the fault [ns].
@@ -60,6 +60,7 @@ class Fault:
     delay_ns: int = 0
     device: str = ""
     which: int = 0
+    sensor: str = ""
     part: float = 0.0
     start_ns: int = 0
     end_ns: int = NEVER_NS
@@ -90,7 +91,9 @@ def _parse_late(make: _MakeFault, probability: str, delay_ms: str) -> Fault:
 
 
 def _parse_sensor(make: _MakeFault, sensor: str) -> Fault:
-    return make(device=SENSOR, which=[str(number) for number in range(N_SENSORS)].index(sensor))
+    if not sensor:
+        raise ValueError(sensor)
+    return make(device=SENSOR, sensor=sensor)
 
 
 def _parse_side(device: str, make: _MakeFault, side: str) -> Fault:
@@ -113,8 +116,8 @@ _KINDS: Mapping[str, tuple[Callable[..., Fault], str]] = {
     "drop": (_parse_probability, "drop:PROBABILITY, such as drop:0.01"),
     "garble": (_parse_probability, "garble:PROBABILITY, such as garble:0.01"),
     "late": (_parse_late, "late:PROBABILITY:MILLISECONDS, such as late:0.1:60"),
-    "stuck": (_parse_sensor, f"stuck:SENSOR, 0 to {N_SENSORS - 1}"),
-    "dead": (_parse_dead, f"dead:SENSOR, 0 to {N_SENSORS - 1}, dead:left or dead:right"),
+    "stuck": (_parse_sensor, "stuck:SENSOR, its number or name"),
+    "dead": (_parse_dead, "dead:SENSOR, its number or name, dead:left or dead:right"),
     "weak": (partial(_parse_fraction, MOTOR), "weak:SIDE:PART, such as weak:left:0.5"),
     "slip": (partial(_parse_fraction, WHEEL), "slip:SIDE:PART, such as slip:left:0.1"),
     "blocked": (partial(_parse_side, WHEEL), "blocked:left or blocked:right"),
@@ -143,6 +146,31 @@ def parse_fault(text: str) -> Fault:
     except (TypeError, ValueError):
         times = "@SECONDS" if kind == _BROWN_OUT else "@SECONDS or @FROM-TO"
         raise FaultError(f"fault {text!r}: expected {syntax}, with {times} appended if wanted") from None
+
+
+def locate(fault: Fault, sensors: Sequence[str] | None, robot: str) -> Fault:
+    """Return a fault with the index of its sensor on a robot.
+
+    Args:
+        fault: Fault.
+        sensors: Names of the robot's sensors; None if its model applies no faults of sensors and motors.
+        robot: Robot, for messages.
+
+    Raises:
+        FaultError: The robot has no such sensor, or its model does not apply the fault.
+    """
+    if fault.device not in (SENSOR, MOTOR):
+        return fault
+    if sensors is None:
+        raise FaultError(f"fault {fault.text!r}: {robot}; expected a fault of its line or wheels")
+    if fault.device == MOTOR:
+        return fault
+    names = [*map(str, range(len(sensors))), *sensors]
+    if fault.sensor not in names:
+        motors = "".join(f"{side}, " for side in _SIDES) if fault.kind == "dead" else ""
+        expected = f"{motors}a number below {len(sensors)}, or a name; {choices(fault.sensor, sensors)}"
+        raise FaultError(f"fault {fault.text!r}: {robot}; expected {expected}")
+    return replace(fault, which=names.index(fault.sensor) % len(sensors))
 
 
 class InjectorState(NamedTuple):

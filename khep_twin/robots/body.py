@@ -84,6 +84,13 @@ class Body:
         return tuple(name.replace(" ", "_") for name in self.sensors)
 
     @property
+    def fault_sensors(self) -> tuple[str, ...]:
+        """Names of its sensors in faults, by their numbers: the infrared, then the ultrasonic ones."""
+        ultrasonic = () if self.sonar is None else self.sonar.names
+        names = [f"proximity {name}" for name in self.sensors] + [f"ultrasonic {name}" for name in ultrasonic]
+        return tuple(name.replace(" ", "_") for name in names)
+
+    @property
     def pulse_length(self) -> float:
         """Travel of a wheel per pulse [m]."""
         return self.wheel_radius * 2 * math.pi / self.pulses_per_turn

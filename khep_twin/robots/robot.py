@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import step
-from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector, locate
 from khep_twin.board.turrets import TurretBody
-from khep_twin.errors import FaultError, RobotModelError
+from khep_twin.errors import RobotModelError
 from khep_twin.robots.model import SampledRegisters, robot_name
+from khep_twin.sensing.device_faults import DEAD, SOUND, STUCK
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.robot_arrays import Layout
 from khep_twin.simulation.turret_place import TurretWorld, WorldTurretContext
@@ -82,24 +84,19 @@ class Robot(WiredBoard, ABC):
     sampled: Sequence[SampledRegisters] = ()
     layout: Layout
     """Layout of its state in snapshots."""
-    fault_devices: tuple[str, ...] = ()
-    """Devices that may have faults, besides the line and the processor."""
 
     def __init__(self, setup: RobotSetup, firmware: BoardFirmware) -> None:
         context, index, indices = setup.context, setup.index, setup.indices
         model = context.playpen.robots[index].robot_model
-        for fault in setup.faults:
-            if fault.device in (SENSOR, MOTOR, WHEEL) and fault.device not in self.fault_devices:
-                raise FaultError(
-                    f"fault {fault.text!r}: robot {index} is a {model.title}; expected a fault of its line"
-                )
+        self._record = context.simulation.robots.record_of(index)
+        self._device_faults = self._record["faults"] if "faults" in self._record.dtype.names else None
+        sensors = None if self._device_faults is None else model.body.fault_sensors
+        faults = [locate(fault, sensors, f"robot {index} is a {model.title}") for fault in setup.faults]
         super().__init__(
             context,
             index,
             firmware,
-            Injector(
-                setup.faults, partial(setup.make_rng, "fault"), partial(context.observers.on_event, index)
-            ),
+            Injector(faults, partial(setup.make_rng, "fault"), partial(context.observers.on_event, index)),
             setup.unpaced,
             setup.make_rng("line") if setup.strict_line else None,
         )
@@ -108,7 +105,6 @@ class Robot(WiredBoard, ABC):
         self.dialect = model.dialect
         self.indices = indices
         self._context = context
-        self._record = context.simulation.robots.record_of(index)
         if model.interface is not None:
             n_registers, n_expected = model.interface.n_registers, len(self._record["registers"])
             if n_registers != n_expected:
@@ -116,19 +112,11 @@ class Robot(WiredBoard, ABC):
                     f"model {model.name}: interface.n_registers = {n_registers}; expected {n_expected}, the "
                     "number of registers in its core's state"
                 )
-        self.name = robot_name(index)
-        self.family = model.family
-        self.dialect = model.dialect
-        self.indices = indices
-        self._context = context
-        self._record = context.simulation.robots.record_of(index)
-        n_registers = len(self._record["registers"])
-        if model.interface is not None and model.interface.n_registers != n_registers:
-            raise RobotModelError(
-                f"model {model.name}: interface.n_registers = {model.interface.n_registers}; "
-                f"expected {n_registers}, the number of registers of its core's state"
-            )
         self._has_stopped = False
+        self._wheels = None
+        if any(fault.device == WHEEL for fault in faults):
+            self._wheels = FaultyWheels(context.model, context.data, indices)
+        self._apply_faults()
         self.fit_turrets()
         scene: mujoco.MjModel = context.model
         positions = [scene.body_pos[light] for light in indices.led_lights]
@@ -197,17 +185,46 @@ class Robot(WiredBoard, ABC):
         self.set_board_state(state)
         self._has_stopped = state.is_stopped
         self._set_led_lights(state.leds)
+        self._apply_faults()
 
     def act_after(self, reason: int) -> None:
         """React to the reason for which the stepping core has returned, a `step.Reason`.
 
-        By default, update the faults of the line before a control period.
+        By default, update the faults of sensors after each step, the others before a control period.
         """
-        time_ns = self._context.time_ns
-        if reason == step.Reason.STEPPED and time_ns % TICK_NS == 0:
-            changed_faults = self.faults.update(("",), time_ns)
-            if any(fault.kind == "brown-out" for fault in changed_faults):
-                self.reset_processor()
+        if reason == step.Reason.STEPPED:
+            is_before_tick = self._context.time_ns % TICK_NS == 0
+            self.update_faults(SENSOR, *((MOTOR, WHEEL, "") if is_before_tick else ()))
+
+    def update_faults(self, *devices: str) -> list[Fault]:
+        """Start and end the due faults of devices, and return them."""
+        changed_faults = self.faults.update(devices, self._context.time_ns)
+        if changed_faults:
+            # Earlier measurements are those of the former faults.
+            self._context.observers.evaluate()
+            self._apply_faults()
+        if any(fault.kind == "brown-out" for fault in changed_faults):
+            self.reset_processor()
+        return changed_faults
+
+    def _apply_faults(self) -> None:
+        """Apply the active faults to sensors, motors and wheels; without faults, restore them."""
+        devices, wheels = self._device_faults, self._wheels
+        if devices is not None:
+            devices["sensors"], devices["strengths"] = SOUND, 1
+        if wheels is not None:
+            wheels.mend()
+        for fault in self.faults.active:
+            which = fault.which
+            if fault.device == SENSOR and devices is not None:
+                sensor_state = DEAD if fault.kind == "dead" else STUCK
+                devices["sensors"][which] = max(devices["sensors"][which], sensor_state)
+            elif fault.device == MOTOR and devices is not None:
+                devices["strengths"][which] = min(devices["strengths"][which], fault.part)
+            elif fault.kind == "slip" and wheels is not None:
+                wheels.slip(which, fault.part)
+            elif fault.device == WHEEL and wheels is not None:
+                wheels.block(which)
 
     @abstractmethod
     def reset_motion(self) -> None:

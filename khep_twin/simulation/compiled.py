@@ -26,6 +26,7 @@ from khep_twin.robots import core as robot_core
 from khep_twin.robots.core import DUTIES, core_of, core_of_fields
 from khep_twin.robots.registry import find_family
 from khep_twin.sensing import (
+    device_faults,
     light,
     mujoco_scene,
     noise,
@@ -46,7 +47,8 @@ from khep_twin.simulation.mujoco_calls import MujocoCalls
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _OPTICS = noise, seen_surfaces, reflection, robot_sensors, light, optics, mujoco_scene
-_CORE_SOURCES = (units, scene, simulated, *_OPTICS, robot_core, step, addresses, foreign, mujoco_calls)
+_SENSING = scene, simulated, *_OPTICS, device_faults
+_CORE_SOURCES = units, *_SENSING, robot_core, step, addresses, foreign, mujoco_calls
 """Modules that are compiled for all robots."""
 
 _REGISTERED: list[object] = []

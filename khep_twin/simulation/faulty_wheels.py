@@ -11,11 +11,11 @@ WHEEL_FIELDS = ("dof_armature", "dof_frictionloss", "dof_invweight0", "pair_fric
 """Arrays of a model that wheel faults change."""
 
 _INERTIA = 1.0
-"""Inertia of a blocked wheel [kg m^2], a million times that of a motor's rotor behind its gear: the wheel
-creeps by only 0.3 nm/s (measured)."""
+"""Inertia of a blocked wheel [kg m^2], a million times that of a motor's rotor behind its gear: a
+Khepera's wheel creeps by 0.3 nm/s, that of a Khepera IV by 4 nm/s (measured)."""
 
 _FRICTION_TORQUE = 1.0
-"""Dry friction of a blocked wheel [N m], a hundred times a motor's torque."""
+"""Dry friction of a blocked wheel [N m], five times the largest torque of a calibration's motor."""
 
 
 class FaultyWheels:

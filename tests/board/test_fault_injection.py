@@ -10,6 +10,7 @@ import khep_twin  # noqa: F401  (teaches pyserial khep://)
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, parse_fault
 from khep_twin.errors import FaultError
 from khep_twin.interventions.move_robot import place_robot
+from khep_twin.world import World
 
 
 def open_with(fault: str, seed: int = 1) -> tuple[Any, Notes]:
@@ -42,14 +43,25 @@ def test_a_fault_is_read_from_its_words() -> None:
         ("drop:2", "fault 'drop:2': expected drop:PROBABILITY"),
         ("drop:nan", "fault 'drop:nan': expected drop:PROBABILITY"),
         ("late:0.1", "fault 'late:0.1': expected late:PROBABILITY:MILLISECONDS"),
-        ("stuck:8", "fault 'stuck:8': expected stuck:SENSOR, 0 to 7"),
-        ("stuck:1.5", "fault 'stuck:1.5': expected stuck:SENSOR, 0 to 7"),
-        ("dead:both", "fault 'dead:both': expected dead:SENSOR, 0 to 7, dead:left or dead:right"),
+        ("stuck:", "fault 'stuck:': expected stuck:SENSOR, its number or name, with @SECONDS"),
+        (
+            "stuck:8",
+            "fault 'stuck:8': robot 0 is a Khepera; expected a number below 8, or a name; (choices: ",
+        ),
+        ("stuck:1.5", "fault 'stuck:1.5': robot 0 is a Khepera; expected a number below 8, or a name; (choi"),
+        ("dead:", "fault 'dead:': expected dead:SENSOR, its number or name, dead:left or dead:right, with"),
+        (
+            "dead:both",
+            "fault 'dead:both': robot 0 is a Khepera; expected left, right, a number below 8, or a",
+        ),
         ("weak:left", "fault 'weak:left': expected weak:SIDE:PART, such as weak:left:0.5"),
         ("weak:2:0.5", "fault 'weak:2:0.5': expected weak:SIDE:PART"),
         ("slip:left:1.5", "fault 'slip:left:1.5': expected slip:SIDE:PART"),
         ("blocked:1", "fault 'blocked:1': expected blocked:left or blocked:right"),
-        ("stuck:1@5-5", "fault 'stuck:1@5-5': expected stuck:SENSOR, 0 to 7, with @SECONDS or @FROM-TO"),
+        (
+            "stuck:1@5-5",
+            "fault 'stuck:1@5-5': expected stuck:SENSOR, its number or name, with @SECONDS or @FR",
+        ),
         ("stuck:1@5-", "fault 'stuck:1@5-': expected stuck:SENSOR"),
         ("brown-out:1", "fault 'brown-out:1': expected brown-out alone"),
         ("brown-out@1-2", "fault 'brown-out@1-2': expected brown-out alone, with @SECONDS appended"),
@@ -59,7 +71,7 @@ def test_a_fault_is_read_from_its_words() -> None:
 )
 def test_a_fault_that_there_is_not_is_refused(text: str, line: str) -> None:
     with pytest.raises(FaultError) as caught:
-        parse_fault(text)
+        World("default", faults=[parse_fault(text)])
     assert str(caught.value).startswith(line)
 
 

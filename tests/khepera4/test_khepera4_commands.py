@@ -73,9 +73,10 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
         ("serve arena4 --mode 3", "mode = 3 with rom = 'kh4server': there is no such mode; expected"),
         ("serve gripper --model khepera4", "turrets = ['gripper'] with model = 'khepera4'; expected none"),
         (
-            "serve arena4 --fault weak:left:0.5",
-            "fault 'weak:left:0.5': robot 0 is a Khepera IV; expected a fa",
+            "serve arena4 --fault dead:17",
+            "fault 'dead:17': robot 0 is a Khepera IV; expected left, right, a number below 17, or a name; (",
         ),
+        ("exec --fault stuck:nose -- true", "fault 'stuck:nose': robot 0 is a Khepera IV; expected a number"),
     ],
 )
 def test_a_command_for_other_models_is_a_one_line_error(

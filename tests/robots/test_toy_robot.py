@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 
 from khep_twin import ConstantSpeed, EpisodeSetup, Function, Network, rollout
 from khep_twin import playpen as playpens
+from khep_twin.board.fault_injection import parse_fault
 from khep_twin.drawing.map import draw
 from khep_twin.envs import TaskEpisode, TaskSetup
 from khep_twin.episodes.planar.planar_world import PlanarWorld
@@ -154,6 +155,21 @@ def test_a_toy_and_a_khepera_share_a_world_and_toys_vary(toys: Playpen) -> None:
     assert world.robots[1].registers.shape != world.robots[0].registers.shape
     varied = World(toys, seed=3, vary=True)
     assert drive(varied) != drive(World(toys, seed=3))
+
+
+@with_numba
+def test_a_toy_with_faults_runs_compiled_as_plain(toys: Playpen) -> None:
+    one = toys.model_copy(update={"robots": toys.robots[:1]})
+    texts = (
+        "dead:proximity_nose@0.1",
+        "stuck:5@0.2-0.4",
+        "weak:left:0.5@0.1",
+        "slip:right:0.2",
+        "blocked:left@0.3",
+    )
+    faults = [parse_fault(text) for text in texts]
+    plain, compiled = (drive(World(one, seed=5, compiled=way, faults=faults)) for way in (False, True))
+    assert compiled == plain
 
 
 def test_the_host_class_of_a_toy_drives_a_twin_in_this_process(toys: Playpen) -> None:

@@ -18,16 +18,14 @@ from khep_twin.robots.core import Core, register
 from khep_twin.robots.khepera.model import KHEPERA_1
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, sensor_reading
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
+from khep_twin.sensing.scene import Scene, joint_position, motor_torque
 from khep_twin.sensing.simulated import N_CONVERSIONS, STEPS, Simulated, StepInputs, powers_row
 from khep_twin.sensors import robot_sensors
-
-SOUND, STUCK, DEAD = 0, 1, 2
-"""States of a sensor; a stuck one repeats its last reading, the receiver of a dead one passes no current."""
 
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
@@ -52,8 +50,7 @@ class KheperaState(NamedTuple):
         sensors: Sensors of the robot.
         registers: State of the board (N_REGISTERS,).
         processor: State of the processor (N_PROCESSOR,).
-        sensor_states: State of each sensor, SOUND, STUCK or DEAD (8,).
-        strengths: Fractions of their torque that the left and right motor produce (2,).
+        faults: Faults of sensors and motors.
         voltage: Last measured supply voltage (1,) [V].
         noise: Key of the robot's random draws, as two words (2,).
     """
@@ -72,8 +69,7 @@ class KheperaState(NamedTuple):
     sensors: RobotSensors
     registers: kernel.Registers
     processor: Vector[int]
-    sensor_states: Vector[int]
-    strengths: Vector[float]
+    faults: DeviceFaults
     voltage: Vector[float]
     noise: Vector[int]
 
@@ -96,8 +92,7 @@ def _make_state(
         sensors=robot_sensors(model, indices, measured),
         registers=cast(Any, registers),
         processor=np.array([1, is_demo], np.int64),
-        sensor_states=np.zeros(units.N_SENSORS, np.int64),
-        strengths=np.ones(2),
+        faults=DeviceFaults.of(entry.body),
         voltage=np.zeros(1),
         noise=np.zeros(2, np.int64),
     )
@@ -133,15 +128,13 @@ def convert_sensor(
         channel: Number of the sensor.
         number: Number of the conversion, which indexes its random draws.
     """
-    registers, sensor_state = robot.registers, robot.sensor_states[channel]
+    registers, faults, ceiling = robot.registers, robot.faults, robot.sensors.ambient.ceiling
     noise = draws(inputs.tables, robot.noise, number)
     proximity, ambient = convert(
         simulated.scene, robot.sensors, simulated.light, inputs.powers[row], time_ns, channel, noise
     )
-    if sensor_state == STUCK:
-        proximity, ambient = registers[_PROXIMITY + channel], registers[_AMBIENT + channel]
-    elif sensor_state == DEAD:
-        proximity, ambient = 0, robot.sensors.ambient.ceiling
+    proximity = sensor_reading(faults, channel, proximity, registers[_PROXIMITY + channel], 0)
+    ambient = sensor_reading(faults, channel, ambient, registers[_AMBIENT + channel], ceiling)
     kernel.convert(registers, proximity, ambient)
 
 
@@ -183,43 +176,25 @@ def _measure_supply(robot: KheperaState, simulated: Simulated, time_ns: int) -> 
 
 
 @compilable
-def weak_voltage(strength: float, voltage: float, constant: float, speed: float) -> float:
-    """Return the voltage [V] at which a motor produces a fraction of its torque.
-
-    A motor without current has only its back-EMF (the voltage that it generates), and no torque.
-
-    Args:
-        strength: Fraction of the torque.
-        voltage: Voltage of its duty [V].
-        constant: Torque per current [N m/A], or voltage per speed.
-        speed: Speed of the wheel [rad/s].
-    """
-    return strength * voltage + (1 - strength) * (constant * speed)
-
-
-@compilable
 def _tick(robot: KheperaState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
     """Run the board's control loops once, from encoders to motor voltages."""
-    _control(simulated.scene, robot)
+    registers, scene = robot.registers, simulated.scene
+    left = units.wheel_pulses(joint_position(scene, robot.left_angle))
+    right = units.wheel_pulses(joint_position(scene, robot.right_angle))
+    kernel.run(registers, robot.processor, left, right)
+    drive(scene, robot, 0)
+    drive(scene, robot, 1)
     return False
 
 
 @compilable
-def _control(scene: Scene, robot: KheperaState) -> None:
-    registers = robot.registers
-    left = units.wheel_pulses(joint_position(scene, robot.left_angle))
-    right = units.wheel_pulses(joint_position(scene, robot.right_angle))
-    kernel.run(registers, robot.processor, left, right)
-    left_voltage = units.duty_voltage(registers[_LEFT_DUTY], robot.voltage[0])
-    right_voltage = units.duty_voltage(registers[_RIGHT_DUTY], robot.voltage[0])
-    if robot.strengths[0] != 1:
-        speed = joint_speed(scene, robot.left_speed)
-        left_voltage = weak_voltage(robot.strengths[0], left_voltage, robot.motor_constant, speed)
-    if robot.strengths[1] != 1:
-        speed = joint_speed(scene, robot.right_speed)
-        right_voltage = weak_voltage(robot.strengths[1], right_voltage, robot.motor_constant, speed)
-    set_motor(scene, robot.left_motor, left_voltage)
-    set_motor(scene, robot.right_motor, right_voltage)
+def drive(scene: Scene, robot: KheperaState, side: int) -> None:
+    """Set the voltage of a motor (0 left, 1 right) by its duty."""
+    duty, motor, speed = robot.registers[_LEFT_DUTY], robot.left_motor, robot.left_speed
+    if side == 1:
+        duty, motor, speed = robot.registers[_RIGHT_DUTY], robot.right_motor, robot.right_speed
+    voltage = units.duty_voltage(duty, robot.voltage[0])
+    drive_motor(scene, robot.faults, side, motor, speed, robot.motor_constant, voltage)
 
 
 @compilable
@@ -246,7 +221,7 @@ CORE = register(
         name="khepera",
         state=KheperaState,
         make_state=_make_state,
-        changing=("registers", "processor", "sensor_states", "strengths", "voltage"),
+        changing=("registers", "processor", "voltage"),
         modules=("khep_twin.board.battery", "khep_twin.board.kernel", "khep_twin.robots.khepera.core"),
         sense=_sense,
         tick=_tick,

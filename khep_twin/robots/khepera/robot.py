@@ -19,9 +19,7 @@ from khep_twin.firmware import Firmware
 from khep_twin.robots.khepera import core
 from khep_twin.robots.model import SampledRegisters
 from khep_twin.robots.robot import Robot, RobotSetup
-from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.robot_arrays import Layout, Part
-from khep_twin.simulation.world_state import RobotSnapshot
 from khep_twin.units import SENSOR_LABELS
 
 _LEDS = (int(Board.LED_0), int(Board.LED_1))
@@ -37,12 +35,10 @@ SAMPLED = (
 """Channels of the board's registers."""
 
 LAYOUT = Layout(
-    1,
+    2,
     {
         "registers": [Part("register", kernel.N_REGISTERS)],
         "processor": [Part("flag of the processor", kernel.N_PROCESSOR, 0, 1)],
-        "sensor_states": [Part("state of a sensor", units.N_SENSORS, core.SOUND, core.DEAD)],
-        "strengths": [Part("part of a motor's torque", 2, 0, 1)],
         "voltage": [Part("voltage", 1)],
     },
 )
@@ -62,7 +58,6 @@ class KheperaRobot(Robot):
     firmware: Firmware
     sampled = SAMPLED
     layout = LAYOUT
-    fault_devices = (SENSOR, MOTOR, WHEEL)
 
     def __init__(self, setup: RobotSetup) -> None:
         context, index = setup.context, setup.index
@@ -72,14 +67,6 @@ class KheperaRobot(Robot):
         super().__init__(setup, firmware)
         self.registers = firmware.registers
         self._register_view = firmware.register_view
-        self._wheels = None
-        if any(fault.device == WHEEL for fault in setup.faults):
-            self._wheels = FaultyWheels(context.model, context.data, setup.indices)
-
-    def set_state(self, state: RobotSnapshot) -> None:
-        """Restore a state."""
-        super().set_state(state)
-        self.apply_faults()
 
     def act_after(self, reason: int) -> None:
         """React to the reason for which the stepping core has returned.
@@ -89,11 +76,13 @@ class KheperaRobot(Robot):
                 `STOPPED` to complete the stop of a processor with a low supply voltage.
         """
         if reason == step.Reason.STEPPED:
-            if self.faults.update((SENSOR,), self._context.time_ns):
-                self.apply_faults()
+            self.update_faults(SENSOR)
         elif reason == step.Reason.TICKED:
             self._run_turrets()
-            self._update_faults()
+            simulation = self._context.simulation
+            for fault in self.update_faults(MOTOR, WHEEL, ""):
+                if fault.device == MOTOR:  # from the next control period on the stepping core does this
+                    core.drive(simulation.plain.scene, simulation.robots.state_of(self.index), fault.which)
         elif reason == step.Reason.STOPPED and not self.firmware.powered and not self._has_stopped:
             self._has_stopped = True
             self.stop_processor()
@@ -102,24 +91,6 @@ class KheperaRobot(Robot):
                 "the motors keep their duty"
             )
             self._context.observers.on_event(self.index, message)
-
-    def apply_faults(self) -> None:
-        """Apply the active faults to sensors, motors and wheels; without faults, restore them."""
-        sensors, strengths, wheels = self._record["sensor_states"], self._record["strengths"], self._wheels
-        sensors[:] = core.SOUND
-        strengths[:] = 1
-        if wheels is not None:
-            wheels.mend()
-        for fault in self.faults.active:
-            if fault.device == SENSOR:
-                sensor_state = core.DEAD if fault.kind == "dead" else core.STUCK
-                sensors[fault.which] = max(sensors[fault.which], sensor_state)
-            elif fault.device == MOTOR:
-                strengths[fault.which] = min(strengths[fault.which], fault.part)
-            elif wheels is not None and fault.kind == "slip":
-                wheels.slip(fault.which, fault.part)
-            elif wheels is not None and fault.device == WHEEL:
-                wheels.block(fault.which)
 
     @property
     def lit_leds(self) -> list[int]:
@@ -140,20 +111,3 @@ class KheperaRobot(Robot):
         self.firmware.tick_turrets()
         for body in self.turret_bodies.values():
             body.drive()
-
-    def _update_faults(self) -> None:
-        """Start and end faults in a control period."""
-        time_ns, data, record = self._context.time_ns, self._context.data, self._record
-        changed_faults = self.faults.update((MOTOR, WHEEL, ""), time_ns)
-        if changed_faults:
-            self.apply_faults()
-        for motor in {fault.which for fault in changed_faults if fault.device == MOTOR}:
-            # From the next control period on the stepping core does this.
-            voltage = units.duty_voltage(self.registers[kernel.DUTIES[motor]], record["voltage"][0])
-            if record["strengths"][motor] != 1:
-                speed = data.qvel[self.indices.wheel_dofs[motor]]
-                constant = float(record["motor_constant"])
-                voltage = core.weak_voltage(record["strengths"][motor], voltage, constant, speed)
-            data.ctrl[self.indices.motors[motor]] = voltage
-        if any(fault.kind == "brown-out" for fault in changed_faults):
-            self.reset_processor()

@@ -10,7 +10,16 @@ import typer
 
 from khep_twin.cli.completion import playpens
 from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, with_help
-from khep_twin.cli.options import Switch, Viewer, check_new, notify, print_files, print_kept_log, usage
+from khep_twin.cli.options import (
+    Faults,
+    Switch,
+    Viewer,
+    check_new,
+    notify,
+    print_files,
+    print_kept_log,
+    usage,
+)
 from khep_twin.clock import to_ns
 from khep_twin.errors import PlaypenError
 
@@ -51,6 +60,7 @@ def execute(
     seed: int = 0,
     noise: Switch = Switch.ON,
     vary: Switch = Switch.OFF,
+    fault: Faults = None,
     logging: LogOptions,
     live_view: LiveViewOptions,
     viewer: Viewer = False,
@@ -82,7 +92,7 @@ def execute(
 
     check_new(logging.force, logging.log)
     commands = [program, *_split_commands(other_programs or [])]
-    options = TwinOptions(seed, None, noise is Switch.ON, vary is Switch.ON)
+    options = TwinOptions(seed, None, noise is Switch.ON, vary is Switch.ON, faults=tuple(fault or ()))
     with open_twin(playpen, options) as twin, ExitStack() as stack:
         robot_programs = _assign_robots(twin, robot, commands)
         if logging.log is not None:

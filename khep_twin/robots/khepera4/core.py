@@ -31,6 +31,7 @@ from khep_twin.robots.khepera4.server import N_VEHICLE, WANDERING
 from khep_twin.robots.khepera4.ultrasonic import Sonar
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, set_reading
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import (
@@ -72,6 +73,8 @@ class Khepera4State(NamedTuple):
     Attributes:
         left_angle: Index of the left wheel's position.
         right_angle: Index of the right wheel's position.
+        left_speed: Index of the left wheel's speed.
+        right_speed: Index of the right wheel's speed.
         left_motor: Index of the left motor.
         right_motor: Index of the right motor.
         pose: Index of the robot's pose.
@@ -82,6 +85,7 @@ class Khepera4State(NamedTuple):
         is_discharged: 1 if the battery is discharged during the run.
         first_moment: Number of its first moment.
         sensors: Infrared sensors.
+        faults: Faults of sensors and motors.
         ground: Those that look at the floor.
         sonar: Rays of the ultrasonic sensors.
         beams: Buffers for them.
@@ -101,6 +105,8 @@ class Khepera4State(NamedTuple):
 
     left_angle: int
     right_angle: int
+    left_speed: int
+    right_speed: int
     left_motor: int
     right_motor: int
     pose: int
@@ -111,6 +117,7 @@ class Khepera4State(NamedTuple):
     is_discharged: int
     first_moment: int
     sensors: RobotSensors
+    faults: DeviceFaults
     ground: Ground
     sonar: Sonar
     beams: Beams
@@ -137,6 +144,7 @@ def _make_state(
     battery[gauge.USED] = gauge.used_charge(entry.battery_used_min)
     return Khepera4State(
         *indices.wheel_qpos,
+        *indices.wheel_dofs,
         *indices.motors,
         indices.pose,
         indices.velocity,
@@ -146,6 +154,7 @@ def _make_state(
         is_discharged=int(entry.battery_used_min is not None),
         first_moment=first_moment,
         sensors=robot_sensors(model, indices, measured),
+        faults=DeviceFaults.of(entry.body),
         ground=Ground(
             list(map(float, ground.white_counts)),
             float(ground.nothing_counts),
@@ -189,7 +198,7 @@ def _record(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time
         return
     last = robot.burst[0]
     if robot.is_eager[0] and last != NONE:
-        robot.distances[last] = robot.burst_distance[0]
+        _set_distance(robot, last, robot.burst_distance[0])
     elif last != NONE:
         copy_moment(scene, first + BURST, first + ECHO + last)
         times[ECHO + last] = times[BURST]
@@ -240,8 +249,8 @@ def _tick(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time_n
     right = wheel_pulses(joint_position(scene, robot.right_angle)) - robot.zeros[1]
     dspic.tick(robot.dspic, left, right)
     voltage, current = gauge.battery_voltage(robot.gauge), robot.idle_current
-    current += _drive(scene, robot.left_motor, motors[_LEFT_PWM], voltage, robot.motor_constant)
-    current += _drive(scene, robot.right_motor, motors[_RIGHT_PWM], voltage, robot.motor_constant)
+    current += _drive(scene, robot, 0, robot.left_motor, robot.left_speed, motors[_LEFT_PWM], voltage)
+    current += _drive(scene, robot, 1, robot.right_motor, robot.right_speed, motors[_RIGHT_PWM], voltage)
     _measure_motion(scene, robot, inputs, time_ns)
     if gauge.draw_current(robot.gauge, robot.is_discharged, current):
         gauge.write_block(robot.dspic.memory, robot.gauge)
@@ -258,9 +267,12 @@ def wheel_pulses(angle: float) -> int:
 
 
 @compilable
-def _drive(scene: Scene, motor: int, pwm: int, voltage: float, constant: float) -> float:
+def _drive(
+    scene: Scene, robot: Khepera4State, side: int, motor: int, speed: int, pwm: int, voltage: float
+) -> float:
     """Drive a motor with a PWM; return the current that it takes from the battery [A]."""
-    set_motor(scene, motor, pwm / PWM_LIMIT * voltage)
+    constant = robot.motor_constant
+    drive_motor(scene, robot.faults, side, motor, speed, constant, pwm / PWM_LIMIT * voltage)
     return max(pwm / PWM_LIMIT * motor_torque(scene, motor) / constant, 0.0)
 
 
@@ -312,8 +324,15 @@ def _evaluate(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, pa
         _evaluate_infrared(robot, simulated, inputs, inputs.powers[0])
     else:
         sensor, scene, time_ns = part - ECHO, simulated.scene, robot.times[part]
-        robot.distances[sensor] = _measure_distance(robot, scene, inputs, sensor, time_ns)
+        _set_distance(robot, sensor, _measure_distance(robot, scene, inputs, sensor, time_ns))
         robot.times[part] = NONE
+
+
+@compilable
+def _set_distance(robot: Khepera4State, sensor: int, distance: int) -> None:
+    """Set the reading of an ultrasonic sensor; a dead one hears no echo (assumed)."""
+    number, silence = N_INFRARED + sensor, ultrasonic.NO_ECHO
+    set_reading(robot.distances, sensor, robot.faults, number, distance, silence)
 
 
 @compilable
@@ -338,8 +357,8 @@ def _evaluate_infrared(
         robot.dspic.memory,
         robot.times[INFRARED],
     )
-    tables, noise = inputs.tables, robot.noise
-    infrared.measure(scene, robot.sensors, robot.ground, light, powers, tables, noise, time_ns, memory)
+    tables, noise, sensors, faults = inputs.tables, robot.noise, robot.sensors, robot.faults
+    infrared.measure(scene, sensors, faults, robot.ground, light, powers, tables, noise, time_ns, memory)
     robot.times[INFRARED] = NONE
 
 

@@ -13,9 +13,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4.dspic import write_number
+from khep_twin.robots.khepera4.dspic import read_signed, write_number
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.device_faults import DeviceFaults, sensor_reading
 from khep_twin.sensing.light import Light
 from khep_twin.sensing.noise import Tables, draws
 from khep_twin.sensing.optics import convert
@@ -61,6 +62,7 @@ class Ground(NamedTuple):
 def measure(
     scene: BeamScene,
     sensors: RobotSensors,
+    faults: DeviceFaults,
     ground: Ground,
     light: Light,
     powers: Sequence[float],
@@ -74,6 +76,7 @@ def measure(
     Args:
         scene: BeamScene at the time of the measurement.
         sensors: Sensors of the robot.
+        faults: Their faults.
         ground: Those that look at the floor.
         light: Lamps of the world.
         powers: Powers of the lamps (n,) [W].
@@ -93,10 +96,13 @@ def measure(
             # In the shadow of the robot (assumed).
             dark_reading = ambient_optics.dark + ambient_optics.noise * noise[1]
             ambient = min(max(round(dark_reading), 0), COUNTS_LIMIT)
+        darkest = ambient_optics.ceiling
         if ground.rises_with_light:
-            ambient = COUNTS_LIMIT - ambient
-        write_number(memory, _PROXIMITY + 2 * channel, 2, reflected)
-        write_number(memory, _AMBIENT + 2 * channel, 2, ambient)
+            ambient, darkest = COUNTS_LIMIT - ambient, COUNTS_LIMIT - darkest
+        for word, reading, dead in ((_PROXIMITY, reflected, 0), (_AMBIENT, ambient, darkest)):
+            start = word + 2 * channel
+            last = read_signed(memory, start, 2)
+            write_number(memory, start, 2, sensor_reading(faults, channel, reading, last, dead))
 
 
 @compilable

@@ -10,10 +10,11 @@ from khep_twin.compilable import compilable
 from khep_twin.robots.core import Core, register
 from khep_twin.sensing.beams import cast_level_ray
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, set_reading
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import Beams, joint_position, joint_speed, set_motor
+from khep_twin.sensing.scene import Beams, joint_position, joint_speed
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 from khep_twin.sensors import core_fields
 from toy_robot.model import BODY, TOY
@@ -27,7 +28,7 @@ _MM_PER_RAD, _PULSES_PER_RAD = 1000 * BODY.wheel_radius, BODY.pulses_per_turn / 
 
 
 class ToyState(NamedTuple):
-    """State of one robot: indices in the scene, sensors, registers, and the key of its random draws."""
+    """State of one robot: indices in the scene, sensors, faults, registers, key of its random draws."""
 
     angles: Sequence[int]
     speeds: Sequence[int]
@@ -36,6 +37,7 @@ class ToyState(NamedTuple):
     radius: float
     motor_constant: float
     sensors: RobotSensors
+    faults: DeviceFaults
     beam: Beams
     registers: Vector[int]
     noise: Vector[int]
@@ -53,10 +55,11 @@ def _measure(robot: ToyState, simulated: Simulated, inputs: StepInputs) -> None:
     time_ns = simulated.counters[STEPS] * simulated.timing.step_ns
     for channel in range(N_INFRARED):
         noise = draws(inputs.tables, robot.noise, time_ns // PERIOD_NS * N_INFRARED + channel)
-        counts = convert(scene, sensors, simulated.light, powers, time_ns, channel, noise)
-        registers[PROXIMITY + channel], registers[AMBIENT + channel] = counts
+        near, light = convert(scene, sensors, simulated.light, powers, time_ns, channel, noise)
+        set_reading(registers, PROXIMITY + channel, robot.faults, channel, near, 0)
+        set_reading(registers, AMBIENT + channel, robot.faults, channel, light, sensors.ambient.ceiling)
     distance = cast_level_ray(scene, sensors, robot.beam, robot.pose, _EYE, REACH)
-    registers[ULTRASONIC] = max(round(1000 * distance), 0)
+    set_reading(registers, ULTRASONIC, robot.faults, N_INFRARED, max(round(1000 * distance), 0), 0)
 
 
 @compilable
@@ -69,11 +72,11 @@ def _sense(robot: ToyState, simulated: Simulated, inputs: StepInputs, start: int
 @compilable
 def _tick(robot: ToyState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
     """Run the speed controllers, and count the wheels' ways."""
-    scene, registers = simulated.scene, robot.registers
+    scene, registers, constant, axles = simulated.scene, robot.registers, robot.motor_constant, robot.speeds
     for side in range(2):
-        speed = joint_speed(scene, robot.speeds[side])
-        setpoint = registers[SETPOINT + side] / _MM_PER_RAD
-        set_motor(scene, robot.motors[side], robot.motor_constant * (setpoint + 4 * (setpoint - speed)))
+        speed, setpoint = joint_speed(scene, axles[side]), registers[SETPOINT + side] / _MM_PER_RAD
+        voltage = constant * (setpoint + 4 * (setpoint - speed))
+        drive_motor(scene, robot.faults, side, robot.motors[side], axles[side], constant, voltage)
         registers[SPEED + side] = round(speed * _MM_PER_RAD)
         registers[POSITION + side] = round(joint_position(scene, robot.angles[side]) * _PULSES_PER_RAD)
     return False
