@@ -1,0 +1,52 @@
+"""Connection to a robot of any model, by its host class."""
+
+import re
+from typing import Any, cast
+
+from khep_twin.host.host_robot import HostRobot, open_robot
+from khep_twin.host.opening import BAUD_RATES, find_baud_rate
+from khep_twin.host.robot_port import RobotPort
+from khep_twin.robots.framing import LINES
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import find_model, installed_models
+
+
+def connect(url: str, timeout: float | None = None, baudrate: int = 0) -> HostRobot:
+    """Open the robot at a port as an object of its model's host class.
+
+    Args:
+        url: URL of the port.
+        timeout: Longest wait for a silent robot [s], as for a `Khepera`.
+        baudrate: Baud rate; 0 for that of a twin in this process, and to try all rates of a robot.
+
+    Raises:
+        PortError: The port cannot be opened, or no robot of an installed model identifies itself.
+    """
+    port = RobotPort(url, timeout, baudrate or "auto", 1, LINES)
+    if port.model is not None:
+        port.serial_port.baudrate = baudrate or cast(Any, port.serial_port).robot_baudrate
+        return open_robot(find_model(port.model), port.serial_port, timeout=timeout)
+    try:
+        rates = (baudrate,) if baudrate else BAUD_RATES
+        baudrate, identity = find_baud_rate(port.serial_port, port.name, lambda: port.timeout_time, rates)
+    finally:
+        port.close()
+    model = _model_of(identity)
+    robot = open_robot(model, url, timeout=timeout, baudrate=baudrate)
+    robot.model, robot.identity = model, identity
+    return robot
+
+
+def _model_of(identity: str) -> RobotModel:
+    """Return the model that identifies itself so, the one with the BIOS nearest to that in its reply."""
+    models = [
+        model for model in installed_models().values() if model.dialect.versions_reply.fullmatch(identity)
+    ]
+    version = _parse_version(identity)
+    return min(models, key=lambda model: abs(_parse_version(next(iter(model.roms.values())).bios) - version))
+
+
+def _parse_version(text: str) -> float:
+    """Return the first number in a text, 0 if there is none."""
+    match = re.search(r"\d+(\.\d+)?", text)
+    return float(match[0]) if match else 0.0
