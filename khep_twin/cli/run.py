@@ -157,8 +157,11 @@ def run(
         # Release the robot and complete its log before the remaining cleanup.
         stack.enter_context(handle_signals())
         if port is not None:
-            connected_robot = stack.enter_context(connect(port, baudrate=line.baudrate))
-            as_controller(program).require_model(connected_robot.model)
+            controller_object = as_controller(program)
+            connected_robot = stack.enter_context(
+                connect(port, baudrate=line.baudrate, family=controller_object.family)
+            )
+            controller_object.require_model(connected_robot.model)
             robot_source: RobotSource = OneRobot(connected_robot)
             settings: dict[str, Any] = {"port": port}
         else:

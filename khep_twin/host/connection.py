@@ -8,16 +8,18 @@ from khep_twin.host.opening import BAUD_RATES, find_baud_rate
 from khep_twin.host.robot_port import RobotPort
 from khep_twin.robots.framing import LINES
 from khep_twin.robots.model import RobotModel
-from khep_twin.robots.registry import find_model, installed_models
+from khep_twin.robots.registry import default_model, find_family, find_model, installed_models
 
 
-def connect(url: str, timeout: float | None = None, baudrate: int = 0) -> HostRobot:
+def connect(url: str, timeout: float | None = None, baudrate: int = 0, family: str = "") -> HostRobot:
     """Open the robot at a port as an object of its model's host class.
 
     Args:
         url: URL of the port.
         timeout: Longest wait for a silent robot [s], as for a `Khepera`.
         baudrate: Baud rate; 0 for that of a twin in this process, and to try all rates of a robot.
+        family: Family of models at a server with the wire clock, where an identification would let time pass;
+            empty for the default one.
 
     Raises:
         PortError: The port cannot be opened, or no robot of an installed model identifies itself.
@@ -26,6 +28,10 @@ def connect(url: str, timeout: float | None = None, baudrate: int = 0) -> HostRo
     if port.model is not None:
         port.serial_port.baudrate = baudrate or cast(Any, port.serial_port).robot_baudrate
         return open_robot(find_model(port.model), port.serial_port, timeout=timeout)
+    if not port.clock_speed:
+        port.close()
+        model = find_family(family or default_model().family)
+        return open_robot(model, url, timeout=timeout, baudrate=baudrate or model.dialect.baud)
     try:
         rates = (baudrate,) if baudrate else BAUD_RATES
         baudrate, identity = find_baud_rate(port.serial_port, port.name, lambda: port.timeout_time, rates)

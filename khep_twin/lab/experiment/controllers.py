@@ -55,8 +55,21 @@ class Controller:
     passes_time: ClassVar[str] = "to ask the robot something, or robot.sleep"
     defined_by: "AnyFunction | ModuleType | None" = None
 
+    @property
+    def family(self) -> str:
+        """Family of the robots that it drives; empty for any."""
+        return ""
+
     def require_model(self, model: RobotModel) -> None:
         """Raise a `ControllerError` if it cannot drive robots of a model."""
+        if self.family not in ("", model.family):
+            expected = f"expected {model.family!r} for {model.dialect.robot_name}"
+            raise ControllerError(f"{self.subject}: model = {self.family!r}; {expected}")
+
+    @property
+    def subject(self) -> str:
+        """Name for messages."""
+        return name_of(self)
 
     def start(self, robot: AnyRobot) -> None:
         """Run before the first cycle of each run."""

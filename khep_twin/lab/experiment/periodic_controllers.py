@@ -18,7 +18,6 @@ from khep_twin.episodes.controllers import Network
 from khep_twin.errors import ControllerError
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.experiment.controllers import AnyRobot, Controller
-from khep_twin.robots.model import RobotModel
 
 
 class PeriodicController(Controller):
@@ -78,11 +77,15 @@ class NetworkController(PeriodicController):
         self._sizes = list(network.sizes)
         self._values = [0.0] * sum(network.sizes)
 
-    def require_model(self, model: RobotModel) -> None:
-        """Raise a `ControllerError` if the network is one of another model."""
-        if self.network.model != model.family:
-            subject = f"{self.file or 'network'}: model = {self.network.model!r}"
-            raise ControllerError(f"{subject}; expected {model.family!r} for {model.dialect.robot_name}")
+    @property
+    def family(self) -> str:
+        """Family of the robots that it drives."""
+        return self.network.model
+
+    @property
+    def subject(self) -> str:
+        """Name for messages."""
+        return self.file or "network"
 
     def start(self, robot: HostRobot) -> None:
         """Reset the recurrent memory."""
@@ -101,6 +104,5 @@ class NetworkController(PeriodicController):
         output_start = networks.forward(self._sizes, network.recurrent, self._genes, self._memory, values)
         left, right = (network.top_speed * value for value in values[output_start : output_start + 2])
         if not (math.isfinite(left) and math.isfinite(right)):
-            name = self.file or "network"
-            raise ControllerError(f"{name}: speeds {left}, {right}; expected finite numbers")
+            raise ControllerError(f"{self.subject}: speeds {left}, {right}; expected finite numbers")
         return left, right

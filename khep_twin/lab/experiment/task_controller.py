@@ -87,7 +87,7 @@ class TaskController(PeriodicController):
         for term in self._task.observation_terms:
             if term not in reported:
                 raise ControllerError(
-                    f"task {self._task.name}: no robot reports its {term}; expected a task that observes "
+                    f"{self.subject}: no robot reports its {term}; expected a task that observes "
                     f"{', '.join(reported)} alone"
                 )
         self._name = type(policy).__name__
@@ -101,11 +101,15 @@ class TaskController(PeriodicController):
         self._dark, self._floor = ambient.dark_counts, ambient.floor_counts
         self._previous: tuple[int, Sequence[int]] | None = None
 
-    def require_model(self, model: RobotModel) -> None:
-        """Raise a `ControllerError` if the task is one of another model."""
-        if self._model.family != model.family:
-            subject = f"task {self._task.name}: model = {self._model.family!r}"
-            raise ControllerError(f"{subject}; expected {model.family!r} for {model.dialect.robot_name}")
+    @property
+    def family(self) -> str:
+        """Family of the robots that it drives."""
+        return self._model.family
+
+    @property
+    def subject(self) -> str:
+        """Name for messages."""
+        return f"task {self._task.name}"
 
     def start(self, robot: HostRobot) -> None:
         """Reset the counters, so that the first speed is 0, as in the environment."""
@@ -119,8 +123,8 @@ class TaskController(PeriodicController):
         registers[observed] = robot.read_registers(observed)
         if "speed" in self._task.observation_terms:
             left, right = self._speed(registers[list(interface.positions)].tolist(), start_ns)
-        numbers, family = (left, right, self._dark, self._floor), self._model.family
-        state = State(registers, *numbers, at_goal=False, charge=1.0, model=family)
+        numbers = left, right, self._dark, self._floor
+        state = State(registers, *numbers, at_goal=False, charge=1.0, model=self.family)
         action = self._action(self._task.observe(state, self._normalize))
         left, right = speeds_of(action, self._task.top_speed, self._normalize).tolist()
         return left, right

@@ -1,6 +1,7 @@
 """Networks as controllers of a robot on a serial line: requests, decisions and waits."""
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,7 +10,6 @@ import pytest
 import serial
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.clock import to_ns
 from khep_twin.episodes import network_file
 from khep_twin.episodes.controllers import Network
@@ -21,6 +21,7 @@ from khep_twin.lab.experiment.experiment import run
 from khep_twin.lab.experiment.periodic_controllers import NetworkController, PeriodicController
 from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_run import Plan
+from khep_twin.robots.registry import default_model
 
 PLAYPEN = "khep://two-lamps?seed=3&noise=on"
 
@@ -105,11 +106,10 @@ def test_a_network_that_is_given_the_board_decides_as_in_a_rollout() -> None:
         episode.begin(2, EpisodeOptions(vary=True))
 
     class Board:
-        def proximity(self) -> list[int]:
-            return watched.registers[PROXIMITY].tolist()
+        model = default_model()
 
-        def ambient(self) -> list[int]:
-            return watched.registers[AMBIENT].tolist()
+        def read_registers(self, registers: Sequence[int]) -> list[int]:
+            return watched.registers[[*registers]].tolist()
 
     controller = NetworkController(network)
     controller.start(Board())  # type: ignore[arg-type]

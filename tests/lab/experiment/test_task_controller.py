@@ -1,5 +1,6 @@
 """Policies of a task as controllers: observations and actions as in the training environment."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,13 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, Wheel
 from khep_twin.clock import to_ns
 from khep_twin.envs.gymnasium import KheperaEnvironment
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
-from khep_twin.host.results import Positions
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.experiment import run
@@ -31,17 +30,8 @@ class BoardOf:
     def __init__(self, environment: KheperaEnvironment) -> None:
         self.environment, self.time = environment, 0.0
 
-    def _read(self, registers: list[int]) -> list[int]:
-        return self.environment._episode.registers[0][registers].tolist()
-
-    def proximity(self) -> list[int]:
-        return self._read(PROXIMITY)
-
-    def ambient(self) -> list[int]:
-        return self._read(AMBIENT)
-
-    def position(self) -> Positions:
-        return Positions(*self._read([LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]))
+    def read_registers(self, registers: Sequence[int]) -> list[int]:
+        return self.environment._episode.registers[0][[*registers]].tolist()
 
 
 @pytest.mark.parametrize("normalize", [True, False])
