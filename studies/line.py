@@ -55,8 +55,8 @@ class Trial(NamedTuple):
         for genes, seed in zip(self.genes.tolist(), self.seeds, strict=True):
             twin = open_twin(self.playpen, TwinOptions(seed=seed, mode=MODES[baud]))
             twin.world.compile()
-            metrics = HostMetrics()
             with Khepera(Serial.of(twin, timeout=1.0)) as robot:
+                metrics = HostMetrics(robot.model)
                 robot.listen(metrics)
                 controller = NetworkController(replace(NETWORK, genes=genes))
                 run(controller, robot, seconds=SECONDS, after_cycle=metrics.end_cycle)

@@ -33,10 +33,15 @@ def drive(
     port: Annotated[
         str, typer.Argument(help="Port of a robot or a twin, such as khep://obstacles.", autocompletion=ports)
     ],
-    speed: Annotated[int, typer.Option(min=1, max=40, help="Initial speed [pulses/10 ms = 8 mm/s].")] = 5,
+    speed: Annotated[
+        int,
+        typer.Option(
+            min=1, max=40, help="Initial speed [steps: a Khepera's 8 mm/s, 1/20 of the top speed of tasks]."
+        ),
+    ] = 5,
     baudrate: Annotated[
-        int, typer.Option(min=0, help="Baud rate of the line; 0 tries all rates of the robots.")
-    ] = 9600,
+        int, typer.Option(min=0, help="Baud rate of the line; by default all rates of the robots are tried.")
+    ] = 0,
     log: Annotated[
         Path | None, typer.Option(help="Record the drive in this MCAP file; only for a twin at khep://.")
     ] = None,
@@ -47,7 +52,7 @@ def drive(
     Arrows or WASD drive while held, space stops, + - and 1 to 9 choose the speed, L switches the LEDs, q
     quits. The motors stop at most 0.7 s after the last key, and when the command ends.
     """
-    from khep_twin.host import Khepera
+    from khep_twin.host.connection import connect
     from khep_twin.lab.experiment.teleoperation import TIMEOUT, Teleoperation
 
     check_new(force, log)
@@ -55,11 +60,10 @@ def drive(
         raise KhepTwinError("drive: there is no terminal to drive from; expected a start in one")
     with (
         stopping(awaited=None) as stop,
-        Khepera(_url_with_log(port, log), TIMEOUT, baudrate or "auto") as robot,
+        connect(_url_with_log(port, log), TIMEOUT, baudrate) as robot,
     ):
-        versions = robot.versions()
         operation = Teleoperation(robot, speed)
-        name, quit_event = f"{port}  BIOS {versions.bios}", threading.Event()
+        name, quit_event = f"{port}  {robot.model.title}", threading.Event()
         with ThreadPoolExecutor(1) as pool:
             thread = pool.submit(operation.run, lambda: quit_event.is_set() or stop())
             try:

@@ -39,7 +39,6 @@ from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.files.atomic import resolve
 from khep_twin.process.invocation import command
 from khep_twin.process.signals import handle_signals, stopping
-from khep_twin.robots.model import Feature
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controllers import AnyController
@@ -91,11 +90,11 @@ class PortOptions:
 
     Attributes:
         port: Port of a robot or a served twin; by default a twin in this process.
-        baudrate: Baud rate of the line to --port; 0 tries all rates of the robots.
+        baudrate: Baud rate of the line to --port; by default, or for 0, all rates of the robots are tried.
     """
 
     port: Annotated[str | None, typer.Option(autocompletion=ports)] = None
-    baudrate: Annotated[int, typer.Option(min=0)] = 9600
+    baudrate: Annotated[int, typer.Option(min=0)] = 0
 
     def check(self, context: typer.Context) -> None:
         """Refuse options of a twin for a robot behind a port, and vice versa."""
@@ -129,11 +128,11 @@ def run(
         robot: Number of the robot in the playpen, counted from 0.
         picture: Draw playpen and path in this PNG, SVG or PDF file; needs --log.
     """
-    from khep_twin.host import Khepera
+    from khep_twin.host.connection import connect
     from khep_twin.host.opening import PORT_IDS
     from khep_twin.lab.experiment.controller_files import find_controller, find_on_run_end
     from khep_twin.lab.experiment.controller_source import source_of
-    from khep_twin.lab.experiment.controllers import LoopingController
+    from khep_twin.lab.experiment.controllers import LoopingController, as_controller
     from khep_twin.lab.experiment.series import OneRobot
     from khep_twin.lab.experiment.series_files import SeriesFolder
     from khep_twin.toolbox.form import as_toolbox_form
@@ -158,8 +157,12 @@ def run(
         # Release the robot and complete its log before the remaining cleanup.
         stack.enter_context(handle_signals())
         if port is not None:
-            khepera = Khepera(port, baudrate=line.baudrate or "auto")
-            robot_source: RobotSource = OneRobot(stack.enter_context(khepera))
+            controller_object = as_controller(program)
+            connected_robot = stack.enter_context(
+                connect(port, baudrate=line.baudrate, family=controller_object.family)
+            )
+            controller_object.require_model(connected_robot.model)
+            robot_source: RobotSource = OneRobot(connected_robot)
             settings: dict[str, Any] = {"port": port}
         else:
             playpen = scene.load(controller_playpen)
@@ -261,18 +264,17 @@ def _open_twins(
 ) -> "tuple[RobotSource, dict[str, Any]]":
     """Return twins in this process and their settings: one for all runs, or one per run with starts."""
     from khep_twin.host.host_robot import open_robot
-    from khep_twin.lab.experiment.periodic_controllers import needs_khepera
+    from khep_twin.lab.experiment.controllers import as_controller
     from khep_twin.lab.experiment.series import FreshTwins, OneRobot
     from khep_twin.lab.experiment.start_poses import starts
     from khep_twin.log.run_description import versions
     from khep_twin.playpen import dump
-    from khep_twin.playpen.checks import require_feature
     from khep_twin.ports.protocol_khep import Serial
     from khep_twin.ports.twin import equip_playpen, open_twin
 
     playpen, robot_indices = equip_playpen(playpen, options)
-    if needs_khepera(program):
-        require_feature(playpen, Feature.CONTROLLERS, robot_indices)
+    for index in robot_indices:
+        as_controller(program).require_model(playpen.robots[index].robot_model)
     note_firmware_only(options.rom, (playpen.robots[index] for index in robot_indices))
     values = {key: value for key, value in asdict(options).items() if key != "log"}
     settings: dict[str, Any] = {**values, "playpen": dump(playpen), "starts": start_specs, **versions()}

@@ -1,7 +1,7 @@
 """`khep-twin sense`: sensor tests during straight drives and turns."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from functools import partial
 from itertools import chain
@@ -19,6 +19,7 @@ from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.files.atomic import resolve
 from khep_twin.process.signals import stopping
+from khep_twin.robots.registry import default_model
 
 if TYPE_CHECKING:
     from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
@@ -154,7 +155,14 @@ def sense(
     is_stopped = False
     if port is not None:
         try:
-            is_stopped = _drive(port, tests, drive.text or "", lambda run: _save_run(runs, run, paths, force))
+            mat_files = [path for path in outputs if path.suffix.lower() == ".mat"]
+            is_stopped = _drive(
+                port,
+                tests,
+                drive.text or "",
+                lambda run: _save_run(runs, run, paths, force),
+                [*mat_files, *pictures],
+            )
         except BrokenOffError as error:
             _save_run(runs, error.run, paths, force)
             failure = error
@@ -201,12 +209,25 @@ def _check_distinct(paths: list[Path]) -> None:
             raise SensorTestError(f"{path}: is given twice; expected a name for each file")
 
 
-def _drive(port: str, tests: "list[SensorTest]", text: str, save_run: "Callable[[SensorRun], None]") -> bool:
-    """Drive the tests and save each run; return whether the user stopped them."""
-    from khep_twin.host import Khepera
+def _drive(
+    port: str,
+    tests: "list[SensorTest]",
+    text: str,
+    save_run: "Callable[[SensorRun], None]",
+    only_kheperas: list[Path],
+) -> bool:
+    """Drive the tests and save each run; return whether the user stopped them.
+
+    Pictures and MAT files, `only_kheperas`, have the eight sensors of a Khepera.
+    """
+    from khep_twin.host.connection import connect
     from khep_twin.lab.sensor_test.sensor_test import sense as drive
 
-    with stopping() as stop, Khepera(port) as robot, progress_bar() as show:
+    with stopping() as stop, connect(port) as robot, progress_bar() as show:
+        tests = [replace(test, model=robot.model.family) for test in tests]
+        if robot.model.family != default_model().family and (names := [*only_kheperas]):
+            kind = robot.dialect.robot_name
+            raise SensorTestError(f"{names[0]}: has a Khepera's sensors; expected .csv or .mcap for {kind}")
         for number, test in enumerate(tests):
             show_part = part_bar(show, number, len(tests))
             save_run(drive(robot, test, text=text, progress=show_part, stop=stop))

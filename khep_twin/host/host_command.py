@@ -1,17 +1,13 @@
 """Commands to a robot as values: request, parser of the reply, and whether the command may be repeated."""
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from khep_twin.robots.framing import Frames
+from khep_twin.robots.framing import LINES, Frames
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
-
-_INTEGER = re.compile("-?[0-9]{1,10}")
-"""Numbers in replies: of 32 bits at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +40,8 @@ def query(
     """Return a command that reads `count` integers, which `convert` makes its value."""
 
     def read(reply: str) -> T:
-        values = split_reply(letter.lower(), count, reply)
-        if not all(map(_INTEGER.fullmatch, values)):
-            raise ValueError("expected integers")
-        return convert([int(value) for value in values])
+        split_reply(letter.lower(), count, reply)
+        return convert(LINES.values(reply))
 
     return HostCommand(_format_request(letter, arguments), read, repeatable)
 

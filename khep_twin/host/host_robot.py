@@ -1,19 +1,18 @@
 """`HostRobot`: common part of the robots at the other end of a serial port."""
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar, cast
 
 import serial
 
-from khep_twin.errors import PortError
+from khep_twin.errors import PortError, RobotModelError
 from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand
 from khep_twin.host.line import Line, LineTimes
-from khep_twin.robots.model import Dialect, RobotModel
+from khep_twin.robots.model import Dialect, Read, RobotModel
 
 Value = TypeVar("Value")
 
@@ -24,7 +23,7 @@ def open_robot(model: RobotModel, url: StrPath | serial.SerialBase, **options: A
     return host_class(url, **options)
 
 
-class HostRobot(ABC):
+class HostRobot:
     """Robot behind a serial port. Leaving it as a context stops the motors.
 
     A missing or malformed reply raises an error with the exchange in it, after the line has been
@@ -34,7 +33,9 @@ class HostRobot(ABC):
         url, timeout, baudrate, retries: See `Khepera`; `baudrate` is by default the usual one of the dialect.
 
     Attributes:
-        dialect: Protocol of the robot, of all objects of a class.
+        model: Model of the robot, or the first one with its protocol, of all objects of a class.
+        burst_length: Number of requests that are sent before the first reply.
+        leds: Names of its LEDs.
         name: Name of the port, for messages.
         identity: Reply that identified the robot when its baud rate was searched; empty for a known rate.
 
@@ -43,7 +44,9 @@ class HostRobot(ABC):
         ValueError: A duration or number is out of range.
     """
 
-    dialect: Dialect
+    model: RobotModel
+    burst_length = 1
+    leds: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -95,6 +98,11 @@ class HostRobot(ABC):
         """Stop the motors, if the robot still answers, and close the port."""
         if self.port.is_open:
             self._line.halt()
+
+    @property
+    def dialect(self) -> Dialect:
+        """Protocol of the robot."""
+        return self.model.dialect
 
     @property
     def port(self) -> serial.Serial:
@@ -154,9 +162,49 @@ class HostRobot(ABC):
         for request in self.dialect.stop_requests:
             self._run(HostCommand(request, partial(self._check_answer, request), repeatable=True))
 
-    @abstractmethod
+    def set_setpoints(self, left: int, right: int) -> None:
+        """Set the speeds of the wheels [register], as controllers of episodes do."""
+        request = self.dialect.drive(left, right)
+        check = partial(self._check_answer, request)
+        self._run(HostCommand(request, check, repeatable=request in self.dialect.stop_requests))
+
+    def read_channels(self, *names: str) -> dict[str, list[int]]:
+        """Return the registers that can be read of channels of the model's log, by name, from one burst.
+
+        Raises:
+            KeyError: The model has no request for a channel.
+        """
+        reads = {name: self.dialect.reads[name] for name in names}
+        requests = dict.fromkeys(map(_request_of, reads.values()))
+        replies = dict(zip(requests, self._run_all(list(map(self._read_command, requests))), strict=True))
+        return {name: [replies[_request_of(read)][i] for i in read.values] for name, read in reads.items()}
+
+    def read_registers(self, registers: Sequence[int]) -> list[int]:
+        """Return registers of the model, such as those of `Interface.proximity`, one request at a time.
+
+        Raises:
+            RobotModelError: No request reads one of them.
+        """
+        values: dict[int, int] = {}
+        for register in registers:
+            if register in values:
+                continue
+            if (read := self.dialect.read_of(register)) is None:
+                raise RobotModelError(f"model {self.model.name}: no request reads register {register}")
+            reply = self._run(self._read_command(_request_of(read)))
+            values |= zip(read.registers, [reply[index] for index in read.values], strict=True)
+        return [values[register] for register in registers]
+
     def read_panel(self) -> dict[str, list[int]]:
         """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [register]."""
+        return self.read_channels("proximity", "ambient", "speed")
+
+    def supply_voltage(self) -> float | None:
+        """Return the voltage of the supply [V]; None if the robot does not report it."""
+        return None
+
+    def light_leds(self, are_lit: Sequence[bool]) -> None:
+        """Switch the LEDs of `leds` on or off."""
 
     def ask(self, request: str) -> str:
         """Send any request, once, and return the reply, or a tool's first line, by their texts.
@@ -177,5 +225,27 @@ class HostRobot(ABC):
         if not self.dialect.framing.answers(request, reply):
             raise ValueError("expected a reply to this command")
 
+    def _read_command(self, request: tuple[str, int]) -> HostCommand[Sequence[int]]:
+        text, n_values = request
+
+        def read(reply: str) -> Sequence[int]:
+            self._check_answer(text, reply)
+            if len(values := self.dialect.framing.values(reply)) != n_values:
+                raise ValueError(f"expected {n_values} values")
+            return values
+
+        return HostCommand(text, read, repeatable=True)
+
     def _run(self, command: HostCommand[Value]) -> Value:
         return self._line.execute([command])[0]
+
+    def _run_all(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
+        """Run commands in bursts; return their values."""
+        starts = range(0, len(commands), self.burst_length)
+        bursts = (commands[start : start + self.burst_length] for start in starts)
+        return [value for burst in bursts for value in self._line.execute(burst)]
+
+
+def _request_of(read: Read) -> tuple[str, int]:
+    """Return a request, and the number of values in its reply."""
+    return read.request, read.n_values

@@ -13,6 +13,7 @@ process, in lock-step.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal, TypeVar, overload
 
 import serial
@@ -27,7 +28,7 @@ from khep_twin.host.results import MotionStatus as MotionStatus
 from khep_twin.host.results import MotorMode, Positions, SensorCounts, Speeds, Versions
 from khep_twin.host.results import WheelStatus as WheelStatus
 from khep_twin.robots.khepera.model import KHEPERA_1
-from khep_twin.units import WHEEL_BASE
+from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, WHEEL_BASE
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -56,7 +57,9 @@ class Khepera(HostRobot):
         ValueError: A duration, distance or number is out of range.
     """
 
-    dialect = KHEPERA_1.dialect
+    model = KHEPERA_1
+    burst_length = BURST_LENGTH
+    leds = ("lateral", "frontal")
 
     def __init__(
         self,
@@ -176,10 +179,9 @@ class Khepera(HostRobot):
         """Return eight ambient counts as ordered in `proximity`, 500 (dark) to 50 (bright) (command O)."""
         return self._run(commands.ambient())
 
-    def read_panel(self) -> dict[str, list[int]]:
-        """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [pulses/10 ms]."""
-        proximity, ambient, speed = self.burst(commands.proximity(), commands.ambient(), commands.speed())
-        return {"proximity": [*proximity], "ambient": [*ambient], "speed": [*speed]}
+    def supply_voltage(self) -> float:
+        """Return the voltage of the supply [V], twice that at the converter's channel 0."""
+        return 2 * self.converter(0) / CONVERTER_COUNTS_PER_VOLT
 
     def converter(self, channel: int) -> int:
         """Return one channel of the 10-bit analogue-to-digital converter, 1024 = 4.09 V (command I)."""
@@ -192,6 +194,10 @@ class Khepera(HostRobot):
     def set_led(self, led: int, action: int) -> None:
         """Switch LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle (command L)."""
         self._run(commands.set_led(led, action))
+
+    def light_leds(self, are_lit: Sequence[bool]) -> None:
+        """Switch the lateral and the frontal LED on or off."""
+        self.burst(*(commands.set_led(led, int(is_lit)) for led, is_lit in enumerate(are_lit)))
 
     def read_bus(self, address: int) -> int:
         """Return a byte of the extension bus, addresses 0 to 63 (command R)."""
@@ -225,10 +231,7 @@ class Khepera(HostRobot):
         The next command is sent while a reply arrives, which saves transmission time. A burst is repeated as
         a whole, if all its commands are repeatable; after an error some may have been executed.
         """
-        values: list[object] = []
-        for start in range(0, len(host_commands), BURST_LENGTH):
-            values += self._line.execute(host_commands[start : start + BURST_LENGTH])
-        return tuple(values)
+        return tuple(self._run_all(host_commands))
 
     def _drive_by(self, left: int, right: int, timeout: float) -> Positions:
         """Move the wheels by numbers of pulses; return their positions on arrival."""

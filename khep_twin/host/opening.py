@@ -4,7 +4,7 @@ import errno
 import os
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from urllib.parse import quote
 
@@ -75,27 +75,30 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
         raise PortError(*_explain_failure(url, error)) from None
 
 
-def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -> tuple[int, str]:
+def find_baud_rate(
+    port: serial.Serial, name: str, clock: Callable[[], float], rates: Sequence[int] = BAUD_RATES
+) -> tuple[int, str]:
     """Set a port to the baud rate at which its robot identifies itself, e.g. by its reply to command B.
 
     Args:
         port: Open port of pyserial.
         name: Name of the port, for messages.
         clock: Function that returns the port's time [s].
+        rates: Baud rates to try.
 
     Returns:
         The baud rate, and the text of the reply. A network socket or a twin that is not strict accepts any
         rate, so it is the first.
 
     Raises:
-        PortTimeout: There is no reply at any of `BAUD_RATES`.
+        PortTimeout: There is no reply at any of the rates.
         PortError: The port failed.
     """
     timeout, first_baudrate = port.timeout, port.baudrate
     refused_rates: list[int] = []
     try:
         port.timeout = _REPLY_TIMEOUT_S
-        for baud_rate in BAUD_RATES:
+        for baud_rate in rates:
             try:
                 port.baudrate = baud_rate
             except ValueError:  # a converter on the network may not support it
@@ -108,7 +111,7 @@ def find_baud_rate(port: serial.Serial, name: str, clock: Callable[[], float]) -
         port.timeout = timeout
     except PORT_FAILURES as error:
         raise PortError(f"{name}: the port failed at 'B': {error}") from error
-    tried_rates = ", ".join(str(speed) for speed in BAUD_RATES if speed not in refused_rates)
+    tried_rates = ", ".join(str(speed) for speed in rates if speed not in refused_rates)
     raise PortTimeout(
         f"{name}: no answer to 'B' at {tried_rates or 'any'} baud; is the robot on, in a serial mode?"
         + (f" The port refuses {', '.join(map(str, refused_rates))} baud" if refused_rates else "")

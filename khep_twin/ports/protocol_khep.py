@@ -109,6 +109,11 @@ class Serial(SerialBase):
         return self.twin.world.playpen.robots[self.twin.robot.index].model
 
     @property
+    def robot_baudrate(self) -> int:
+        """Baud rate of the robot's line."""
+        return self.twin.robot.firmware.baud
+
+    @property
     def time_ns(self) -> int:
         """Simulated time since the port was opened [ns]."""
         return self.twin.world.time_ns

@@ -4,7 +4,8 @@ A message has a text, in which programs, transcripts and error messages show it:
 hexadecimal digits of its frame.
 """
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from khep_twin.board.protocol import LINE_END, LINE_ENDS
@@ -12,6 +13,9 @@ from khep_twin.board.protocol import LINE_END, LINE_ENDS
 if TYPE_CHECKING:
     from serial import Serial
 _NOISE = "noise"
+
+_INTEGER = re.compile("-?[0-9]{1,10}")
+"""Numbers in messages: of 32 bits at most."""
 
 
 class Lines(NamedTuple):
@@ -69,6 +73,13 @@ class Lines(NamedTuple):
         """Return whether a reply is one to a request, by their texts: it has its letter in lower case."""
         return reply.partition(",")[0] == self.command(request).lower()
 
+    def values(self, text: str) -> Sequence[int]:
+        """Return the numbers in a message by its text; raise ValueError for others."""
+        _, *values = text.split(",")
+        if not all(map(_INTEGER.fullmatch, values)):
+            raise ValueError("expected integers")
+        return [int(value) for value in values]
+
 
 class Frames(NamedTuple):
     """Messages that are binary frames, whose bytes tell their length.
@@ -79,11 +90,13 @@ class Frames(NamedTuple):
             argument is whether it is a request.
         frame_command: Function that returns a frame's command, the same for a request and its reply.
         resync: Bytes that end an unfinished request: as many as the longest one has.
+        frame_values: Function that returns the numbers in a frame.
     """
 
     frame_length: Callable[[bytes, bool], int]
     frame_command: Callable[[bytes], int]
     resync: bytes
+    frame_values: Callable[[bytes], Sequence[int]] = tuple
 
     def length(self, data: bytes | bytearray, to_robot: bool) -> int:
         """Return the length of noise, or of the first frame; more than that of `data` if it is incomplete."""
@@ -140,6 +153,10 @@ class Frames(NamedTuple):
     def answers(self, request: str, reply: str) -> bool:
         """Return whether a reply is one to a request, by their texts: it has the same command."""
         return self.command(reply) == self.command(request) != _NOISE
+
+    def values(self, text: str) -> Sequence[int]:
+        """Return the numbers in a message by its text."""
+        return self.frame_values(_bytes(text))
 
     def _measure(self, data: bytes, to_robot: bool) -> tuple[int, int]:
         """Return the length of the noise at the start, and that of the frame after it, at least 1."""

@@ -48,11 +48,27 @@ class Feature(StrEnum):
 
     TURRETS = "turrets"
     LINE = "an episode with a line"
-    CONTROLLERS = "a network, a built-in controller or one in the toolbox's form"
+    TOOLBOX = "a controller in the toolbox's form"
     FIT = "a fit"
     PROGRAMS = "programs of the page"
     SHADOW = "the shadow"
     RECORDING_CHECKS = "the checks of a recording"
+
+
+class Read(NamedTuple):
+    """Request that reads registers.
+
+    Attributes:
+        request: Text of the request.
+        n_values: Number of values in its reply.
+        registers: Registers that it reads.
+        values: Indices of their values in the reply.
+    """
+
+    request: str
+    n_values: int
+    registers: Sequence[int]
+    values: Sequence[int]
 
 
 class Dialect(NamedTuple):
@@ -67,6 +83,8 @@ class Dialect(NamedTuple):
         moving: Prefixes of requests that move the robot.
         baud: Usual baud rate.
         framing: Ends of the messages; requests and replies are given by their texts.
+        reads: Requests that read registers, by channel.
+        drive: Function that returns the request that sets the speed setpoints [register].
     """
 
     robot_name: str
@@ -77,11 +95,17 @@ class Dialect(NamedTuple):
     moving: tuple[str, ...]
     baud: int
     framing: Framing = LINES
+    reads: Mapping[str, Read] = {}
+    drive: Callable[[int, int], str] = "D,{:d},{:d}".format
 
     @property
     def identification(self) -> bytes:
         """Bytes that end an unfinished request, and then ask for the kind of robot."""
         return self.framing.resync + self.framing.encode(self.probes[0])
+
+    def read_of(self, register: int) -> Read | None:
+        """Return the request that reads a register; None without one."""
+        return next((read for read in self.reads.values() if register in read.registers), None)
 
     def may_move(self, request: str) -> bool:
         """Return whether a request may move the robot."""
@@ -198,6 +222,8 @@ class RobotModel:
         terms: Further readings that tasks observe and controllers of episodes read.
         speed_modes: Registers of the motors' control, and their values with speed setpoints in force.
         tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
+        vehicle: Function that returns the setpoints of its Braitenberg vehicle [register], by the readings of
+            proximity; None if it has no such vehicle.
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
     """
 
@@ -218,6 +244,7 @@ class RobotModel:
     terms: tuple[Term, ...] = ()
     speed_modes: Mapping[int, int] = field(default_factory=dict[int, int])
     tasks: Mapping[str, str] = field(default_factory=dict[str, str])
+    vehicle: Callable[[Sequence[int]], tuple[int, int]] | None = None
     commands: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def load(self, part: str, kind: type[Base]) -> Base:

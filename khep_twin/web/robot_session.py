@@ -3,16 +3,13 @@
 The thread alternates between a poll and the current job, whose progress callback polls as well.
 """
 
-import re
 import threading
 from contextlib import suppress
 
 from khep_twin.errors import ProtocolError
 from khep_twin.host import Khepera, Vision
-from khep_twin.host.host_robot import HostRobot, open_robot
-from khep_twin.robots.khepera.model import KHEPERA_1
-from khep_twin.robots.model import RobotModel
-from khep_twin.robots.registry import installed_models
+from khep_twin.host.connection import connect
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.web import messages
 from khep_twin.web.messages import Publish
 from khep_twin.web.robot_shape import robot_shape
@@ -37,7 +34,8 @@ class RobotActor(SessionActor):
         self._halt.set()
 
     def _serve(self) -> None:
-        model, robot = _open_robot(self._url)
+        robot = connect(self._url)
+        model = robot.model
         self.models = [model]
         with robot:
             self._start_time = robot.time
@@ -84,23 +82,3 @@ class RobotActor(SessionActor):
         self.publish(
             {"kind": "picture", "time": time, "busy": busy, "part": self._progress, "robots": [readings]}
         )
-
-
-def _open_robot(url: str) -> tuple[RobotModel, HostRobot]:
-    """Open the robot at a port; return its model, the one with the BIOS nearest to that in its identity."""
-    robot = Khepera(url, baudrate="auto")
-    known_models, reply = installed_models().values(), robot.identity
-    models = [model for model in known_models if model.dialect.versions_reply.fullmatch(reply)]
-    version = _parse_version(reply)
-    model = min(models, key=lambda model: abs(_parse_version(next(iter(model.roms.values())).bios) - version))
-    if model.dialect is KHEPERA_1.dialect:
-        return model, robot
-    baud = robot.port.baudrate
-    robot.port.close()
-    return model, open_robot(model, url, baudrate=baud)
-
-
-def _parse_version(text: str) -> float:
-    """Return the first number in a text, 0 if there is none."""
-    match = re.search(r"\d+(\.\d+)?", text)
-    return float(match[0]) if match else 0.0

@@ -55,6 +55,18 @@ def test_a_strong_integral_overshoots_as_a_real_robots_does() -> None:
     assert speeds[-1] == pytest.approx(500, rel=0.02)
 
 
+def test_the_control_type_in_force_keeps_the_controller() -> None:
+    """The server writes it with each D, and a host may send one in each of its cycles of 20 ms."""
+    once, repeatedly = (driven((10, 5, 1), Control.SPEED, 500) for _ in range(2))
+    for _ in range(50):
+        once.run(2)
+        repeatedly.dspic.write(bytes([DspicRegister.CONTROL, Control.SPEED]))
+        repeatedly.run(2)
+    assert speed_of(repeatedly.dspic) == speed_of(once.dspic) == pytest.approx(500, rel=0.1)
+    repeatedly.dspic.write(bytes([DspicRegister.CONTROL, Control.IDLE]))
+    assert repeatedly.dspic.pwm == (0, 0)
+
+
 def test_a_profile_holds_its_least_speed_and_rises_by_its_acceleration() -> None:
     wheels = driven((10, 5, 1), Control.SPEED_PROFILE, 400)
     seconds = 1.27 + 0.07  # 380 steps of 3 in 10 ms, behind the hold

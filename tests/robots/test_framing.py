@@ -15,6 +15,7 @@ from command_line import good
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PortError, ProtocolError, StoppedError
+from khep_twin.host.connection import connect
 from khep_twin.host.host_command import HostCommand
 from khep_twin.host.host_robot import HostRobot, open_robot
 from khep_twin.lab.conformance.port.check import CheckedPort, Deviation
@@ -30,7 +31,6 @@ from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.robots.framing import LINES, Frames
 from khep_twin.robots.registry import find_model
 from khep_twin.web.paced_twin import OutsideHost
-from khep_twin.web.robot_session import _open_robot  # pyright: ignore[reportPrivateUsage]
 from khep_twin.world import World
 
 pytestmark = pytest.mark.usefixtures("installed_toy")
@@ -239,7 +239,7 @@ def test_a_host_is_served_after_one_that_left_within_a_frame(where: str, tmp_pat
                     host.write(b"\xc5\x01\x02" + frame(2, 100, 100)[:5])
                     time.sleep(0.05)
                 model = find_model("toy")
-                with _open_robot(port.path)[1] if where == "pty" else open_robot(model, port.path) as robot:
+                with connect(port.path) if where == "pty" else open_robot(model, port.path) as robot:
                     assert type(robot) is model.load_class("host", HostRobot)
                     assert robot.read_panel()["speed"] == [0] * 4
             finally:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from command_line import complaint, good
 from matplotlib.patches import Circle
+from numba_marks import with_numba
 
 from khep_twin import ConstantSpeed, EpisodeSetup, Function, Network, rollout
 from khep_twin import playpen as playpens
@@ -177,7 +178,7 @@ def test_the_host_class_of_a_toy_drives_a_twin_in_this_process(toys: Playpen) ->
         toy = cast(Any, robot)
         toy.set_speed(0.1, 0.1)
         toy.sleep(1)
-        channels = toy.read_panel()
+        channels = toy.read_channels("position", "ultrasonic", "proximity")
         pulse = find_model("toy").body.pulse_length
         assert np.array(channels["position"]) * pulse == pytest.approx(0.095, abs=0.01)
         assert channels["ultrasonic"] == [pytest.approx(290, abs=20)]
@@ -272,11 +273,17 @@ def test_a_controller_in_python_drives_a_toy(tmp_path: Path) -> None:
     (tmp_path / "wander.py").write_text(CONTROLLER)
     words = "run", "wander.py", "--playpen", "toys.toml", "--seconds", "2", "--log", "run.mcap"
     text = good(*words, folder=tmp_path)
-    assert text.startswith("210 cycles in 2.0 s\ndistance m ")
-    assert "fitness" not in text
+    assert text.startswith("210 cycles in 2.0 s\nfitness ")
+    assert "speed mean          0.7979 pulses/10 ms" in text
     assert complaint("run", "braitenberg", "--playpen", "toys.toml", folder=tmp_path) == (
-        "toys: robot 1: model = 'toy'; expected a Khepera or Khepera II for a network, a built-in controller "
-        "or one in the toolbox's form"
+        "braitenberg: model = 'toy' has no vehicle; expected a Khepera or Khepera II or Khepera IV"
+    )
+    network = Network(model="toy")
+    network.save(tmp_path / "best.npz", [0.3] * network.n_genes)
+    words = "run", "best.npz", "--playpen", "toys.toml", "--seconds", "1"
+    assert good(*words, folder=tmp_path).startswith("50 cycles in 1.0 s\nfitness ")
+    assert complaint("run", "best.npz", "--seconds", "1", folder=tmp_path) == (
+        "best.npz: model = 'toy'; expected 'khepera' for a Khepera"
     )
 
 

@@ -20,7 +20,7 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 
 from khep_twin.errors import KhepTwinError, PortError
-from khep_twin.host import Khepera, Khepera4, robot_port
+from khep_twin.host import Khepera, Khepera4, connection
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.series_run import Plan
@@ -35,7 +35,7 @@ from khep_twin.web.drafts import draft_of
 from khep_twin.web.jobs import SeriesJob, sensor_job
 from khep_twin.web.paced_twin import OutsideHost
 from khep_twin.web.requests import Request, RequestError, RunRequest, StartRequest
-from khep_twin.web.robot_session import RobotActor, _open_robot  # pyright: ignore[reportPrivateUsage]
+from khep_twin.web.robot_session import RobotActor
 from khep_twin.web.session_actions import SessionActions
 from khep_twin.web.twin_session import TwinActor
 from tests.web.conftest import Inbox
@@ -494,8 +494,9 @@ def test_a_robot_with_another_bios_has_the_model_of_the_nearest(
     actor: TwinActor, inbox: Inbox, monkeypatch: pytest.MonkeyPatch, reply: str, model: str
 ) -> None:
     port = inbox.wait("twin")["robots"][0]["port"]
-    monkeypatch.setattr(robot_port, "find_baud_rate", lambda *_: (9600, reply))
-    opened_model, robot = _open_robot(port)
+    monkeypatch.setattr(connection, "find_baud_rate", lambda *_: (9600, reply))
+    robot = connection.connect(port)
+    opened_model = robot.model
     robot.port.close()
     assert opened_model.name == model
 

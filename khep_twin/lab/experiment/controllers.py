@@ -7,10 +7,9 @@ before, during and after a run. Errors in a user's function are reported with fi
 import inspect
 import math
 import traceback
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.resources import files
-from operator import mul
 from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Literal, ParamSpec, TypeAlias, TypeVar
@@ -18,15 +17,15 @@ from typing import Any, ClassVar, Literal, ParamSpec, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
 from khep_twin.errors import ControllerError, KhepTwinError, exception_text
 from khep_twin.files.atomic import resolve, write_atomic
 from khep_twin.files.text import escape_surrogates
-from khep_twin.host import Khepera
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.experiment.users_folder import in_users_folder
 from khep_twin.playpen import Playpen
 from khep_twin.process.signals import is_interruption
+from khep_twin.robots.model import Feature, RobotModel
+from khep_twin.robots.registry import installed_models, titles_with
 
 Params = ParamSpec("Params")
 ReturnType = TypeVar("ReturnType")
@@ -56,6 +55,22 @@ class Controller:
     passes_time: ClassVar[str] = "to ask the robot something, or robot.sleep"
     defined_by: "AnyFunction | ModuleType | None" = None
 
+    @property
+    def family(self) -> str:
+        """Family of the robots that it drives; empty for any."""
+        return ""
+
+    def require_model(self, model: RobotModel) -> None:
+        """Raise a `ControllerError` if it cannot drive robots of a model."""
+        if self.family not in ("", model.family):
+            expected = f"expected {model.family!r} for {model.dialect.robot_name}"
+            raise ControllerError(f"{self.subject}: model = {self.family!r}; {expected}")
+
+    @property
+    def subject(self) -> str:
+        """Name for messages."""
+        return name_of(self)
+
     def start(self, robot: AnyRobot) -> None:
         """Run before the first cycle of each run."""
 
@@ -76,6 +91,11 @@ class FunctionController(Controller):
     def __init__(self, function: Callable[[AnyRobot], object]) -> None:
         self.defined_by = self.function = function
         self._returned: Mapping[str, object] = {}
+
+    def require_model(self, model: RobotModel) -> None:
+        """Raise a `ControllerError` for the built-in controller of a model without a vehicle."""
+        if self.function is braitenberg:
+            vehicle_of(model)
 
     def start(self, robot: AnyRobot) -> None:
         """Forget the variables of the previous run."""
@@ -104,6 +124,12 @@ class LoopingController(FunctionController):
     unpaced = False
     port_id: int | None = None
     playpen: Playpen | None = None
+
+    def require_model(self, model: RobotModel) -> None:
+        """Raise a `ControllerError` if the toolbox does not know the robot's commands."""
+        if Feature.TOOLBOX not in model.features:
+            expected = f"expected {titles_with(Feature.TOOLBOX)} for {Feature.TOOLBOX.value}"
+            raise ControllerError(f"{name_of(self)}: model = {model.name!r}; {expected}")
 
     def loop(
         self, robot: AnyRobot, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]
@@ -247,13 +273,23 @@ def _numeric_array(value: object) -> NDArray[np.generic] | None:
     return array if array.dtype.kind in "biuf" else None
 
 
-def braitenberg(robot: Khepera) -> None:
-    """Drive and avoid obstacles: speeds = proximity x weights / 400 + 10."""
-    proximity = robot.proximity()
-    left, right = (sum(map(mul, weights, proximity)) for weights in zip(*DEMO_WEIGHTS, strict=True))
-    robot.set_speed(
-        round(left / DEMO_DIVISOR) + DEMO_SPEED_PULSES, round(right / DEMO_DIVISOR) + DEMO_SPEED_PULSES
-    )
+def braitenberg(robot: HostRobot) -> None:
+    """Drive and avoid obstacles, as the Braitenberg vehicle of the robot's model does."""
+    vehicle = vehicle_of(robot.model)
+    proximity = robot.read_registers(range(*robot.model.episode_interface.proximity))
+    robot.set_setpoints(*vehicle(proximity))
+
+
+def vehicle_of(model: RobotModel) -> Callable[[Sequence[int]], tuple[int, int]]:
+    """Return the function of a model's Braitenberg vehicle.
+
+    Raises:
+        ControllerError: It has no such vehicle.
+    """
+    if model.vehicle is None:
+        titles = " or ".join(known.title for known in installed_models().values() if known.vehicle)
+        raise ControllerError(f"braitenberg: model = {model.name!r} has no vehicle; expected a {titles}")
+    return model.vehicle
 
 
 BUILT_IN: Mapping[str, Callable[[AnyRobot], object]] = {"braitenberg": braitenberg}

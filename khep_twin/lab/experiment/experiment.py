@@ -69,6 +69,7 @@ def run(
     if seconds is not None:
         robot.check_clock(f"a run of {seconds:g} s instead of cycles")
     controller = as_controller(controller)
+    controller.require_model(robot.model)
     should_stop = stop or (lambda: False)
     start = previous_time = robot.time
     n_cycles, completed = 0, 0.0

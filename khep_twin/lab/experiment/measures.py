@@ -6,17 +6,18 @@ equal on all ports that return the same replies. Times are in the port's time.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import units
-from khep_twin.episodes.fitness import obstacle_avoidance
-from khep_twin.host.host_command import split_reply
+from khep_twin.episodes.fitness import TOP_SPEED_PULSES, obstacle_avoidance
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.observers import Observer
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.polygon import contains
+from khep_twin.robots.framing import Framing
+from khep_twin.robots.model import RobotModel
 from khep_twin.sensing import calibration
 from khep_twin.world import World
 
@@ -44,26 +45,40 @@ UNITS = {
 
 
 class HostMetrics:
-    """Metrics of the exchanges between a host and its robot in one run."""
+    """Metrics of the exchanges between a host and its robot in one run, by the registers of its model."""
 
-    def __init__(self) -> None:
+    def __init__(self, model: RobotModel) -> None:
+        self._model = model
+        self._interface = model.episode_interface
+        self._drive = model.dialect.framing.command(model.dialect.drive(0, 0))
         self._speed = (0, 0)
-        self._proximity: tuple[int, ...] | None = None
-        self._proximity_readings: list[tuple[int, ...]] = []
-        self._ambient_readings: list[tuple[int, ...]] = []
+        self._proximity = np.zeros(0, np.int64)
+        self._proximity_readings: list[NDArray[np.int64]] = []
+        self._ambient_readings: list[NDArray[np.int64]] = []
         self._cycle_values: list[tuple[float, float]] = []
         self._command_values: list[tuple[float, float]] = []
 
     def __call__(self, request: str, reply: str) -> None:
         """Add one request and its reply."""
-        if (speed := parse_numbers(request, "D", 2)) and reply == "d":
-            self._speed = speed[0], speed[1]
-            if not self._cycle_values:
-                self._command_values.append(self._fitness_and_speed())
-        elif request == "N" and (counts := parse_numbers(reply, "n", 8)):
-            self._proximity = counts
-            self._proximity_readings.append(counts)
-        elif request == "O" and (counts := parse_numbers(reply, "o", 8)):
+        framing, reads = self._model.dialect.framing, self._model.dialect.reads
+        if not framing.answers(request, reply):
+            return
+        if framing.command(request) == self._drive:
+            if len(speeds := parse_values(framing, request)) == 2:
+                self._speed = speeds[0], speeds[1]
+                if not self._cycle_values:
+                    self._command_values.append(self._fitness_and_speed())
+            return
+        values = parse_values(framing, reply)
+        registers: dict[int, int] = {}
+        for read in reads.values():
+            if (read.request, read.n_values) == (request, len(values)):
+                registers |= zip(read.registers, [values[index] for index in read.values], strict=True)
+        if self._interface.proximity[0] in registers:
+            self._proximity = np.array([registers[index] for index in range(*self._interface.proximity)])
+            self._proximity_readings.append(self._proximity)
+        if self._interface.ambient[0] in registers:
+            counts = np.array([registers[index] for index in range(*self._interface.ambient)])
             self._ambient_readings.append(counts)
 
     def end_cycle(self) -> None:
@@ -72,9 +87,11 @@ class HostMetrics:
 
     def _fitness_and_speed(self) -> tuple[float, float]:
         """Return the current fitness and mean speed [pulses/10 ms]."""
-        left, right = self._speed
-        nearest = max(self._proximity or (0,)) / units.COUNTS_LIMIT
-        return obstacle_avoidance(left, right, nearest), (left + right) / 2
+        interface, (left, right) = self._interface, self._speed
+        scale, (none, full) = TOP_SPEED_PULSES / interface.top_speed, interface.counts
+        nearest = (self._proximity.max(initial=none) - none) / (full - none)
+        fitness = obstacle_avoidance(left * scale, right * scale, float(nearest))
+        return float(fitness), (left + right) / 2 / interface.speed_per_pulse
 
     def metrics(self) -> dict[str, float]:
         """Return the metrics by name, without those of sensors that were not read.
@@ -88,7 +105,7 @@ class HostMetrics:
             metrics["speed_mean"] = math.fsum(speeds) / len(speeds)
         if self._proximity_readings:
             counts = np.array(self._proximity_readings)
-            metrics["near_share"] = float((counts.max(axis=1) > statistics.NEAR_COUNTS).mean())
+            metrics["near_share"] = float((counts.max(axis=1) > self._model.body.near_counts).mean())
             metrics["proximity_mean"], metrics["proximity_max"] = float(counts.mean()), float(counts.max())
         if self._ambient_readings:
             counts = np.array(self._ambient_readings)
@@ -164,9 +181,9 @@ def coverage(positions: statistics.Floats, playpen: Playpen, radius: float) -> f
     return float(free[visited].sum() / free.sum()) if free.any() else 0.0
 
 
-def parse_numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
-    """Return the numbers of a line; None for a line with another letter, or a garbled one."""
+def parse_values(framing: Framing, text: str) -> Sequence[int]:
+    """Return the numbers in a message; none for a garbled one."""
     try:
-        return tuple(map(int, split_reply(letter, count, line)))
+        return framing.values(text)
     except ValueError:
-        return None
+        return ()

@@ -6,19 +6,18 @@
     with Khepera("/dev/ttyUSB0") as robot:
         run(NetworkController(Network.load("best.npz")), robot, seconds=60)
 
-On a twin or a robot, their cycle is that of a rollout with a serial line (`khep_twin.episodes.line`).
+They read and set the registers of their model's `Interface`. On a twin or a robot, their cycle is that of a
+rollout with a serial line (`khep_twin.episodes.line`).
 """
 
 import math
 
-from khep_twin import units
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.episodes import networks
 from khep_twin.episodes.controllers import Network
 from khep_twin.errors import ControllerError
-from khep_twin.firmware import SPEED_LIMIT_PULSES
-from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, Controller, LoopingController
+from khep_twin.host.host_robot import HostRobot
+from khep_twin.lab.experiment.controllers import AnyRobot, Controller
 
 
 class PeriodicController(Controller):
@@ -38,30 +37,26 @@ class PeriodicController(Controller):
         """Control period [s]."""
         return self._period_ns / NS_PER_S
 
-    def decide(self, robot: Khepera) -> tuple[float, float]:
-        """Read the robot's sensors; return the speeds of the left and right wheel [pulses/10 ms]."""
+    def decide(self, robot: AnyRobot) -> tuple[float, float]:
+        """Read the robot's sensors; return the speeds of the left and right wheel [register]."""
         raise NotImplementedError(f"{type(self).__name__} needs a decide(self, robot)")
 
-    def cycle(self, robot: Khepera) -> None:
+    def cycle(self, robot: HostRobot) -> None:
         """Drive at the speeds, rounded and clipped as in a rollout, then wait for the end of the period."""
         # A port's time is a whole number of nanoseconds, as a float in seconds.
         end_ns = to_ns(robot.time) + self._period_ns
-        limit = float(SPEED_LIMIT_PULSES)
+        limit = float(robot.model.episode_interface.speed_limit)
         left, right = (round(min(max(speed, -limit), limit)) for speed in self.decide(robot))
-        robot.set_speed(left, right)
+        robot.set_setpoints(left, right)
         if (remaining_ns := end_ns - to_ns(robot.time)) > 0:
             robot.sleep(remaining_ns / NS_PER_S)
-
-
-def needs_khepera(controller: AnyController) -> bool:
-    """Return whether a controller uses the commands and units of a Khepera."""
-    return controller in BUILT_IN.values() or isinstance(controller, LoopingController | PeriodicController)
 
 
 class NetworkController(PeriodicController):
     """Network that drives a robot on a serial line, as in a rollout.
 
-    Each cycle sends N, and O for ambient inputs, evaluates the network, and sends D.
+    Each cycle asks for proximity (N), and for light if that is an input (O), evaluates the network, and sends
+    the speeds (D).
 
     Args:
         network: Network with genes.
@@ -82,22 +77,32 @@ class NetworkController(PeriodicController):
         self._sizes = list(network.sizes)
         self._values = [0.0] * sum(network.sizes)
 
-    def start(self, robot: Khepera) -> None:
+    @property
+    def family(self) -> str:
+        """Family of the robots that it drives."""
+        return self.network.model
+
+    @property
+    def subject(self) -> str:
+        """Name for messages."""
+        return self.file or "network"
+
+    def start(self, robot: HostRobot) -> None:
         """Reset the recurrent memory."""
         self._memory = [0.0] * self.network.sizes[1]
 
-    def decide(self, robot: Khepera) -> tuple[float, float]:
+    def decide(self, robot: HostRobot) -> tuple[float, float]:
         """Read the robot's sensors and evaluate the network."""
-        network, values = self.network, self._values
-        values[: units.N_SENSORS] = [count / units.COUNTS_LIMIT for count in robot.proximity()]
+        network, values, interface = self.network, self._values, robot.model.episode_interface
+        n_proximity, limit = interface.n_proximity, interface.counts[1]
+        values[:n_proximity] = [count / limit for count in robot.read_registers(range(*interface.proximity))]
         if network.ambient:
             dark, bright = network.light
-            values[units.N_SENSORS : network.sizes[0]] = [
-                (dark - count) / (dark - bright) for count in robot.ambient()
+            values[n_proximity : network.sizes[0]] = [
+                (dark - count) / (dark - bright) for count in robot.read_registers(range(*interface.ambient))
             ]
         output_start = networks.forward(self._sizes, network.recurrent, self._genes, self._memory, values)
         left, right = (network.top_speed * value for value in values[output_start : output_start + 2])
         if not (math.isfinite(left) and math.isfinite(right)):
-            name = self.file or "network"
-            raise ControllerError(f"{name}: speeds {left}, {right}; expected finite numbers")
+            raise ControllerError(f"{self.subject}: speeds {left}, {right}; expected finite numbers")
         return left, right

@@ -33,7 +33,6 @@ from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.renamed import renamed_arguments
-from khep_twin.robots.model import Feature
 
 _STOP_CHECK_S = 0.1
 """Interval at which a pause calls `stop` [s]."""
@@ -193,19 +192,18 @@ def _run_one(
     on_abort: Callable[[SeriesRun], None] | None,
 ) -> SeriesRun | None:
     """Return one run; None for an aborted run, which is passed to `on_abort`."""
-    host_metrics, twin = HostMetrics(), twin_of(robot)
+    host_metrics, twin = HostMetrics(robot.model) if robot.model.interface else None, twin_of(robot)
     ground_truth = None if twin is None else GroundTruthMetrics(twin.world, twin.robot.index)
-    # They know a Khepera's commands.
-    has_host_metrics = twin is None or Feature.LINE in twin.robot_model.features
     start_time, n_cycles = robot.time, 0
 
     def end_cycle() -> None:
         nonlocal n_cycles
-        host_metrics.end_cycle()
+        if host_metrics is not None:
+            host_metrics.end_cycle()
         n_cycles += 1
 
     def make_series_run(outcome: Outcome) -> SeriesRun:
-        metrics = host_metrics.metrics() if has_host_metrics else {}
+        metrics = {} if host_metrics is None else host_metrics.metrics()
         metrics |= {} if ground_truth is None else ground_truth.metrics()
         variables = copy_variables(controller)
         # A twin in this process waits for its host.

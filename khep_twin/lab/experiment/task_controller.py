@@ -10,7 +10,7 @@ actions have the terms, units and scaling of the task, and a cycle has its perio
 """
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from os import fspath
 from typing import Any, Protocol, runtime_checkable
 
@@ -18,18 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.clock import to_ns
-from khep_twin.envs.task_setup import PERIOD_NS, TERM_REQUESTS
+from khep_twin.envs.task_setup import PERIOD_NS
 from khep_twin.envs.tasks import Observation, State, Task, find_task, speeds_of
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
-from khep_twin.host import Khepera
-from khep_twin.host.results import Positions
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.experiment.controllers import error_in_file, source_file
 from khep_twin.lab.experiment.periodic_controllers import PeriodicController
 from khep_twin.playpen import Playpen
 from khep_twin.process.signals import is_interruption
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import find_family
 from khep_twin.sensing import calibration as calibrations
 
 
@@ -45,8 +45,9 @@ class Model(Protocol):
 class TaskController(PeriodicController):
     """Policy that drives a robot as in the task with which it was trained.
 
-    Each cycle sends N, O and H for proximity, light and speed, if the task observes them and in its order. It
-    then evaluates the policy and sends D. The speed is the encoders' mean since the previous cycle.
+    Each cycle asks for the registers of the terms that the task observes, in its order; a Khepera's for
+    proximity, light and speed by N, O and H. It then evaluates the policy and sends the speeds (D). The speed
+    is the encoders' mean since the previous cycle.
 
     Args:
         task: Task, or its name.
@@ -79,11 +80,15 @@ class TaskController(PeriodicController):
         self._task = find_task(task)
         self._policy = policy
         self._normalize = normalize
+        self._model = find_family(self._task.model)
+        self._registers = _registers_of(self._model)
+        read_of = self._model.dialect.read_of
+        reported = [name for name, part in self._registers.items() if all(map(read_of, part))]
         for term in self._task.observation_terms:
-            if term not in TERM_REQUESTS:
+            if term not in reported:
                 raise ControllerError(
-                    f"task {self._task.name}: no robot reports its {term}; expected a task that observes "
-                    f"{', '.join(TERM_REQUESTS)} alone"
+                    f"{self.subject}: no robot reports its {term}; expected a task that observes "
+                    f"{', '.join(reported)} alone"
                 )
         self._name = type(policy).__name__
         if inspect.isfunction(policy):
@@ -94,34 +99,44 @@ class TaskController(PeriodicController):
         default = Playpen.load(self._task.playpen).robots[0].calibration
         ambient = calibrations.read(default if calibration is None else fspath(calibration))[0].ambient
         self._dark, self._floor = ambient.dark_counts, ambient.floor_counts
-        self._previous: tuple[int, Positions] | None = None
+        self._previous: tuple[int, Sequence[int]] | None = None
 
-    def start(self, robot: Khepera) -> None:
+    @property
+    def family(self) -> str:
+        """Family of the robots that it drives."""
+        return self._model.family
+
+    @property
+    def subject(self) -> str:
+        """Name for messages."""
+        return f"task {self._task.name}"
+
+    def start(self, robot: HostRobot) -> None:
         """Reset the counters, so that the first speed is 0, as in the environment."""
         self._previous = None
 
-    def decide(self, robot: Khepera) -> tuple[float, float]:
+    def decide(self, robot: HostRobot) -> tuple[float, float]:
         """Read the robot's sensors and evaluate the policy."""
-        start_ns = to_ns(robot.time)
-        registers, left, right = np.zeros(N_REGISTERS, np.int64), 0.0, 0.0
-        for term in self._task.observation_terms:
-            if term == "proximity":
-                registers[PROXIMITY] = robot.proximity()
-            elif term == "light":
-                registers[AMBIENT] = robot.ambient()
-            else:
-                left, right = self._speed(robot.position(), start_ns)
-        state = State(registers, left, right, self._dark, self._floor, at_goal=False, charge=1.0)
+        start_ns, interface = to_ns(robot.time), self._model.episode_interface
+        observed = [number for term in self._task.observation_terms for number in self._registers[term]]
+        registers, left, right = np.zeros(interface.n_registers, np.int64), 0.0, 0.0
+        registers[observed] = robot.read_registers(observed)
+        if "speed" in self._task.observation_terms:
+            left, right = self._speed(registers[list(interface.positions)].tolist(), start_ns)
+        numbers = left, right, self._dark, self._floor
+        state = State(registers, *numbers, at_goal=False, charge=1.0, model=self.family)
         action = self._action(self._task.observe(state, self._normalize))
         left, right = speeds_of(action, self._task.top_speed, self._normalize).tolist()
         return left, right
 
-    def _speed(self, positions: Positions, start_ns: int) -> tuple[float, float]:
-        """Return the mean speeds of both wheels since the previous cycle [pulses/10 ms]."""
+    def _speed(self, positions: Sequence[int], start_ns: int) -> tuple[float, float]:
+        """Return the mean speeds of both wheels since the previous cycle [register]."""
         previous_ns, previous = self._previous or (start_ns, positions)
         self._previous = start_ns, positions
         ticks = max(start_ns - previous_ns, 1) / units.TICK_NS
-        return (positions.left - previous.left) / ticks, (positions.right - previous.right) / ticks
+        scale = self._model.episode_interface.speed_per_pulse
+        left, right = (new - old for new, old in zip(positions, previous, strict=True))
+        return left / ticks * scale, right / ticks * scale
 
     def _action(self, observation: Observation) -> NDArray[np.float64]:
         """Return the policy's action (2,); raise a `ControllerError` if it is not an action."""
@@ -164,3 +179,14 @@ class TaskController(PeriodicController):
         problem = f"{self._name}: made for {kind}s {' '.join(str(space).split())[:200]}"
         hint = f", or normalize={not self._normalize}" if has_shape else ""
         raise ControllerError(f"{problem}; expected those of task {self._task.name}, {expected}{hint}")
+
+
+def _registers_of(model: RobotModel) -> Mapping[str, Sequence[int]]:
+    """Return the registers of the observation terms of a model, by name."""
+    interface = model.episode_interface
+    return {
+        "proximity": range(*interface.proximity),
+        "light": range(*interface.ambient),
+        "speed": interface.positions,
+        **{name: range(first, first + len(names)) for name, first, names, *_ in model.terms},
+    }

@@ -7,16 +7,14 @@ thread: if the terminal hangs, no key arrives and the motors stop. The screen co
 
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
 from khep_twin.errors import PortTimeout, ProtocolError
-from khep_twin.host import Khepera, SensorCounts, Speeds, commands
-from khep_twin.host.commands import HostCommand
-from khep_twin.robots.registry import default_model
-from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, N_SENSORS, SENSOR_LABELS, speed
+from khep_twin.host.host_robot import HostRobot
+from khep_twin.robots.model import Bar, RobotModel
 
 FIRST_HOLD = 0.7
 """Driving time of a first press [s]: most keyboards wait 0.25 to 0.66 s before they repeat a key."""
@@ -24,23 +22,17 @@ FIRST_HOLD = 0.7
 REPEAT_HOLD = 0.25
 """Driving time of each repeat [s]: keys are repeated each 0.03 to 0.1 s, later over a slow network."""
 
-FASTEST = 40
-"""Highest speed of teleoperation [pulses/10 ms]: 320 mm/s."""
+FASTEST, N_STEPS = 40, 20
+"""Highest speed of teleoperation, and the top speed of tasks (`Interface.top_speed`) [steps]: 40 steps are
+a Khepera's 320 mm/s."""
 
 TIMEOUT = 0.6
 """Time-out of a reply [s]."""
 
-_BARS = default_model().bars
 _CYCLE = 0.05
 """Shortest cycle of the loop [s]."""
 _SUPPLY_INTERVAL = 5.0
 """Shortest time between two readings of the supply voltage [s]."""
-
-_NO_SPEED = Speeds(0, 0)
-_NO_COUNTS = SensorCounts(*(0,) * N_SENSORS)
-
-_LEDS = ((0, 0), (1, 0), (0, 1), (1, 1))
-"""States of the lateral and the frontal LED, in the order of switching."""
 
 
 class Direction(Enum):
@@ -52,9 +44,10 @@ class Direction(Enum):
     LEFT = (-0.5, 0.5)
     RIGHT = (0.5, -0.5)
 
-    def speeds(self, speed: int) -> Speeds:
-        """Return the wheels' speeds [pulses/10 ms]; a wheel that turns has a speed of at least 1."""
-        return Speeds(*(_round_away_from_zero(factor * speed) for factor in self.value))
+    def speeds(self, speed: int) -> tuple[int, int]:
+        """Return the wheels' speeds [steps]; a wheel that turns has a speed of at least 1."""
+        left, right = (_round_away_from_zero(factor * speed) for factor in self.value)
+        return left, right
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,22 +55,24 @@ class DriveState:
     """State of a teleoperated robot.
 
     Attributes:
-        speed: Selected speed of the wheels [pulses/10 ms].
+        model: Model of the robot.
+        speed: Selected speed of the wheels [steps].
         direction: Direction of driving.
-        measured: Measured speeds of the wheels [pulses/10 ms].
+        measured: Measured speeds of the wheels [register].
         proximity: Proximity readings [counts].
         ambient: Ambient readings [counts].
-        leds: Last commands to the lateral and the frontal LED, 0 off or 1 on.
+        leds: Whether each LED is lit.
         supply: Supply voltage [V]; None if the robot does not report it.
         lost: Number of missing or invalid replies.
     """
 
+    model: RobotModel
     speed: int
     direction: Direction = Direction.STOP
-    measured: Speeds = _NO_SPEED
-    proximity: SensorCounts = _NO_COUNTS
-    ambient: SensorCounts = _NO_COUNTS
-    leds: tuple[int, int] = (0, 0)
+    measured: tuple[int, int] = (0, 0)
+    proximity: Sequence[int] = ()
+    ambient: Sequence[int] = ()
+    leds: Mapping[str, bool] = field(default_factory=dict[str, bool])
     supply: float | None = None
     lost: int = 0
 
@@ -104,20 +99,24 @@ class Teleoperation:
 
     Args:
         robot: Robot to drive, used only by the thread that calls `run`.
-        speed: Initial speed [pulses/10 ms].
+        speed: Initial speed [steps].
         now: Wall clock [s].
     """
 
-    def __init__(self, robot: Khepera, speed: int, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, robot: HostRobot, speed: int, now: Callable[[], float] = time.monotonic) -> None:
         self._robot = robot
         self._now = now
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._switch = DeadManSwitch()
-        self._state = DriveState(speed)
-        self._sent_speeds: Speeds | None = None
-        self._leds = _LEDS[0]
-        self._sent_leds: tuple[int, int] | None = None
+        self._interface = robot.model.episode_interface
+        self._n_led_states = 2 ** len(robot.leds)
+        n_sensors = len(robot.model.body.sensors)
+        zeros, leds = (0,) * n_sensors, dict.fromkeys(robot.leds, False)
+        self._state = DriveState(robot.model, speed, proximity=zeros, ambient=zeros, leds=leds)
+        self._sent_speeds: tuple[int, int] | None = None
+        self._led_state = 0
+        self._sent_led_state: int | None = None
         self._supply_time: float | None = now()
         self._was_unanswered = False
 
@@ -136,13 +135,13 @@ class Teleoperation:
         self._wake.set()
 
     def set_speed(self, speed: int) -> None:
-        """Set the speed, 1 to FASTEST [pulses/10 ms]."""
+        """Set the speed, 1 to FASTEST [steps]."""
         self._update(speed=min(max(speed, 1), FASTEST))
 
     def switch_leds(self) -> None:
-        """Switch the LEDs to the next state: none, lateral, frontal, both, none."""
+        """Switch the LEDs to the next state: none, the first, the second, both, and so on."""
         with self._lock:
-            self._leds = _LEDS[(_LEDS.index(self._leds) + 1) % len(_LEDS)]
+            self._led_state = (self._led_state + 1) % self._n_led_states
         self._wake.set()
 
     # The robot's thread --------------------------------------------------------------------------------
@@ -165,7 +164,7 @@ class Teleoperation:
                     lag = (self._now() - start) - (self._robot.time - robot_start)
                     self._robot.sleep(lag) if lag > 0 else time.sleep(-lag)
         finally:
-            self._robot.set_speed(0, 0)
+            self._robot.stop()
 
     def cycle(self) -> None:
         """Send the commands that the keys request, and read the sensors.
@@ -174,40 +173,48 @@ class Teleoperation:
             PortError: The connection is lost, or two cycles in a row got no reply.
         """
         with self._lock:
-            direction, leds, state = self._switch.direction(self._now()), self._leds, self._state
-        speeds = direction.speeds(state.speed)
-        batch: list[HostCommand[object]] = (
-            [commands.set_speed(*speeds)] if speeds != self._sent_speeds else []
-        )
-        if leds != self._sent_leds:
-            batch += [commands.set_led(led, action) for led, action in enumerate(leds)]
+            direction, led_state, state = self._switch.direction(self._now()), self._led_state, self._state
+        step = self._interface.top_speed / N_STEPS
+        left, right = (round(step * speed) for speed in direction.speeds(state.speed))
+        are_lit = [bool(led_state >> number & 1) for number in range(len(self._robot.leds))]
         try:
-            *_, proximity, ambient, measured = self._robot.burst(
-                *batch, commands.proximity(), commands.ambient(), commands.speed()
-            )
+            if (left, right) != self._sent_speeds:
+                self._robot.set_setpoints(left, right)
+                self._sent_speeds = left, right
+            if led_state != self._sent_led_state:
+                self._robot.light_leds(are_lit)
+                self._sent_led_state = led_state
+            panel = self._robot.read_panel()
         except (PortTimeout, ProtocolError):
             # The robot may have missed any command; the next cycle sends all of them again.
-            self._sent_speeds = self._sent_leds = None
+            self._sent_speeds = self._sent_led_state = None
             self._update(lost=state.lost + 1)
             if self._was_unanswered:
                 raise
             self._was_unanswered = True
             return
         self._was_unanswered = False
-        self._sent_speeds, self._sent_leds = speeds, leds
-        self._update(direction=direction, leds=leds, proximity=proximity, ambient=ambient, measured=measured)
+        self._update(
+            direction=direction,
+            leds=dict(zip(self._robot.leds, are_lit, strict=True)),
+            proximity=panel["proximity"],
+            ambient=panel["ambient"],
+            measured=(panel["speed"][0], panel["speed"][1]),
+        )
         if self._supply_time is not None and direction is Direction.STOP and self._now() >= self._supply_time:
             self._read_supply()
 
     def _read_supply(self) -> None:
-        """Read the supply voltage, twice that of the converter's channel 0; stop asking after a refusal."""
+        """Read the supply voltage; stop asking after a refusal."""
         self._supply_time = self._now() + _SUPPLY_INTERVAL
         try:
-            counts = self._robot.converter(0)
+            supply = self._robot.supply_voltage()
         except ProtocolError:
+            supply = None
+        if supply is None:
             self._supply_time = None
         else:
-            self._update(supply=2 * counts / CONVERTER_COUNTS_PER_VOLT)
+            self._update(supply=supply)
 
     def _update(self, **changes: Any) -> None:
         with self._lock:
@@ -219,11 +226,10 @@ def _round_away_from_zero(value: float) -> int:
     return int(value + 0.5) if value >= 0 else -int(-value + 0.5)
 
 
-WIDTH, HEIGHT = 64, 18
-"""Size of the smallest terminal [characters]."""
+WIDTH, _N_FIXED_LINES = 64, 10
+"""Width of the smallest terminal [characters], and the number of lines besides those of the sensors."""
 
 _LABEL_WIDTH, _COUNTS_WIDTH, _GAP_WIDTH = 12, 5, 3  # [characters]
-_ON_OFF = ("off", "on")
 
 KEYS = (
     "arrows or WASD drive while held   space stops   q ends",
@@ -233,37 +239,43 @@ KEYS = (
 
 def draw(state: DriveState, name: str, width: int, height: int) -> list[str]:
     """Return the lines of the screen, of at most `width` characters."""
-    if width < WIDTH or height < HEIGHT:
-        line = f"{width} x {height} characters; expected at least {WIDTH} x {HEIGHT}; q ends"
+    model, bars, interface = state.model, state.model.bars, state.model.episode_interface
+    least_height = len(state.proximity) + _N_FIXED_LINES
+    if width < WIDTH or height < least_height:
+        line = f"{width} x {height} characters; expected at least {WIDTH} x {least_height}; q ends"
         return [line[: max(width - 1, 0)]]
-    bar_width = (width - _LABEL_WIDTH - 2 * _COUNTS_WIDTH - _GAP_WIDTH - 1) // 2
-    left, right = (1e3 * speed(pulses) for pulses in state.measured)
+    speeds = [1e5 * model.body.pulse_length * speed / interface.speed_per_pulse for speed in state.measured]
+    unit = model.channels["speed"][0][1]
+    label_width = max(_LABEL_WIDTH, *(len(sensor) + 1 for sensor in model.body.sensors))
+    bar_width = (width - label_width - 2 * _COUNTS_WIDTH - _GAP_WIDTH - 1) // 2
     supply = "" if state.supply is None else f"   supply about {state.supply:.1f} V"
     lost = f"   {state.lost} replies lost" if state.lost else ""
     column_width = bar_width + _COUNTS_WIDTH + _GAP_WIDTH
+    leds = "  ".join(f"{name} {'on' if is_lit else 'off':3}" for name, is_lit in state.leds.items())
     lines = [
         f"khep-twin drive  {name}",
         "",
-        f"{'':{_LABEL_WIDTH}}{'proximity':{column_width}}{_BARS['light'].legend}",
+        f"{'':{label_width}}{'proximity':{column_width}}{bars['light'].legend}",
         *(
-            f"{sensor:{_LABEL_WIDTH}}"
-            f"{_draw_bar('proximity', proximity, bar_width)}{proximity:{_COUNTS_WIDTH}}{'':{_GAP_WIDTH}}"
-            f"{_draw_bar('light', ambient, bar_width)}{ambient:{_COUNTS_WIDTH}}"
-            for sensor, proximity, ambient in zip(SENSOR_LABELS, state.proximity, state.ambient, strict=True)
+            f"{sensor:{label_width}}"
+            f"{_draw_bar(bars['proximity'], counts, bar_width)}{counts:{_COUNTS_WIDTH}}{'':{_GAP_WIDTH}}"
+            f"{_draw_bar(bars['light'], ambient, bar_width)}{ambient:{_COUNTS_WIDTH}}"
+            for sensor, counts, ambient in zip(
+                model.body.sensors, state.proximity, state.ambient, strict=True
+            )
         ),
         "",
-        f"{'wheels':{_LABEL_WIDTH}}left {state.measured.left:4}  right {state.measured.right:4} pulses/10 ms"
-        f"   ({left:.0f}, {right:.0f} mm/s)",
-        f"{'drives':{_LABEL_WIDTH}}{state.direction.name.lower()}, speed {state.speed}{lost}",
-        f"{'LEDs':{_LABEL_WIDTH}}lateral {_ON_OFF[state.leds[0]]:3}  frontal {_ON_OFF[state.leds[1]]:3}"
-        f"{supply}",
+        f"{'wheels':{label_width}}left {state.measured[0]:4}  right {state.measured[1]:4} {unit}"
+        f"   ({speeds[0]:.0f}, {speeds[1]:.0f} mm/s)",
+        f"{'drives':{label_width}}{state.direction.name.lower()}, speed {state.speed}{lost}",
+        f"{'LEDs':{label_width}}{leds or 'none'}{supply}",
         "",
         *KEYS,
     ]
     return [line[: width - 1] for line in lines]
 
 
-def _draw_bar(name: str, value: float, width: int) -> str:
-    """Return a bar of `width` characters, filled in proportion to a reading of a quantity in `_BARS`."""
-    n_filled = round(_BARS[name].filled_part(value) * width)
+def _draw_bar(bar: Bar, value: float, width: int) -> str:
+    """Return a bar of `width` characters, filled in proportion to a reading."""
+    n_filled = round(bar.filled_part(value) * width)
     return "#" * n_filled + "." * (width - n_filled)

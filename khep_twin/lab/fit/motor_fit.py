@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
-from khep_twin.lab.experiment.measures import parse_numbers
+from khep_twin.lab.experiment.measures import parse_values
 from khep_twin.lab.fit.least_squares import Floats, Parameter, least_squares
 from khep_twin.lab.fit.placement import FittedValue
 from khep_twin.lab.fit.wheel_fit import read_transcript
+from khep_twin.robots.framing import LINES
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
 from khep_twin.units import PULSES_PER_TURN, TICK_NS
 from khep_twin.world import World
@@ -112,7 +113,9 @@ def read_drive(log: Path) -> DutyDrive:
         (letter, *values)
         for line in lines
         for letter in "eh"
-        if line.name == "robot" and (values := parse_numbers(line.text, letter, 2))
+        if line.name == "robot"
+        and line.text[:1] == letter
+        and len(values := parse_values(LINES, line.text)) == 2
     ]
     duties = [text for _, text in requests if text.startswith("P,")]
     if not duties:

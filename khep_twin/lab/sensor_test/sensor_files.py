@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import __version__
-from khep_twin.errors import LogError, SensorTestError
+from khep_twin.errors import LogError, SensorTestError, choices
 from khep_twin.files.atomic import read_regular, write_atomic
 from khep_twin.files.mat_file import mat_bytes
 from khep_twin.files.paths import StrPath
@@ -32,6 +32,7 @@ from khep_twin.log.decoding import printable
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
 from khep_twin.robots.model import robot_name
+from khep_twin.robots.registry import default_model, installed_families
 
 SUFFIXES = (".csv", ".mat", ".mcap")
 
@@ -50,6 +51,8 @@ def save(path: StrPath, run: SensorRun, replace: bool = True) -> None:
     """
     path = Path(path)
     kind = check_suffix(path)
+    if kind == ".mat" and run.test.model != default_model().family:
+        raise SensorTestError(f"{path}: model = {run.test.model!r}; expected .csv or .mcap for it")
     if not len(run.dv):
         raise SensorTestError(f"{path}: the test has no rows; expected a run with rows")
     if kind == ".csv":
@@ -105,6 +108,7 @@ def facts(test: SensorTest) -> dict[str, str]:
         **{key: repr(float(value)).removesuffix(".0") for key, value in motion.items() if value is not None},
         **{key: str(value) for key, value in profile.items() if value is not None},
         "return_to_zero": str(int(test.return_to_zero)),
+        **({} if test.model == default_model().family else {"model": test.model}),
     }
 
 
@@ -123,7 +127,10 @@ def _parse_test(texts: Mapping[str, str]) -> SensorTest:
         _number(key, texts[key], float) if key in texts else None for key in ("linear_cm", "rotate_deg")
     )
     speed, acceleration, return_to_zero = map(read_integer, ("speed", "acceleration", "return_to_zero"))
-    test = SensorTest(quantity, linear_cm, rotate_deg, speed, acceleration, bool(return_to_zero))
+    model = texts.get("model", default_model().family)
+    if model not in installed_families():
+        raise SensorTestError(f"model = {printable(model)}; {choices(model, installed_families())}")
+    test = SensorTest(quantity, linear_cm, rotate_deg, speed, acceleration, bool(return_to_zero), model)
     if texts.get("motion") != test.motion:
         raise SensorTestError(f"motion = {printable(texts.get('motion', ''))}; expected {test.motion} here")
     return test

@@ -11,16 +11,20 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from numbers import Integral
 from operator import attrgetter
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.host import Khepera, Vision
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.log.decoding import printable
+from khep_twin.robots.model import Feature
+from khep_twin.robots.registry import default_model, find_family
 from khep_twin.units import COUNTS_LIMIT, K213_PIXELS, PULSE_LENGTH, SENSOR_LABELS, WHEEL_BASE
 
 QuantityName = Literal["proximity", "light", "vision"]
@@ -42,11 +46,15 @@ class Quantity(NamedTuple):
     topic: str
     title: str
     limit: int
-    reader: Callable[[Khepera], Callable[[], Sequence[int]]]
+    reader: Callable[[Any], Callable[[], Sequence[int]]]
 
 
 def _image_reader(robot: Khepera) -> Callable[[], Sequence[int]]:
     return Vision(robot).image
+
+
+def _channel_reader(channel: str, robot: HostRobot) -> Callable[[], Sequence[int]]:
+    return lambda: robot.read_channels(channel)[channel]
 
 
 QUANTITIES: Mapping[QuantityName, Quantity] = {
@@ -66,6 +74,12 @@ QUANTITIES: Mapping[QuantityName, Quantity] = {
 
 DEFAULT_SPEED, DEFAULT_ACCELERATION = 20, 64
 """Values of command J after a reset (manual, appendix A)."""
+
+DEFAULT_SPEED_UNIT, CREEP_SPEED = PULSE_LENGTH / 0.01, 0.01
+"""Unit of a test's speed, and lowest speed of a drive by speeds [m/s]."""
+
+_SLOWING_S, _SETTLING_S = 0.5, 0.1
+"""Time in which the rest of a way is driven at the present speed; time at the lowest one to a stop [s]."""
 
 PAUSE = 5.0
 """Pause before the drive back [s], as in the Khepera Toolbox."""
@@ -110,6 +124,7 @@ class SensorTest:
         speed: Speed of command J, 1 to 127 [pulses/10 ms]; None if unknown.
         acceleration: Acceleration of command J, 1 to 255 [3.125 mm/s^2]; None if unknown.
         return_to_zero: True if the robot drives back afterwards.
+        model: Family of the robot.
     """
 
     what: QuantityName = "proximity"
@@ -118,10 +133,13 @@ class SensorTest:
     speed: int | None = DEFAULT_SPEED
     acceleration: int | None = DEFAULT_ACCELERATION
     return_to_zero: bool = False
+    model: str = default_model().family
 
     def __post_init__(self) -> None:
         """Raise a `SensorTestError` if a value is out of range, or there is not exactly one motion."""
         check_quantity(self.what)
+        if self.what == "vision" and Feature.TURRETS not in find_family(self.model).features:
+            raise SensorTestError(f"what = 'vision': model = {self.model!r}; expected proximity or light")
         if (self.linear_cm is None) == (self.rotate_deg is None):
             number = "none" if self.linear_cm is None else "both"
             raise SensorTestError(f"linear and rotate: {number} given; expected one of them")
@@ -140,7 +158,19 @@ class SensorTest:
     @property
     def quantity(self) -> Quantity:
         """Quantity that is measured."""
-        return QUANTITIES[self.what]
+        quantity, model = QUANTITIES[self.what], find_family(self.model)
+        if self.model == default_model().family:
+            return quantity
+        return quantity._replace(names=model.body.sensors, reader=partial(_channel_reader, quantity.topic))
+
+    @property
+    def pulses_per_unit(self) -> float:
+        """Pulses of a wheel per centimetre or degree, by the kind of motion."""
+        if self.model == default_model().family:
+            return PULSES_PER_DEGREE if self.linear_cm is None else PULSES_PER_CM
+        body = find_family(self.model).body
+        distance = math.radians(1) * body.wheel_base / 2 if self.linear_cm is None else 0.01
+        return distance / body.pulse_length
 
     @property
     def motion(self) -> Literal["linear", "rotational"]:
@@ -160,11 +190,8 @@ class SensorTest:
     @property
     def target(self) -> tuple[int, int]:
         """Targets of the left and the right wheel [pulses]."""
-        if self.linear_cm is not None:
-            distance = round(self.linear_cm * PULSES_PER_CM)
-            return distance, distance
-        turn = round(self.amount * PULSES_PER_DEGREE)
-        return -turn, turn
+        pulses = round(self.amount * self.pulses_per_unit)
+        return (pulses, pulses) if self.motion == "linear" else (-pulses, pulses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,9 +235,8 @@ class SensorRun:
     def travelled(self) -> NDArray[np.float64]:
         """Distance from the start in each row (n,), by the counters [cm or degrees]."""
         left, right = self.dv[:, 0], self.dv[:, 1]
-        if self.test.motion == "linear":
-            return (left + right) / 2 / PULSES_PER_CM
-        return (right - left) / 2 / PULSES_PER_DEGREE
+        sum_of_both = left + right if self.test.motion == "linear" else right - left
+        return sum_of_both / 2 / self.test.pulses_per_unit
 
     @property
     def warning(self) -> str:
@@ -249,7 +275,7 @@ class InterruptedTest(KeyboardInterrupt):
 
 
 def sense(
-    robot: Khepera,
+    robot: HostRobot,
     test: SensorTest,
     *,
     text: str = "",
@@ -258,8 +284,10 @@ def sense(
 ) -> SensorRun:
     """Run a test. The motors are stopped afterwards, even after an error.
 
+    A Khepera drives by its position profile, robots of other models by speeds, which fall towards the target.
+
     Args:
-        robot: Robot to drive; its position counters are set to 0.
+        robot: Robot to drive, of the test's model; a Khepera's position counters are set to 0.
         test: Settings of the test.
         text: Description that is stored with the data.
         progress: Called with the completed fraction of the path, 0 to 1.
@@ -274,11 +302,15 @@ def sense(
     recorder.run()
     should_stop = stop or (lambda: False)
     try:
-        robot.set_position(0, 0)
-        profile = test.speed or DEFAULT_SPEED, test.acceleration or DEFAULT_ACCELERATION
-        robot.configure_profile(*profile, *profile)
-        if drive_to(robot, test.target, recorder.add_row, should_stop) and test.return_to_zero:
-            _drive_back(robot, should_stop)
+        if isinstance(robot, Khepera):
+            robot.set_position(0, 0)
+            profile = test.speed or DEFAULT_SPEED, test.acceleration or DEFAULT_ACCELERATION
+            robot.configure_profile(*profile, *profile)
+            drive = partial(drive_to, robot)
+        else:
+            drive = SpeedDrive(robot, test.speed or DEFAULT_SPEED)
+        if drive(test.target, recorder.add_row, should_stop) and test.return_to_zero:
+            _drive_back(robot, drive, should_stop)
         reset_motors(robot)
     except BaseException as error:
         # A further error while stopping the motors would hide the first one.
@@ -296,7 +328,7 @@ def sense(
 class _RowRecorder:
     """Rows of a running test."""
 
-    robot: Khepera
+    robot: HostRobot
     test: SensorTest
     text: str
     progress: Callable[[float], None] | None
@@ -364,17 +396,64 @@ def drive_to(
     return False
 
 
-def _drive_back(robot: Khepera, stop: Callable[[], bool]) -> None:
+class SpeedDrive:
+    """Drives of a robot of any model, by speeds that fall towards the target.
+
+    Args:
+        robot: Robot, whose positions count from here.
+        speed: Highest speed [8 mm/s].
+    """
+
+    def __init__(self, robot: HostRobot, speed: int) -> None:
+        self._robot = robot
+        body = robot.model.body
+        self._top_pulses = speed * DEFAULT_SPEED_UNIT / body.pulse_length  # [1/s]
+        self._scale = robot.model.episode_interface.speed_per_pulse * 0.01
+        self._start = self._read()
+
+    def __call__(
+        self,
+        target: tuple[int, int],
+        on_position: Callable[[tuple[int, int]], None] | None,
+        stop: Callable[[], bool],
+    ) -> bool:
+        """Drive to a target [pulses], as `drive_to`."""
+        robot, best, last_progress = self._robot, math.inf, self._robot.time
+        creep = CREEP_SPEED / robot.model.body.pulse_length
+        tolerance = max(1.0, creep * _SETTLING_S)
+        while not stop():
+            left, right = (now - start for now, start in zip(self._read(), self._start, strict=True))
+            if on_position is not None:
+                on_position((left, right))
+            remaining = target[0] - left, target[1] - right
+            if (distance := max(map(abs, remaining))) <= tolerance:
+                robot.stop()
+                return True
+            if distance < best - tolerance:
+                best, last_progress = distance, robot.time
+            if robot.time - last_progress > BLOCK_TIME:
+                way = f"at ({left}, {right}) of {target} pulses"
+                raise SensorTestError(f"no progress for {BLOCK_TIME:g} s, {way}; expected a free path")
+            speed = min(max(distance / _SLOWING_S, creep), self._top_pulses)
+            robot.set_setpoints(*(round(speed * part / distance * self._scale) for part in remaining))
+        return False
+
+    def _read(self) -> list[int]:
+        return self._robot.read_channels("position")["position"][:2]
+
+
+def _drive_back(robot: HostRobot, drive: Callable[..., bool], stop: Callable[[], bool]) -> None:
     end = robot.time + PAUSE
     while robot.time < end and not stop():
         robot.sleep(0.1)
     try:
-        drive_to(robot, (0, 0), None, stop)
+        drive((0, 0), None, stop)
     except SensorTestError as error:
         raise SensorTestError(f"on the return {error}") from None
 
 
-def reset_motors(robot: Khepera) -> None:
-    """Stop the motors and set command J's values to those of a reset."""
-    robot.set_speed(0, 0)
-    robot.configure_profile(DEFAULT_SPEED, DEFAULT_ACCELERATION, DEFAULT_SPEED, DEFAULT_ACCELERATION)
+def reset_motors(robot: HostRobot) -> None:
+    """Stop the motors and set a Khepera's values of command J to those of a reset."""
+    robot.stop()
+    if isinstance(robot, Khepera):
+        robot.configure_profile(DEFAULT_SPEED, DEFAULT_ACCELERATION, DEFAULT_SPEED, DEFAULT_ACCELERATION)

@@ -1,13 +1,29 @@
 """The models Khepera and Khepera II; sources as in `khep_twin.units`."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
+from operator import mul
 
-from khep_twin.board.kernel import AMBIENT, LEFT, N_REGISTERS, PROXIMITY, RIGHT, SETPOINTS, Board, Mode, Wheel
+from khep_twin.board.kernel import (
+    AMBIENT,
+    DEMO_DIVISOR,
+    DEMO_SPEED_PULSES,
+    DEMO_WEIGHTS,
+    LEFT,
+    N_REGISTERS,
+    PROXIMITY,
+    RIGHT,
+    SETPOINTS,
+    SPEEDS,
+    Board,
+    Mode,
+    Wheel,
+)
 from khep_twin.board.protocol import MOTION_COMMANDS
 from khep_twin.board.rom import ROMS
 from khep_twin.robots.body import Body
-from khep_twin.robots.model import Columns, Dialect, Feature, Interface, RobotModel, bars_of
+from khep_twin.robots.model import Columns, Dialect, Feature, Interface, Read, RobotModel, bars_of
 from khep_twin.units import (
     BODY_HEIGHT,
     BODY_RADIUS,
@@ -62,6 +78,13 @@ _DIALECT = Dialect(
     stop_requests=("D,0,0",),
     moving=(*MOTION_COMMANDS, "run", "restart"),
     baud=9600,
+    reads={
+        "proximity": Read("N", len(PROXIMITY), PROXIMITY, range(len(PROXIMITY))),
+        "ambient": Read("O", len(AMBIENT), AMBIENT, range(len(AMBIENT))),
+        "speed": Read("E", 2, SPEEDS, range(2)),
+        # Its counters differ from the encoders' by a constant, which command G sets.
+        "position": Read("H", 2, (LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER), range(2)),
+    },
 )
 
 _PARTS = {
@@ -70,6 +93,13 @@ _PARTS = {
     "host": "khep_twin.host.khepera:Khepera",
     "conformance": "khep_twin.lab.conformance.port.catalogue:KHEPERA_CHECKS",
 }
+
+
+def _vehicle_speeds(proximity: Sequence[int]) -> tuple[int, int]:
+    """Return the speeds of the Braitenberg vehicle: proximity x weights / 400 + 10."""
+    left, right = (sum(map(mul, weights, proximity)) for weights in zip(*DEMO_WEIGHTS, strict=True))
+    return round(left / DEMO_DIVISOR) + DEMO_SPEED_PULSES, round(right / DEMO_DIVISOR) + DEMO_SPEED_PULSES
+
 
 _INTERFACE = Interface(
     N_REGISTERS,
@@ -112,6 +142,7 @@ KHEPERA_1 = RobotModel(
     features=frozenset(Feature),
     interface=_INTERFACE,
     speed_modes={first + Wheel.MODE: Mode.SPEED for first in (LEFT, RIGHT)},
+    vehicle=_vehicle_speeds,
 )
 
 KHEPERA_2 = replace(

@@ -179,6 +179,7 @@ class Dspic:
         if not message:
             return
         memory, motors = self.state.memory, self.state.motors
+        control = memory[_CONTROL]
         for register, byte in enumerate(message[1:], message[0]):
             if register in WRITABLE or register == DspicRegister.ULTRASONIC_ENABLED:
                 memory[register] = byte
@@ -188,7 +189,8 @@ class Dspic:
             update_registers(self.state)
         if not _POSITION_ORDERS.isdisjoint(written_registers):
             motors[_ON_TARGET] = motors[N_MOTOR + _ON_TARGET] = 0
-        if DspicRegister.CONTROL in written_registers:
+        # The control type in force keeps the controllers' sums (assumed): the server writes it with each D.
+        if memory[_CONTROL] != control:
             stop(motors, 0)
             stop(motors, N_MOTOR)
 

@@ -24,7 +24,7 @@ from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.moves import check_finite
-from khep_twin.robots.khepera4.channels import BAUD, COUNTS_PER_G, DEGREES_PER_COUNT, PACKET_SIZE
+from khep_twin.robots.khepera4.channels import BAUD, COUNTS_PER_G, DEGREES_PER_COUNT, LEDS, PACKET_SIZE
 from khep_twin.robots.khepera4.host_results import Battery, Distances, InfraredCounts, Vector3, Wheels
 from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
 from khep_twin.units import GRAVITY
@@ -68,7 +68,8 @@ class Khepera4(HostRobot):
         ValueError: A duration, distance or number is out of range.
     """
 
-    dialect = KHEPERA_4.dialect
+    model = KHEPERA_4
+    leds = LEDS
 
     def __init__(
         self,
@@ -223,15 +224,13 @@ class Khepera4(HostRobot):
         """Return the last ten values of the gyroscope, newest first [rad/s]; z to the left (command S)."""
         return self._run(query("S", 3 * PACKET_SIZE, lambda values: _vectors(values, _TURN_RATE_UNIT)))
 
-    def read_panel(self) -> dict[str, list[int]]:
-        """Return the values of a panel: "proximity" and "ambient" [counts], "speed" [pulses/10 ms]."""
-        speed = [round(value / SPEED_UNIT) for value in self.speed()]
-        return {"proximity": [*self.proximity()], "ambient": [*self.ambient()], "speed": speed}
+    def supply_voltage(self) -> float:
+        """Return the voltage of the battery [V] (command V)."""
+        return self._run(_battery_command(0)) / 1000
 
     def battery(self) -> Battery:
         """Return the state of the battery (command V, once for each value)."""
-        commands = (HostCommand(f"V,{kind}", _parse_battery_value, repeatable=True) for kind in range(7))
-        values = [self._run(command) for command in commands]
+        values = [self._run(_battery_command(kind)) for kind in range(7)]
         voltage, current, average_current, charge_mah, temperature, percent, charger = values
         amperes = current / 1000, average_current / 1000
         return Battery(voltage / 1000, *amperes, charge_mah, temperature, percent / 100, bool(charger))
@@ -242,6 +241,11 @@ class Khepera4(HostRobot):
         if len(values) != 9 or not all(0 <= value < 64 for value in values):
             raise ValueError(f"colours {left}, {right}, {back}; expected three numbers from 0 to 63 each")
         self._run(order("K", *values, repeatable=True))
+
+    def light_leds(self, are_lit: Sequence[bool]) -> None:
+        """Switch the LEDs front left, front right and back to white or off."""
+        left, right, back = (63 * is_lit for is_lit in are_lit)
+        self.set_leds((left, left, left), (right, right, right), (back, back, back))
 
     def revision(self) -> str:
         """Return the revision of the microcontroller's firmware, for example "B0" (command B)."""
@@ -279,5 +283,5 @@ def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:
     return tuple(Vector3(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
 
 
-def _parse_battery_value(reply: str) -> float:
-    return float(split_reply("v", 1, reply)[0])
+def _battery_command(kind: int) -> HostCommand[float]:
+    return HostCommand(f"V,{kind}", lambda reply: float(split_reply("v", 1, reply)[0]), repeatable=True)

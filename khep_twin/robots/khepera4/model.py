@@ -12,13 +12,16 @@ from khep_twin.robots.khepera4.channels import (
     CHANNELS,
     GROUND,
     LEDS,
+    PACKET_SIZE,
     ULTRASONIC,
     ULTRASONIC_CODES,
 )
 from khep_twin.robots.khepera4.registers import Control
+from khep_twin.robots.khepera4.vehicle import vehicle_speeds
 from khep_twin.robots.model import (
     Dialect,
     Interface,
+    Read,
     RobotModel,
     Term,
     bars_of,
@@ -59,7 +62,18 @@ springs of some 100 N/m, without which wheels would leave the floor at the foot 
 SAMPLED = consecutive_registers(CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""
 
-_FIRST = {channel.name: channel.registers[0] for channel in SAMPLED}
+_REGISTERS = {channel.name: channel.registers for channel in SAMPLED}
+_FIRST = {name: registers[0] for name, registers in _REGISTERS.items()}
+_READS = {
+    **{name: ("N" if name == "proximity" else "O", 12, range(12)) for name in ("proximity", "ambient")},
+    **{"ultrasonic": ("G", 5, range(5)), "speed": ("E", 2, range(2)), "position": ("R", 2, range(2))},
+    # Each of their replies lists ten values of x, then of y, then of z.
+    **{
+        name: (letter, 3 * PACKET_SIZE, range(0, 3 * PACKET_SIZE, PACKET_SIZE))
+        for name, letter in (("accelerometer", "T"), ("gyroscope", "S"))
+    },
+}
+"""Letter, number of values and indices of the read ones by channel."""
 _TOP_RATE = 8_000  # 528 deg/s (assumed)
 
 _INTERFACE = Interface(
@@ -99,6 +113,10 @@ KHEPERA_4 = RobotModel(
         stop_requests=("A,2", "D,0,0"),
         moving=("A", "D", "F", "L"),
         baud=BAUD,
+        reads={
+            name: Read(letter, n_values, _REGISTERS[name][: len(indices)], indices)
+            for name, (letter, n_values, indices) in _READS.items()
+        },
     ),
     parts={
         **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),
@@ -114,6 +132,7 @@ KHEPERA_4 = RobotModel(
     interface=_INTERFACE,
     terms=_TERMS,
     speed_modes={_FIRST["control"]: Control.SPEED},
+    vehicle=vehicle_speeds,
     tasks={
         "KheperaIVObstacleAvoidance": "khep_twin.robots.khepera4.tasks:OBSTACLE_AVOIDANCE",
         "KheperaIVLineFollowing": "khep_twin.robots.khepera4.tasks:LINE_FOLLOWING",

@@ -13,12 +13,12 @@ byte of X's readings, and all bytes of X after the first 67. docs/khepera4.md li
 import re
 from collections.abc import Sequence
 
-from khep_twin.board.kernel import divide
 from khep_twin.firmware import FirmwareState
-from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE
+from khep_twin.robots.khepera4.channels import AROUND, BINARY_BYTES, PACKET_SIZE
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
+from khep_twin.robots.khepera4.vehicle import vehicle_speeds
 from khep_twin.robots.line_server import LineServer
 from khep_twin.sensing.buffers import Vector
 
@@ -39,12 +39,8 @@ MARGIN = 20
 LONGEST_LINE = 82
 """Bytes of a command that are read; the rest of its line is discarded."""
 
-LEFT_WEIGHTS, RIGHT_WEIGHTS = (2, 3, 4, -7, -4, -3, -2, 1), (-2, -3, -4, -9, 4, 3, 2, 1)
-FORWARD_SPEED, MIN_SPEED, TURN_SPEED = 200, 10, 120
-SATURATION, THRESHOLD, GAIN_DIVISOR = 500, 80, 3
-BLOCKED, N_STUCK, MOVED_PULSES = 250, 5, 4424
-"""Parameters of the vehicle: weights of the eight sensors; speed without obstacles, minimum speed, and speed
-of a turn in place [pulses/10 ms]; counts at which readings saturate, and below which they have no effect; the
+TURN_SPEED, BLOCKED, N_STUCK, MOVED_PULSES = 120, 250, 5, 4424
+"""Parameters of the vehicle besides those of `vehicle_speeds`: speed of a turn in place [pulses/10 ms]; the
 front reading above which it turns in place, after so many periods in which it moved less than 30 mm
 [pulses]."""
 
@@ -143,7 +139,7 @@ class Kh4Server(LineServer):
         vehicle = self._vehicle
         if not vehicle[WANDERING]:
             return
-        proximity, position = self._read(DspicRegister.PROXIMITY, len(LEFT_WEIGHTS)), self._read(*_READS["r"])
+        proximity, position = self._read(DspicRegister.PROXIMITY, len(AROUND)), self._read(*_READS["r"])
         last_position = vehicle[_LAST_LEFT], vehicle[_LAST_RIGHT]
         is_still = all(
             abs(new - old) < MOVED_PULSES for new, old in zip(position, last_position, strict=True)
@@ -157,15 +153,7 @@ class Kh4Server(LineServer):
         if is_stuck or not is_still:
             vehicle[_N_STILL] = 0
             vehicle[_LAST_LEFT], vehicle[_LAST_RIGHT] = position
-        sensor_inputs = [
-            0 if count < THRESHOLD else (min(count, SATURATION) - THRESHOLD) // 2 for count in proximity
-        ]
-        orders = [
-            divide(sum(map(int.__mul__, weights, sensor_inputs)), GAIN_DIVISOR) + FORWARD_SPEED
-            for weights in (LEFT_WEIGHTS, RIGHT_WEIGHTS)
-        ]
-        orders = [max(speed, MIN_SPEED) if speed >= 0 else min(speed, -MIN_SPEED) for speed in orders]
-        self._order_speeds(orders)
+        self._order_speeds(vehicle_speeds(proximity))
 
     def execute(self, request: bytes) -> bytes:
         """Execute a command by the tables, or by its method, `_on_a` for A; return its reply or ERROR."""

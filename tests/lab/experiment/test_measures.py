@@ -12,6 +12,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics, coverage
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.registry import default_model, find_model
 from khep_twin.sensing import calibration
 
 
@@ -33,7 +34,7 @@ def test_the_fitness_is_floreanos_and_mondadas(left: int, right: int, nearest: f
 
 
 def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
-    metrics = HostMetrics()
+    metrics = HostMetrics(default_model())
     for request, reply in [
         ("N", "n,0,0,0,0,0,0,0,1023"),
         ("D,20,20", "d"),
@@ -55,9 +56,32 @@ def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
     }
 
 
+def test_the_metrics_of_a_khepera_4_are_those_of_its_readings_around_and_its_top_speed() -> None:
+    metrics = HostMetrics(find_model("khepera4"))
+    around, ground = "100,100,100,100,100,100,100,1023", "900,900,900,900"
+    for request, reply in [
+        ("D,600,600", "d"),
+        ("N", f"n,{around},{ground}"),
+        ("O", "o" + ",980" * 8 + ",1" * 4),
+    ]:
+        metrics(request, reply)
+    metrics.end_cycle()
+    metrics("N", f"n,{around.replace('1023', '100')},{ground}")
+    metrics.end_cycle()
+    assert metrics.metrics() == {
+        "fitness": 0.5,
+        "near_share": 0.5,
+        "proximity_max": 1023,
+        "proximity_mean": pytest.approx((15 * 100 + 1023) / 16),
+        "ambient_mean": 980,
+        "ambient_min": 980,
+        "speed_mean": 600,
+    }
+
+
 @pytest.mark.parametrize("reply", ["n,1,2,x,4,5,6,7,8", "n,1,2", "", "n", "\xff\xfe", "z,Protocol error"])
 def test_a_garbled_reply_counts_for_nothing(reply: str) -> None:
-    metrics = HostMetrics()
+    metrics = HostMetrics(default_model())
     metrics("N", reply)
     metrics("D,1", "d")
     assert metrics.metrics() == {}

@@ -1,6 +1,8 @@
 """Networks as controllers of a robot on a serial line: requests, decisions and waits."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,18 +11,21 @@ import pytest
 import serial
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin import rollout
 from khep_twin.clock import to_ns
 from khep_twin.episodes import network_file
 from khep_twin.episodes.controllers import Network
 from khep_twin.errors import ControllerError
-from khep_twin.host import Khepera
+from khep_twin.host import Khepera, Khepera4
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import source_of
+from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.experiment.experiment import run
+from khep_twin.lab.experiment.measures import HostMetrics
 from khep_twin.lab.experiment.periodic_controllers import NetworkController, PeriodicController
 from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_run import Plan
+from khep_twin.robots.registry import default_model
 
 PLAYPEN = "khep://two-lamps?seed=3&noise=on"
 
@@ -105,11 +110,10 @@ def test_a_network_that_is_given_the_board_decides_as_in_a_rollout() -> None:
         episode.begin(2, EpisodeOptions(vary=True))
 
     class Board:
-        def proximity(self) -> list[int]:
-            return watched.registers[PROXIMITY].tolist()
+        model = default_model()
 
-        def ambient(self) -> list[int]:
-            return watched.registers[AMBIENT].tolist()
+        def read_registers(self, registers: Sequence[int]) -> list[int]:
+            return watched.registers[[*registers]].tolist()
 
     controller = NetworkController(network)
     controller.start(Board())  # type: ignore[arg-type]
@@ -118,6 +122,37 @@ def test_a_network_that_is_given_the_board_decides_as_in_a_rollout() -> None:
         for episode in (driven, watched):
             episode.run(0.02)
         assert (driven.registers == watched.registers).all()
+
+
+def test_a_network_drives_a_khepera_4_as_in_a_rollout() -> None:
+    network = Network(model="khepera4")
+    # Forwards at 200 pulses/10 ms, and more to the right with an object at the front left.
+    weights = [0.3, *[0.0] * 8, 0.3, *[0.0] * 8]
+    weights[1 + 2] = 0.8
+    metrics = rollout("arena4", network, [1], 2.0, genes=[weights], compiled=False).metrics
+    with Khepera4("khep://arena4?seed=1") as robot:
+        requests: list[str] = []
+        measured = HostMetrics(robot.model)
+        robot.listen(lambda request, reply: (requests.append(request), measured(request, reply)))
+        controller = NetworkController(replace(network, genes=weights))
+        run(controller, robot, seconds=2.0, after_cycle=measured.end_cycle)
+    assert requests[::2][:100] == ["N"] * 100
+    fitness = metrics["obstacle_avoidance"][0]
+    assert measured.metrics()["fitness"] == pytest.approx(fitness, rel=0.02)
+    with (
+        Khepera("khep://default") as other,
+        pytest.raises(ControllerError, match="expected 'khepera' for a K"),
+    ):
+        run(controller, other, cycles=1)
+
+
+def test_the_built_in_controller_is_the_vehicle_of_the_model() -> None:
+    for robot, speeds in ((Khepera("khep://default"), "10,10"), (Khepera4("khep://arena4"), "177,170")):
+        requests: list[str] = []
+        robot.listen(lambda request, reply, requests=requests: requests.append(request))
+        with robot:
+            run(BUILT_IN["braitenberg"], robot, cycles=1)
+        assert requests[:2] == ["N", f"D,{speeds}"]
 
 
 def test_a_network_without_its_genes_or_with_endless_ones_is_refused() -> None:

@@ -1,5 +1,6 @@
 """Policies of a task as controllers: observations and actions as in the training environment."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,13 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, Wheel
 from khep_twin.clock import to_ns
 from khep_twin.envs.gymnasium import KheperaEnvironment
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.errors import ControllerError
-from khep_twin.host import Khepera
-from khep_twin.host.results import Positions
+from khep_twin.host import Khepera, Khepera4
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.experiment import run
@@ -31,17 +30,8 @@ class BoardOf:
     def __init__(self, environment: KheperaEnvironment) -> None:
         self.environment, self.time = environment, 0.0
 
-    def _read(self, registers: list[int]) -> list[int]:
-        return self.environment._episode.registers[0][registers].tolist()
-
-    def proximity(self) -> list[int]:
-        return self._read(PROXIMITY)
-
-    def ambient(self) -> list[int]:
-        return self._read(AMBIENT)
-
-    def position(self) -> Positions:
-        return Positions(*self._read([LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]))
+    def read_registers(self, registers: Sequence[int]) -> list[int]:
+        return self.environment._episode.registers[0][[*registers]].tolist()
 
 
 @pytest.mark.parametrize("normalize", [True, False])
@@ -95,6 +85,30 @@ def test_a_robot_is_asked_for_what_the_task_observes_once_a_period() -> None:
         run(controller, robot, cycles=4, after_cycle=lambda: ends.append(to_ns(robot.time)))
     assert requests == [*["N", "O", "H", "D,10,-5"] * 4, "D,0,0"]
     assert np.diff(ends).tolist() == [50_000_000] * 3
+
+
+def test_a_khepera_4_is_asked_for_the_terms_of_its_task() -> None:
+    requests: list[str] = []
+    observations: list[NDArray[np.float32]] = []
+
+    def policy(observation: NDArray[np.float32]) -> tuple[float, float]:
+        observations.append(observation)
+        return 0.25, 0.5
+
+    controller = TaskController("KheperaIVLineFollowing", policy)
+    with Khepera4("khep://arena4-line") as robot:
+        robot.listen(lambda request, reply: requests.append(request))
+        run(controller, robot, cycles=20)
+    assert requests[:5] == ["N", "R", "S", "D,150,300", "N"]
+    ground, speed, turn = np.split(observations[-1], [4, 6])
+    assert ground.max() > 0.5  # white floor
+    assert speed == pytest.approx([0.25, 0.5], abs=0.05)
+    assert 0 < turn[0] < 0.5  # to the left
+    with (
+        Khepera("khep://default") as other,
+        pytest.raises(ControllerError, match="KheperaIVLineFollowing: model = "),
+    ):
+        run(controller, other, cycles=1)
 
 
 class Box:

@@ -3,11 +3,10 @@
 import pytest
 
 from khep_twin.errors import PortError, PortTimeout
-from khep_twin.host import Khepera, SensorCounts, Speeds
+from khep_twin.host import Khepera, Khepera4, SensorCounts
 from khep_twin.lab.experiment.teleoperation import (
     FASTEST,
     FIRST_HOLD,
-    HEIGHT,
     REPEAT_HOLD,
     WIDTH,
     DeadManSwitch,
@@ -16,7 +15,11 @@ from khep_twin.lab.experiment.teleoperation import (
     Teleoperation,
     draw,
 )
+from khep_twin.robots.registry import default_model
 from stand_ins.fake_robot import FakeRobot
+
+_HEIGHT = 18
+"""Lines of the smallest terminal for a Khepera."""
 
 
 def test_a_press_drives_for_a_moment_and_a_key_that_is_held_drives_on() -> None:
@@ -68,10 +71,32 @@ def test_only_what_changes_is_sent() -> None:
                 assert fake.requests == ["N", "O", "E"]
         assert fake.requests == ["D,0,0", "N", "O", "E"]
         view = operation.state
-        assert (view.direction, view.leds, view.lost) == (Direction.STOP, (1, 0), 0)
-        assert view.proximity.back_left == 1023
-        assert view.ambient.left_90 == 500
+        assert (view.direction, view.leds, view.lost) == (
+            Direction.STOP,
+            {"lateral": True, "frontal": False},
+            0,
+        )
+        assert view.proximity[-1] == 1023
+        assert view.ambient[0] == 500
         assert view.supply == pytest.approx(5.0)
+
+
+def test_a_khepera_4_drives_at_its_speeds_and_shows_its_sensors_in_its_units() -> None:
+    with Khepera4("khep://arena4") as robot:
+        requests: list[str] = []
+        robot.listen(lambda request, reply: requests.append(request))
+        operation = Teleoperation(robot, 5, lambda: robot.time)
+        operation.press(Direction.FORWARD)
+        operation.switch_leds()
+        operation.cycle()
+        assert requests == ["D,150,150", "K,63,63,63,0,0,0,0,0,0", "N", "O", "E"]
+        robot.sleep(0.5)
+        operation.cycle()
+        lines = draw(operation.state, "a port", 80, 24)
+    assert operation.state.measured == pytest.approx((150, 150), abs=20)
+    assert sum(line.startswith("ground ") for line in lines) == 4
+    assert any(line.startswith("wheels") and line.endswith(" mm/s)") for line in lines)
+    assert any(line.startswith("LEDs") and "left on   right off  back off" in line for line in lines)
 
 
 def test_the_speed_stays_within_its_bounds() -> None:
@@ -141,10 +166,11 @@ def test_a_line_that_breaks_ends_the_drive_and_a_robot_that_comes_back_is_stoppe
 def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
     near = SensorCounts(0, 1023, 512, 0, 0, 0, 0, 0)
     dark = SensorCounts(0, 512, 0, 0, 0, 0, 0, 0)
-    view = DriveState(7, Direction.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
+    leds = {"lateral": True, "frontal": False}
+    view = DriveState(default_model(), 7, Direction.LEFT, (-3, 4), near, dark, leds, 4.8, 2)
     for width in (WIDTH, 80, 133):
-        lines = draw(view, "a port with a long name" * 9, width, HEIGHT)
-        assert len(lines) <= HEIGHT
+        lines = draw(view, "a port with a long name" * 9, width, _HEIGHT)
+        assert len(lines) <= _HEIGHT
         assert max(map(len, lines)) < width
         assert lines[3].count("#") == 0
         assert lines[4].count(".") == 0
@@ -155,7 +181,8 @@ def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
 
 
 def test_in_a_small_terminal_the_error_says_how_large_it_must_be() -> None:
-    assert draw(DriveState(5), "port", 60, 24) == ["60 x 24 characters; expected at least 64 x 18; q ends"]
-    assert draw(DriveState(5), "port", 80, 5) == ["80 x 5 characters; expected at least 64 x 18; q ends"]
-    assert draw(DriveState(5), "port", 9, 5) == ["9 x 5 ch"]
-    assert draw(DriveState(5), "port", 0, 0) == [""]
+    state = DriveState(default_model(), 5, proximity=[0] * 8)
+    assert draw(state, "port", 60, 24) == ["60 x 24 characters; expected at least 64 x 18; q ends"]
+    assert draw(state, "port", 80, 5) == ["80 x 5 characters; expected at least 64 x 18; q ends"]
+    assert draw(state, "port", 9, 5) == ["9 x 5 ch"]
+    assert draw(state, "port", 0, 0) == [""]

@@ -1,6 +1,7 @@
 """Sensor tests on twins: they reach their targets, read the sensors, and leave the robot at rest."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from scenes import arena, hosted
 
 from khep_twin import playpen
 from khep_twin.errors import KhepTwinError, SensorTestError
-from khep_twin.host import Khepera, Vision
+from khep_twin.host import Khepera, Khepera4, Vision
+from khep_twin.lab.sensor_test.sensor_files import load, save
 from khep_twin.lab.sensor_test.sensor_test import BrokenOffError, SensorRun, SensorTest, sense
 from khep_twin.units import BODY_RADIUS, SENSOR_LABELS
 
@@ -32,6 +34,29 @@ def test_a_way_to_a_wall_begins_with_0_and_ends_saturated_at_the_target() -> Non
     assert (np.diff(run.times) > 0).all()
     assert run.text == "white"
     assert run.travelled[-1] == pytest.approx(15, abs=0.02)
+
+
+@pytest.mark.parametrize(("motion", "amount"), [("linear_cm", 20.0), ("rotate_deg", -90.0)])
+def test_a_khepera_4_drives_by_speeds_to_its_target_and_its_file_is_read_again(
+    motion: str, amount: float, tmp_path: Path
+) -> None:
+    test = SensorTest(what="light", model="khepera4", **{motion: amount})
+    with Khepera4("khep://arena4?seed=1") as robot:
+        run = sense(robot, test)
+        pose = robot.port.twin.robot.pose
+    assert run.travelled[-1] == pytest.approx(amount, rel=0.03)
+    moved = (pose[1] - 1.0) * 100 if motion == "linear_cm" else math.degrees(pose[2]) - 90
+    assert moved == pytest.approx(amount, rel=0.05)
+    assert run.dv.shape[1] == 2 + 12
+    for name in ("run.csv", "run.mcap"):
+        save(tmp_path / name, run)
+        read = load(tmp_path / name)
+        assert read.test == test
+        np.testing.assert_array_equal(read.dv, run.dv)
+    with pytest.raises(SensorTestError, match=r"model = 'khepera4'; expected \.csv"):
+        save(tmp_path / "run.mat", run)
+    with pytest.raises(SensorTestError, match="what = 'vision': model = 'khepera4'; expected proximity or l"):
+        SensorTest("vision", 10, model="khepera4")
 
 
 def test_a_whole_turn_shows_the_wall_to_each_sensor_at_its_own_heading() -> None:

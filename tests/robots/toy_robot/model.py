@@ -8,7 +8,17 @@ from pathlib import Path
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.framing import Frames
-from khep_twin.robots.model import Dialect, Interface, RobotModel, Term, bars_of, parse_channels, parts_of
+from khep_twin.robots.model import (
+    Dialect,
+    Interface,
+    Read,
+    RobotModel,
+    Term,
+    bars_of,
+    consecutive_registers,
+    parse_channels,
+    parts_of,
+)
 
 INFRARED = ("nose", "left cheek", "right cheek", "ear", "tail")
 LABELS = {
@@ -62,7 +72,8 @@ def _length(data: bytes, is_request: bool) -> int:
     return size if is_frame else 0
 
 
-FRAMES = Frames(_length, itemgetter(1), resync=b"\xff" * 7)
+FRAMES = Frames(_length, itemgetter(1), resync=b"\xff" * 7, frame_values=values)
+READ_ALL = FRAMES.decode(frame(REGISTERS))
 
 TOY = RobotModel(
     name="toy",
@@ -77,11 +88,13 @@ TOY = RobotModel(
         robot_name="a Toy",
         host_class="toy_robot.host.Toy",
         versions_reply=re.compile("C501546F79[0-9A-F]{4}"),
-        probes=(FRAMES.decode(frame(NAME)), FRAMES.decode(frame(REGISTERS))),
+        probes=(FRAMES.decode(frame(NAME)), READ_ALL),
         stop_requests=(FRAMES.decode(frame(SPEEDS, 0, 0)),),
         moving=("C502",),
         baud=57_600,
         framing=FRAMES,
+        reads={name: Read(READ_ALL, 17, part, part) for name, _, part in consecutive_registers(LABELS)},
+        drive=lambda left, right: FRAMES.decode(frame(SPEEDS, left, right)),
     ),
     parts=parts_of("toy_robot", core="CORE", robot="ToyRobot", host="Toy", conformance="CHECKS"),
     plots={"ultrasonic": "ultrasonic [mm]"},
