@@ -141,7 +141,7 @@ def test_a_file_name_that_is_no_utf_8_has_its_row(short: Path) -> None:
 def test_a_program_of_a_khepera_iv_has_a_score_and_is_stopped_amid_a_command(tmp_path: Path) -> None:
     (tmp_path / "four.toml").write_text(
         'version = 1\nname = "four"\ntitle = "Wander"\ndescription = "Wander."\nplaypen = "arena4"\n'
-        'seconds = 0.5\nmetric = "wall_following"\nbetter = "higher"\n[[penalty]]\nmetric = "brightness"\neach = 1'
+        'seconds = 0.5\nmetric = "wall_following"\nbetter = "higher"\n'
     )
     (tmp_path / "four.py").write_text("def controller(robot):\n    robot.wander()\n    robot.sleep(9)\n")
     file_score = score(load(str(tmp_path / "four.toml")), str(tmp_path / "four.py"), 1, 1)
