@@ -52,7 +52,7 @@ class FinalStop:
         if timeout is None or not 0 < timeout <= wait:
             self._port.set_timeout(wait, self._requests[-1])
         for request in self._requests:
-            if not any(self._confirms_stop(request, wait) for _ in range(round(limit / wait))):
+            if not any(self._confirms_stop(request, wait, attempt) for attempt in range(round(limit / wait))):
                 raise PortTimeout(f"{self._port.name}: no reply to {request!r} within {limit:.2g} s")
 
     def hold(self) -> None:
@@ -95,19 +95,25 @@ class FinalStop:
             with suppress(PortError):
                 self.stop()
 
-    def _confirms_stop(self, request: str, wait: float) -> bool:
+    def _confirms_stop(self, request: str, wait: float, attempt: int) -> bool:
         """Send a request that stops the motors; return whether the robot confirms it."""
         framing = self._port.framing
-        self._port.send([request], resync=True)
         # A pending reply to a speed command looks the same.
-        if framing.command(request) in self._resynchronization.unanswered:
+        is_pending = framing.command(request) in self._resynchronization.unanswered
+        if not is_pending or not attempt:
+            self._port.send([request], resync=True)
+        if is_pending:
             late_replies = self._resynchronization.resynchronize()
-            return bool(late_replies) and framing.answers(request, late_replies[-1])
+            if not attempt or late_replies is None:
+                return bool(late_replies) and framing.answers(request, late_replies[-1])
+            # A robot that drops input before its reply has dropped the first probe, or the request.
+            self._port.send([request], resync=True)
         end = self._port.timeout_time + wait
         reply: str | None = ""
         while reply is not None and self._port.timeout_time <= end:
             reply, _ = self._port.read_reply(request)
             if reply is not None and framing.answers(request, reply):
+                self._resynchronization.unanswered.clear()  # earlier replies came before it
                 return True
         return False
 

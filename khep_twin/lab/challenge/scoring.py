@@ -17,7 +17,7 @@ import numpy as np
 
 from khep_twin.clock import to_ns
 from khep_twin.errors import ChallengeError, ControllerError, KhepTwinError, StoppedError
-from khep_twin.host import Khepera
+from khep_twin.host import HostRobot
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, movable_objects
 from khep_twin.lab.challenge.task_metrics import TaskMetrics
 from khep_twin.lab.experiment.controller_files import find_controller
@@ -145,7 +145,8 @@ def _measure_run(
             opened.record(log, facts=facts, attachments=source.attachments)
 
     results: list[SeriesRun] = []
-    with Khepera(Serial.of(twin, timeout=1.0)) as robot:
+    host_class = twin.robot_model.load_class("host", HostRobot)
+    with host_class(Serial.of(twin, timeout=1.0)) as robot:
         plan = Plan(seconds=challenge.seconds)
         source = OneRobot(robot, record)
         try:

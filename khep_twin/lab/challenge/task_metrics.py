@@ -5,13 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS
 from khep_twin.clock import NS_PER_S
 from khep_twin.episodes import fitness
 from khep_twin.lab.experiment import measures
 from khep_twin.observers import Observer
 from khep_twin.sensing import calibration
-from khep_twin.units import COUNTS_LIMIT, Sensor
 from khep_twin.world import World
 
 UNITS = {
@@ -24,8 +22,6 @@ UNITS = {
     "object_mm": "mm",
 }
 """Unit of each metric by its name: those of a series of runs, and those of `TaskMetrics`."""
-
-_SIDE_SENSORS = [PROXIMITY[Sensor.LEFT_90], PROXIMITY[Sensor.RIGHT_90]]
 
 
 class TaskMetrics(Observer):
@@ -44,7 +40,10 @@ class TaskMetrics(Observer):
         self._index = index
         self._goals = goals
         self._movable_index = movable
-        ambient = calibration.read(world.playpen.robots[index].calibration)[0].ambient
+        entry, sampled = world.playpen.robots[index], world.robots[index].sampled
+        self._interface = entry.robot_model.episode_interface
+        (self._speeds,) = (list(channel.registers[:2]) for channel in sampled if channel.name == "speed")
+        ambient = calibration.read(entry.calibration)[0].ambient
         self._dark, self._bright = ambient.dark_counts, ambient.floor_counts
         self._n_samples = self._n_reached = self._n_at_last_goal = 0
         self._wall_following_sum = self._brightness_sum = 0.0
@@ -58,10 +57,11 @@ class TaskMetrics(Observer):
         registers, (x, y, _) = robot.registers, robot.pose
         self._n_samples += 1
         self._time_ns = world.time_ns
-        left, right = (float(speed) for speed in registers[SPEEDS])
-        side_proximity = float(registers[_SIDE_SENSORS].max()) / COUNTS_LIMIT
+        interface, (lowest, limit) = self._interface, self._interface.counts
+        left, right = registers[self._speeds] * (fitness.TOP_SPEED_PULSES / interface.top_speed)
+        side_proximity = max(float(registers[list(interface.sides)].max()) - lowest, 0) / (limit - lowest)
         self._wall_following_sum += float(fitness.wall_following(left, right, side_proximity))
-        brightest_counts = float(registers[AMBIENT].min())
+        brightest_counts = float(registers[slice(*interface.ambient)].min())
         self._brightness_sum += float(fitness.light_seeking(brightest_counts, self._dark, self._bright))
         is_inside = [math.hypot(x - goal_x, y - goal_y) <= radius for goal_x, goal_y, radius in self._goals]
         if self._n_reached < len(is_inside) and is_inside[self._n_reached]:

@@ -67,6 +67,10 @@ class NetworkController(PeriodicController):
     """
 
     def __init__(self, network: Network, file: str = "") -> None:
+        if network.terms:
+            raise ControllerError(
+                f"network with the terms {', '.join(network.terms)}; expected none on a line"
+            )
         if len(network.genes) != network.n_genes:
             raise ControllerError(f"{len(network.genes)} genes for {network}; expected {network.n_genes}")
         super().__init__(network.period_ns)

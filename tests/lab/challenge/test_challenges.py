@@ -138,6 +138,17 @@ def test_a_file_name_that_is_no_utf_8_has_its_row(short: Path) -> None:
     table(challenge, attempts).encode("utf-8")
 
 
+def test_a_program_of_a_khepera_iv_has_a_score_and_is_stopped_amid_a_command(tmp_path: Path) -> None:
+    (tmp_path / "four.toml").write_text(
+        'version = 1\nname = "four"\ntitle = "Wander"\ndescription = "Wander."\nplaypen = "arena4"\n'
+        'seconds = 0.5\nmetric = "wall_following"\nbetter = "higher"\n'
+    )
+    (tmp_path / "four.py").write_text("def controller(robot):\n    robot.wander()\n    robot.sleep(9)\n")
+    file_score = score(load(str(tmp_path / "four.toml")), str(tmp_path / "four.py"), 1, 1)
+    assert file_score.metrics["distance_m"] > 0
+    assert 0 < file_score.metrics["brightness"] < 0.05  # without a lamp
+
+
 # A quarter turn to one side at the end of a stem.
 TURNS = """
 state = "stem"
