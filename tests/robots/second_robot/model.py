@@ -2,13 +2,23 @@
 
 import math
 import re
+from collections.abc import Sequence
 from itertools import accumulate
 from pathlib import Path
 
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.framing import Lines
-from khep_twin.robots.model import Dialect, Interface, RobotModel, Term, bars_of, parse_channels, parts_of
+from khep_twin.robots.model import (
+    Dialect,
+    Interface,
+    Read,
+    RobotModel,
+    Term,
+    bars_of,
+    parse_channels,
+    parts_of,
+)
 
 FOLDER = Path(__file__).parent
 AROUND, GROUND, SONAR = ("left", "right", "back"), ("ground left", "ground right"), ("west", "north", "east")
@@ -65,6 +75,16 @@ class WordLines(Lines):
     def answers(self, request: str, reply: str) -> bool:
         return len(reply.split()) == N_VALUES.get(self.command(request))
 
+    def values(self, text: str) -> Sequence[int]:
+        words = text.split()
+        return [int(word) for word in (words[1:] if words and words[0].isalpha() else words)]
+
+
+def read(word: str, first: int, end: int) -> Read:
+    """Return the request of a word that reads registers, among others."""
+    start, stop = READS[word]
+    return Read(word, stop - start, range(first, end), range(first - start, end - start))
+
 
 SCOUT = RobotModel(
     name="scout",
@@ -84,6 +104,15 @@ SCOUT = RobotModel(
         moving=("drive",),
         baud=38_400,
         framing=WordLines(),
+        reads={
+            "proximity": read("look", PROXIMITY, AMBIENT),
+            "ambient": read("look", AMBIENT, ULTRASONIC),
+            "ultrasonic": read("range", ULTRASONIC, SPEED),
+            "speed": read("wheels", SPEED, POSITION),
+            "position": read("wheels", POSITION, LEDS),
+            "battery": read("power", BATTERY, N_REGISTERS),
+        },
+        drive="drive {:d} {:d}".format,
     ),
     parts=parts_of("second_robot", core="CORE", robot="ScoutRobot", host="Scout", conformance="CHECKS"),
     plots={"ultrasonic": "ultrasonic [mm]", "battery": "battery [mV]"},

@@ -49,9 +49,8 @@ BODY = Body(
     sonar=SonarRing(("beacon",), (20.0,), radius=0.031, height=0.03, codes=(0,)),
 )
 
-START, NAME, SPEEDS, REGISTERS = 0xC5, 1, 2, 3
-SIZES = {NAME: 7, SPEEDS: 3, REGISTERS: 37}, {NAME: 3, SPEEDS: 7, REGISTERS: 3}
-"""First byte of a frame; commands, with the lengths of their replies and requests."""
+START, NAME, SPEEDS, REGISTERS = 0xC5, 1, 2, 3  # first byte of a frame; commands
+SIZES = {NAME: 7, SPEEDS: 3, REGISTERS: 37}, {NAME: 3, SPEEDS: 7, REGISTERS: 3}  # of replies, of requests
 
 
 def frame(command: int, *values: int) -> bytes:
@@ -68,8 +67,7 @@ def values(frame: bytes) -> tuple[int, ...]:
 def _length(data: bytes, is_request: bool) -> int:
     """Return the length of the frame at the start of bytes; 0 without one."""
     size = SIZES[is_request].get(data[1], 0) if len(data) > 1 else 3
-    is_frame = data[0] == START and (len(data) < size or sum(data[:size]) % 256 == 0)
-    return size if is_frame else 0
+    return size * (data[0] == START and (len(data) < size or sum(data[:size]) % 256 == 0))
 
 
 FRAMES = Frames(_length, itemgetter(1), resync=b"\xff" * 7, frame_values=values)
