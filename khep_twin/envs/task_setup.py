@@ -318,8 +318,8 @@ def with_robots(playpen: Playpen, count: int) -> Playpen:
     if not playpen.robots:
         raise PlaypenError(f"{playpen.name}: no robot; expected one to copy")
     first_robot = playpen.robots[0].model_copy(update={"name": None} if count > 1 else {})
-    others = [robot for robot in playpen.robots[1:] if robot.model == first_robot.model][: count - 1]
-    poses = [robot.model_dump(include={"x_mm", "y_mm", "heading_deg", "spots"}) for robot in others]
+    peers = [robot for robot in playpen.robots[1:] if robot.model == first_robot.model][: count - 1]
+    poses = [robot.model_dump(include={"x_mm", "y_mm", "heading_deg", "spots"}) for robot in peers]
     robots = (first_robot, *(first_robot.model_copy(update=pose) for pose in poses))
     return playpen.model_copy(update={"robots": robots + (first_robot,) * (count - len(robots))})
 

@@ -14,7 +14,7 @@ turn, turn_end, speeds = 0, 0.0, None
 
 def drive(robot, *new_speeds):
     global speeds
-    if new_speeds != speeds:  # each command starts the robot's speed controller anew
+    if new_speeds != speeds:  # each command resets the robot's speed controller
         robot.set_speed(*new_speeds)
         speeds = new_speeds
 

@@ -17,12 +17,12 @@ import numpy as np
 
 from khep_twin.clock import to_ns
 from khep_twin.errors import ChallengeError, ControllerError, KhepTwinError, StoppedError
-from khep_twin.host import HostRobot
+from khep_twin.host.host_robot import open_robot
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, movable_objects
 from khep_twin.lab.challenge.task_metrics import TaskMetrics
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import forget_modules_beside, source_of
-from khep_twin.lab.experiment.controllers import BUILT_IN
+from khep_twin.lab.experiment.controllers import BUILT_IN, as_controller
 from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun, run_files
 from khep_twin.lab.experiment.start_poses import StartPose
@@ -131,6 +131,7 @@ def _measure_run(
     twin = open_twin(at_start(file.playpen, 0, start), TwinOptions(seed))
     limited_time = LimitedTime(twin.world, to_ns(challenge.seconds))
     twin.time_source = limited_time
+    as_controller(program).require_model(twin.robot_model)
     if twin.world.code.switch_step is not None and is_worth_compiling(challenge, runs):
         twin.world.code.switch_step = 0
     names = [item.name for item in movable_objects(file.playpen)]
@@ -145,8 +146,7 @@ def _measure_run(
             opened.record(log, facts=facts, attachments=source.attachments)
 
     results: list[SeriesRun] = []
-    host_class = twin.robot_model.load_class("host", HostRobot)
-    with host_class(Serial.of(twin, timeout=1.0)) as robot:
+    with open_robot(twin.robot_model, Serial.of(twin, timeout=1.0)) as robot:
         plan = Plan(seconds=challenge.seconds)
         source = OneRobot(robot, record)
         try:

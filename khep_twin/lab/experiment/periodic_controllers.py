@@ -67,10 +67,6 @@ class NetworkController(PeriodicController):
     """
 
     def __init__(self, network: Network, file: str = "") -> None:
-        if network.terms:
-            raise ControllerError(
-                f"network with the terms {', '.join(network.terms)}; expected none on a line"
-            )
         if len(network.genes) != network.n_genes:
             raise ControllerError(f"{len(network.genes)} genes for {network}; expected {network.n_genes}")
         super().__init__(network.period_ns)
@@ -102,9 +98,15 @@ class NetworkController(PeriodicController):
         values[:n_proximity] = [count / limit for count in robot.read_registers(range(*interface.proximity))]
         if network.ambient:
             dark, bright = network.light
-            values[n_proximity : network.sizes[0]] = [
+            values[n_proximity : n_proximity + interface.n_ambient] = [
                 (dark - count) / (dark - bright) for count in robot.read_registers(range(*interface.ambient))
             ]
+        first = len(values) - sum(network.sizes[1:])
+        for term in reversed(robot.model.find_terms(network.terms)):
+            first -= len(term.names)
+            values[first : first + len(term.names)] = map(
+                term.scale, robot.read_registers(range(*term.registers))
+            )
         output_start = networks.forward(self._sizes, network.recurrent, self._genes, self._memory, values)
         left, right = (network.top_speed * value for value in values[output_start : output_start + 2])
         if not (math.isfinite(left) and math.isfinite(right)):

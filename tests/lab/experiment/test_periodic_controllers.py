@@ -240,3 +240,16 @@ def test_a_run_has_the_time_of_its_cycles_and_the_expected_one() -> None:
         assert (outcome.cycle_time, outcome.expected_cycle_time) == pytest.approx((0.045, 21 * 11 / 9600))
         (series,) = run_series(Still(90_000_000), OneRobot(robot), Plan(cycles=2))
         assert series.delay_text() == ""
+
+
+def test_a_network_of_a_khepera_iv_reads_its_terms_on_the_line() -> None:
+    network = Network(terms=("ultrasonic", "gyroscope"), model="khepera4", top_speed=1000)
+    weights = np.zeros(network.n_genes)
+    weights[1 + 8 + 2] = 1.0  # from the front ultrasonic sensor to the left wheel
+    with Khepera4("khep://arena4?noise=off") as robot:
+        robot.sleep(0.2)
+        front = robot.ultrasonic().front
+        left, right = NetworkController(replace(network, genes=weights)).decide(robot)
+    assert front is not None
+    assert 0.25 < front < 2.5
+    assert (left, right) == (pytest.approx(1000 * np.tanh(front / 2.5)), 0)
