@@ -11,6 +11,7 @@ from khep_twin.robots.core import Core, register
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.beams import cast_level_ray
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, set_reading
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
@@ -37,6 +38,7 @@ class ScoutState(NamedTuple):
     radius: float
     motor_constant: float
     sensors: RobotSensors
+    faults: DeviceFaults
     noise: Vector[int]
     ground: Sequence[float]
     is_discharged: int
@@ -67,15 +69,18 @@ def _look(robot: ScoutState, simulated: Simulated, inputs: StepInputs, time_ns: 
     for channel in range(len(robot.sensors.cameras)):
         noise = draws(inputs.tables, robot.noise, 8 * (time_ns // INFRARED_NS) + channel)
         if channel < N_AROUND:
-            counts = convert(scene, robot.sensors, simulated.light, powers, time_ns, channel, noise)
-            registers[PROXIMITY + channel], registers[AMBIENT + channel] = counts
+            near, light = convert(scene, robot.sensors, simulated.light, powers, time_ns, channel, noise)
+            set_reading(registers, PROXIMITY + channel, robot.faults, channel, near, 0)
+            darkest = robot.sensors.ambient.ceiling
+            set_reading(registers, AMBIENT + channel, robot.faults, channel, light, darkest)
             continue
         x, y, z = queries.position(scene, robot.sensors, channel)
         frame = queries.sensor_frame(scene, robot.sensors, channel)
         length, grey = queries.ray(scene, robot.sensors, (x, y, z), (-frame[2], -frame[5], -frame[8]))
         white, dark, deviation = robot.ground[channel - N_AROUND], robot.ground[-2], robot.ground[-1]
         level = dark + (white - dark) * (grey if 0 <= length < 2 * z else 0.0) + deviation * noise[0]
-        registers[PROXIMITY + channel] = min(max(round(level), 0), 1023)
+        counts = min(max(round(level), 0), 1023)
+        set_reading(registers, PROXIMITY + channel, robot.faults, channel, counts, 0)
         registers[AMBIENT + channel] = round(robot.sensors.ambient.dark)
 
 
@@ -87,7 +92,8 @@ def _measure_distance(
     length = cast_level_ray(scene, robot.sensors, robot.beam, robot.pose, _PLACES[sensor], reach)
     reading = round(1000 * length + 2 * noise)
     nearest = 0 if reading < model.NEAREST_MM else min(reading, model.REACH_MM)
-    robot.registers[ULTRASONIC + sensor] = model.NO_ECHO if length < 0 else nearest
+    distance, number = model.NO_ECHO if length < 0 else nearest, len(robot.sensors.cameras) + sensor
+    set_reading(robot.registers, ULTRASONIC + sensor, robot.faults, number, distance, model.NO_ECHO)
 
 
 @compilable
@@ -148,7 +154,8 @@ def _tick(robot: ScoutState, simulated: Simulated, inputs: StepInputs, time_ns: 
         registers[model.POSITION + side] = round(angle * _PULSES_PER_RAD)
         error = registers[model.SETPOINT + side] / 100 - speed
         level = levels[VOLTAGES + side] = min(max(levels[VOLTAGES + side] + 0.02 * error, -limit), limit)
-        queries.set_motor(scene, robot.motors[side], min(max(level + 0.15 * error, -limit), limit))
+        voltage, constant = min(max(level + 0.15 * error, -limit), limit), robot.motor_constant
+        drive_motor(scene, robot.faults, side, robot.motors[side], robot.speeds[side], constant, voltage)
     return False
 
 
