@@ -11,6 +11,7 @@ from khep_twin.robots.core import Core, register
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.beams import cast_level_ray
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.device_faults import DeviceFaults
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
@@ -37,6 +38,7 @@ class ScoutState(NamedTuple):
     radius: float
     motor_constant: float
     sensors: RobotSensors
+    faults: DeviceFaults
     noise: Vector[int]
     ground: Sequence[float]
     is_discharged: int
