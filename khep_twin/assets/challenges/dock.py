@@ -14,7 +14,7 @@ turn, turn_end, speeds = 0, 0.0, None
 
 def drive(robot, *new_speeds):
     global speeds
-    if new_speeds != speeds:  # each command resets the robot's speed controller
+    if new_speeds != speeds:
         robot.set_speed(*new_speeds)
         speeds = new_speeds
 

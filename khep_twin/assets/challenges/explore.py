@@ -16,6 +16,6 @@ def controller(robot):
     elif not turn:
         turn = 1 if distances.left + distances.front_left > distances.right + distances.front_right else -1
     new_speeds = (-turn * TURN_SPEED, turn * TURN_SPEED) if turn else (SPEED, SPEED)
-    if new_speeds != speeds:  # each command resets the robot's speed controller
+    if new_speeds != speeds:
         robot.set_speed(*new_speeds)
         speeds = new_speeds
