@@ -76,7 +76,7 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
 
 
 def find_baud_rate(
-    port: serial.Serial, name: str, clock: Callable[[], float], rates: Sequence[int] = BAUD_RATES
+    port: serial.Serial, name: str, clock: Callable[[], float], rates: Sequence[int] = ()
 ) -> tuple[int, str]:
     """Set a port to the baud rate at which its robot identifies itself, e.g. by its reply to command B.
 
@@ -84,7 +84,7 @@ def find_baud_rate(
         port: Open port of pyserial.
         name: Name of the port, for messages.
         clock: Function that returns the port's time [s].
-        rates: Baud rates to try.
+        rates: Baud rates to try, by default `BAUD_RATES`.
 
     Returns:
         The baud rate, and the text of the reply. A network socket or a twin that is not strict accepts any
@@ -94,7 +94,7 @@ def find_baud_rate(
         PortTimeout: There is no reply at any of the rates.
         PortError: The port failed.
     """
-    timeout, first_baudrate = port.timeout, port.baudrate
+    rates, timeout, first_baudrate = rates or BAUD_RATES, port.timeout, port.baudrate
     refused_rates: list[int] = []
     try:
         port.timeout = _REPLY_TIMEOUT_S

@@ -40,16 +40,6 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (
-            "run --playpen arena4",
-            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for a network, a built-in "
-            "controller or one in the toolbox's form\n",
-        ),
-        (
-            "run --playpen arena4 --runs 2 --start random",
-            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for a network",
-        ),
-        ("sense --linear 10 khep://arena4", "khep://arena4: the robot is a Khepera IV; expected"),
         ("calibrate khep://arena4 -o c.toml", "khep://arena4: the robot is a Khepera IV; expected"),
         ("conform khep://arena4", "khep://arena4: the robot is a Khepera IV; expected --model khepera4\n"),
         (

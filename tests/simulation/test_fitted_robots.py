@@ -92,6 +92,7 @@ def test_a_fitted_scene_is_the_one_compiled_of_that_calibration_and_can_be_undon
     assert not same(model, before)
     with monkeypatch.context() as patched:
         replace(patched, "read", (drawn, ""))
+        replace(patched, "read_for", drawn)
         assert same(model, SceneModel.of(scene).model)
     fitted.set_calibrations(None, data)
     assert same(model, before)

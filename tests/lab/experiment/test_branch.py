@@ -163,7 +163,7 @@ def test_a_log_without_snapshots_is_run_again_from_its_start(parent: Path, tmp_p
         ({"edits": ("block.1.x_mm=far",)}, "expected a number"),
         ({"edits": ("robot.1.x_mm=0",)}, "robot 1 at .* overlaps the left wall"),
         ({"edits": ("block.1.surface=velvet",)}, "surface"),
-        ({"faults": ("stuck:9",)}, "fault 'stuck:9': expected stuck:SENSOR"),
+        ({"faults": ("stuck:9",)}, "fault 'stuck:9': robot 0 is a Khepera; expected a number below 8"),
     ],
 )
 def test_a_change_that_cannot_be_made_is_one_line_and_leaves_no_log(
