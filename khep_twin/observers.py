@@ -48,7 +48,7 @@ class Observers(list[Observer]):
 
     Attributes:
         early_events: Events at time 0, for observers that are added later: robot and text.
-        evaluations: Functions by which robots evaluate what they have recorded.
+        evaluations: Functions by which robots evaluate their recorded measurements.
     """
 
     def __init__(self, world: ObservedWorld) -> None:
@@ -67,7 +67,7 @@ class Observers(list[Observer]):
                 observer.sample(self._world)
 
     def evaluate(self) -> None:
-        """Let robots evaluate what they have recorded, also before a change of lamps or random streams."""
+        """Let robots evaluate their recorded measurements, as before a change of lamps or random streams."""
         for function in self.evaluations:
             function()
 

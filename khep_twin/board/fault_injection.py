@@ -157,7 +157,7 @@ def locate(fault: Fault, sensors: Sequence[str] | None, robot: str) -> Fault:
         robot: Robot, for messages.
 
     Raises:
-        FaultError: The robot has no such sensor, or its model does not apply the fault.
+        FaultError: The robot lacks the sensor, or its model does not apply the fault.
     """
     if fault.device not in (SENSOR, MOTOR):
         return fault

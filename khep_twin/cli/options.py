@@ -48,8 +48,8 @@ Faults = Annotated[
     typer.Option(
         "--fault",
         help="Inject this fault; repeatable: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SENSOR, "
-        "dead:SIDE, weak:SIDE:PART, slip:SIDE:PART, blocked:SIDE or brown-out, with @SECONDS to start later "
-        "or @FROM-TO to start and stop.",
+        "dead:SIDE, weak:SIDE:PART, slip:SIDE:PART, blocked:SIDE or brown-out. @SECONDS starts it later, "
+        "@FROM-TO also stops it.",
     ),
 ]
 Force = Annotated[

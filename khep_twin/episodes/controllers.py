@@ -226,7 +226,7 @@ def find_terms(driver: Driver, model: RobotModel) -> list[Term]:
 
     Raises:
         ControllerError: It does not control robots of the model.
-        RobotModelError: The model has no such reading.
+        RobotModelError: The model lacks the reading.
     """
     if isinstance(driver, Braitenberg) and core_of(model).wander is wander_nowhere:
         raise ControllerError(f"Braitenberg: a robot of model {model.name}; expected a Khepera")
@@ -261,9 +261,9 @@ def make_controllers(
         compiled: Whether compiled code runs the controllers, with a function by its address.
 
     Raises:
-        ControllerError: The number of genes is wrong, numba cannot compile the function, the model has no
-            such controller, or the driver is of no known kind.
-        RobotModelError: The model has no such term.
+        ControllerError: The number of genes is wrong, numba cannot compile the function, the model lacks
+            the controller, or the driver is of no known kind.
+        RobotModelError: The model lacks a term.
     """
     interface, n_robots = setup.interface, len(setup.playpen.robots)
     terms = find_terms(driver, setup.entry.robot_model)

@@ -2,7 +2,7 @@
 
 A model gives a `Core`. The stepping core calls a robot's functions by the functions of this module, which
 choose them by the class of the robot's state: in plain code by a table, in compiled code by an overload that
-`simulation.compiled` registers. So a scene compiles what its models have, and nothing else.
+`simulation.compiled` registers. So a scene compiles the functions of its models alone.
 """
 
 from collections.abc import Callable, Collection, Container
@@ -58,7 +58,7 @@ def _is_always_powered(robot: RobotState) -> bool:
 
 @compilable
 def wander_nowhere(robot: RobotState, registers: Registers) -> None:
-    """Do nothing, as the robot has no such vehicle."""
+    """Do nothing, as the robot has no vehicle."""
 
 
 def _measure_all(record: Any, names: Collection[str]) -> None:

@@ -227,7 +227,7 @@ class RobotModel:
         speed_modes: Registers of the motors' control, and their values with speed setpoints in force.
         tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
         vehicle: Function that returns the setpoints of its Braitenberg vehicle [register], by the readings of
-            proximity; None if it has no such vehicle.
+            proximity; None without a vehicle.
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
     """
 
@@ -255,7 +255,7 @@ class RobotModel:
         """Return a part that is an instance of `kind`.
 
         Raises:
-            RobotModelError: The model has no such part, or another object.
+            RobotModelError: The model lacks the part, or it is another object.
         """
         if not isinstance(value := self._load_part(part), kind):
             raise self._part_error(part, value, f"a {kind.__name__}")
@@ -265,7 +265,7 @@ class RobotModel:
         """Return a part that is a subclass of `base`.
 
         Raises:
-            RobotModelError: The model has no such part, or another object.
+            RobotModelError: The model lacks the part, or it is another object.
         """
         value = self._load_part(part)
         if isinstance(value, type) and issubclass(cast(type[object], value), base):
@@ -301,7 +301,7 @@ class RobotModel:
         """Return terms by their names.
 
         Raises:
-            RobotModelError: It has no such term, or a name is there twice.
+            RobotModelError: It lacks a term, or a name is there twice.
         """
         terms = {term.name: term for term in self.terms}
         for name in names:

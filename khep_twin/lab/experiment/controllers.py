@@ -284,10 +284,10 @@ def vehicle_of(model: RobotModel) -> Callable[[Sequence[int]], tuple[int, int]]:
     """Return the function of a model's Braitenberg vehicle.
 
     Raises:
-        ControllerError: It has no such vehicle.
+        ControllerError: It has no vehicle.
     """
     if model.vehicle is None:
-        titles = " or ".join(known.title for known in installed_models().values() if known.vehicle)
+        titles = " or ".join(other.title for other in installed_models().values() if other.vehicle)
         raise ControllerError(f"braitenberg: model = {model.name!r} has no vehicle; expected a {titles}")
     return model.vehicle
 
