@@ -157,11 +157,13 @@ def test_a_stuck_sensor_repeats_the_reading_before_its_fault() -> None:
     for _ in range(9):
         for other in (world, sound):
             other.advance(0.01731)
-        readings, others = (other.robots[0].readings() for other in (world, sound))
+        readings, sound_readings = (other.robots[0].readings() for other in (world, sound))
         for name, sensor in (("proximity", 3), ("ambient", 3), ("ultrasonic", 2)):
             assert readings[name][sensor] == last[name][sensor]
-            assert np.delete(readings[name], sensor).tolist() == np.delete(others[name], sensor).tolist()
-        fronts.append((others["proximity"][3], others["ambient"][3]))
+            assert (
+                np.delete(readings[name], sensor).tolist() == np.delete(sound_readings[name], sensor).tolist()
+            )
+        fronts.append((sound_readings["proximity"][3], sound_readings["ambient"][3]))
     assert len({*fronts}) > 5
 
 

@@ -88,8 +88,8 @@ def test_frames_and_noise_are_split_alike_in_pieces_of_any_size(frames: Frames) 
         rest, start = b"", 0
         while start < len(data):
             end = start + rng.randrange(1, 9)
-            more, rest = frames.split(rest + data[start:end], to_robot=True)
-            pieces += more
+            messages, rest = frames.split(rest + data[start:end], to_robot=True)
+            pieces += messages
             start = end
         assert b"".join(pieces) + rest == data
         assert [part for part in pieces if frames.is_message(part, True)] == [parts[i] for i in (0, 2, 4, 6)]

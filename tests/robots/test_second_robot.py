@@ -60,11 +60,11 @@ def test_a_scout_continues_from_a_snapshot_and_damaged_ones_are_refused() -> Non
     copy.restore(world.snapshot())
     assert drive(copy) == drive(world)
     state = world.state()
-    robot, *others = state.robots
+    robot, *further_robots = state.robots
     arrays: list[dict[str, Any]] = [{**robot.arrays, name: b"\x7f" * 40} for name in robot.arrays]
     for damage in (*({"arrays": damaged} for damaged in arrays), {"is_stopped": True}):
         with pytest.raises(SnapshotError, match="robot 0"):
-            world.set_state(state._replace(robots=(robot._replace(**damage), *others)))
+            world.set_state(state._replace(robots=(robot._replace(**damage), *further_robots)))
 
 
 def test_an_empty_battery_stops_the_scout_and_its_program() -> None:
@@ -86,8 +86,8 @@ def test_a_controller_drives_a_scout_and_its_log_has_columns_repeats_and_is_show
     (tmp_path / "wander.py").write_text(CONTROLLER)
     conform = "conform khep://three.toml --model scout --move"
     run = "run wander.py --playpen three.toml --seconds 0.5 --log run.mcap"
-    shown = "report run.mcap -o run.html", "view run.mcap --save run.rrd", "export run.mcap -o run.csv"
-    outputs = [good(*line.split(), folder=tmp_path) for line in (conform, run, "repeat run.mcap", *shown)]
+    reports = "report run.mcap -o run.html", "view run.mcap --save run.rrd", "export run.mcap -o run.csv"
+    outputs = [good(*line.split(), folder=tmp_path) for line in (conform, run, "repeat run.mcap", *reports)]
     assert "2 passed, 0 failed" in outputs[0]
     assert outputs[2].startswith("identical: ")
     header = {*(tmp_path / "run.csv").read_text().splitlines()[0].split(",")}

@@ -58,15 +58,15 @@ def test_what_is_heard_is_counted_at_the_end_of_each_cycle() -> None:
 
 def test_the_metrics_of_a_khepera_4_are_those_of_its_readings_around_and_its_top_speed() -> None:
     metrics = HostMetrics(find_model("khepera4"))
-    around, ground = "100,100,100,100,100,100,100,1023", "900,900,900,900"
+    ring, ground = "100,100,100,100,100,100,100,1023", "900,900,900,900"
     for request, reply in [
         ("D,600,600", "d"),
-        ("N", f"n,{around},{ground}"),
+        ("N", f"n,{ring},{ground}"),
         ("O", "o" + ",980" * 8 + ",1" * 4),
     ]:
         metrics(request, reply)
     metrics.end_cycle()
-    metrics("N", f"n,{around.replace('1023', '100')},{ground}")
+    metrics("N", f"n,{ring.replace('1023', '100')},{ground}")
     metrics.end_cycle()
     assert metrics.metrics() == {
         "fitness": 0.5,

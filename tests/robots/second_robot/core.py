@@ -24,7 +24,7 @@ INFRARED_NS, BURST_NS, FULL, EMPTY, CAPACITY = 25_000_000, 40_000_000, 8.4, 6.0,
 """Periods; voltages of a full and of an empty battery [V], and its charge [C], which lasts an hour."""
 POWERED, EAGER, TIMES, N_FLAGS, NONE, USED, VOLTAGES, N_LEVELS = 0, 1, 2, 5, -1, 0, 1, 3
 """Indices in `flags`, with times of bursts that are not evaluated, and in `levels`."""
-N_AROUND, N_SONAR, _PLACES = len(model.AROUND), len(model.SONAR), tuple(BODY.sonar.places)
+N_RING, N_SONAR, _PLACES = len(model.RING), len(model.SONAR), tuple(BODY.sonar.places)
 _PULSES_PER_RAD, _IDLE_CURRENT = BODY.pulses_per_turn / math.tau, BODY.idle_current
 
 
@@ -68,7 +68,7 @@ def _look(robot: ScoutState, simulated: Simulated, inputs: StepInputs, time_ns: 
     scene, registers, powers = simulated.scene, robot.registers, inputs.powers[powers_row(simulated, inputs)]
     for channel in range(len(robot.sensors.cameras)):
         noise = draws(inputs.tables, robot.noise, 8 * (time_ns // INFRARED_NS) + channel)
-        if channel < N_AROUND:
+        if channel < N_RING:
             near, light = convert(scene, robot.sensors, simulated.light, powers, time_ns, channel, noise)
             set_reading(registers, PROXIMITY + channel, robot.faults, channel, near, 0)
             darkest = robot.sensors.ambient.ceiling
@@ -77,7 +77,7 @@ def _look(robot: ScoutState, simulated: Simulated, inputs: StepInputs, time_ns: 
         x, y, z = queries.position(scene, robot.sensors, channel)
         frame = queries.sensor_frame(scene, robot.sensors, channel)
         length, grey = queries.ray(scene, robot.sensors, (x, y, z), (-frame[2], -frame[5], -frame[8]))
-        white, dark, deviation = robot.ground[channel - N_AROUND], robot.ground[-2], robot.ground[-1]
+        white, dark, deviation = robot.ground[channel - N_RING], robot.ground[-2], robot.ground[-1]
         level = dark + (white - dark) * (grey if 0 <= length < 2 * z else 0.0) + deviation * noise[0]
         counts = min(max(round(level), 0), 1023)
         set_reading(registers, PROXIMITY + channel, robot.faults, channel, counts, 0)

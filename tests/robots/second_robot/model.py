@@ -21,10 +21,10 @@ from khep_twin.robots.model import (
 )
 
 FOLDER = Path(__file__).parent
-AROUND, GROUND, SONAR = ("left", "right", "back"), ("ground left", "ground right"), ("west", "north", "east")
+RING, GROUND, SONAR = ("left", "right", "back"), ("ground left", "ground right"), ("west", "north", "east")
 LABELS = {
-    "proximity": f"{', '.join((*AROUND, *GROUND))} [counts]",
-    "ambient": f"{', '.join((*AROUND, *GROUND))} [counts]",
+    "proximity": f"{', '.join((*RING, *GROUND))} [counts]",
+    "ambient": f"{', '.join((*RING, *GROUND))} [counts]",
     "ultrasonic": f"{', '.join(SONAR)} [mm]",
     "speed": "left, right, setpoint left, setpoint right [0.01 rad/s]",
     "position": "left, right [pulses]",
@@ -34,7 +34,7 @@ LABELS = {
 """Channels of its registers, one after the other, with their columns and units."""
 SIZES = [label.count(",") + 1 for label in LABELS.values()]
 PROXIMITY, AMBIENT, ULTRASONIC, SPEED, POSITION, LEDS, BATTERY, N_REGISTERS = accumulate(SIZES, initial=0)
-GROUND_PROXIMITY, SETPOINT, NEAREST_MM, REACH_MM, NO_ECHO = PROXIMITY + len(AROUND), SPEED + 2, 80, 3000, 9999
+GROUND_PROXIMITY, SETPOINT, NEAREST_MM, REACH_MM, NO_ECHO = PROXIMITY + len(RING), SPEED + 2, 80, 3000, 9999
 
 READS = {"look": (PROXIMITY, ULTRASONIC), "range": (ULTRASONIC, SPEED), "wheels": (SPEED, LEDS)}
 READS["power"] = BATTERY, N_REGISTERS
@@ -55,7 +55,7 @@ BODY = Body(
     idle_current=0.3,
     height=0.081,
     scene=str(FOLDER / "scout.xml"),
-    sensors=(*AROUND, *GROUND),
+    sensors=(*RING, *GROUND),
     wheel_radius=0.025,
     wheel_width=0.012,
     wheel_base=0.15,
@@ -120,7 +120,7 @@ SCOUT = RobotModel(
     interface=Interface(
         n_registers=N_REGISTERS,
         proximity=(PROXIMITY, GROUND_PROXIMITY),
-        ambient=(AMBIENT, AMBIENT + len(AROUND)),
+        ambient=(AMBIENT, AMBIENT + len(RING)),
         sides=(PROXIMITY, PROXIMITY + 1),
         setpoints=(SETPOINT, SETPOINT + 1),
         positions=(POSITION, POSITION + 1),
