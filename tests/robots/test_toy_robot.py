@@ -158,6 +158,7 @@ def test_a_toy_and_a_khepera_share_a_world_and_toys_vary(toys: Playpen) -> None:
     assert drive(varied) != drive(World(toys, seed=3))
 
 
+@pytest.mark.long
 @with_numba
 def test_a_toy_with_faults_runs_compiled_as_plain(toys: Playpen) -> None:
     one = toys.model_copy(update={"robots": toys.robots[:1]})
