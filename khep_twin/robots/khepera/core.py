@@ -4,6 +4,7 @@ A step converts the next sensor, a control tick runs from encoders to motor volt
 `compilable`, see `robots.core`.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 import mujoco
@@ -25,7 +26,7 @@ from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Scene, joint_position, motor_torque
 from khep_twin.sensing.simulated import N_CONVERSIONS, STEPS, Simulated, StepInputs, powers_row
-from khep_twin.sensors import robot_sensors
+from khep_twin.sensors import core_fields
 
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
@@ -36,12 +37,9 @@ class KheperaState(NamedTuple):
     """State of one robot.
 
     Attributes:
-        left_angle: Index of the left wheel's position.
-        right_angle: Index of the right wheel's position.
-        left_speed: Index of the left wheel's speed.
-        right_speed: Index of the right wheel's speed.
-        left_motor: Index of the left motor.
-        right_motor: Index of the right motor.
+        angles: Indices of the wheels' positions, left and right (2,).
+        speeds: Indices of the wheels' speeds (2,).
+        motors: Indices of the motors (2,).
         pose: Index of the robot's pose.
         radius: Radius of the robot [m].
         motor_constant: Torque per current [N m/A].
@@ -55,12 +53,9 @@ class KheperaState(NamedTuple):
         noise: Key of the robot's random draws, as two words (2,).
     """
 
-    left_angle: int
-    right_angle: int
-    left_speed: int
-    right_speed: int
-    left_motor: int
-    right_motor: int
+    angles: Sequence[int]
+    speeds: Sequence[int]
+    motors: Sequence[int]
     pose: int
     radius: float
     motor_constant: float
@@ -81,20 +76,12 @@ def _make_state(
     kernel.reset(registers.data)
     is_demo = ROMS[entry.rom].modes[entry.mode].function == DEMO
     return KheperaState(
-        *indices.wheel_qpos,
-        *indices.wheel_dofs,
-        *indices.motors,
-        indices.pose,
-        radius=entry.body.radius,
-        motor_constant=measured.motors.constant,
+        **core_fields(model, indices, measured, entry, first_moment),
         idle_current=entry.body.idle_current,
         used_min=battery.CHARGER if entry.battery_used_min is None else entry.battery_used_min,
-        sensors=robot_sensors(model, indices, measured),
         registers=cast(Any, registers),
         processor=np.array([1, is_demo], np.int64),
-        faults=DeviceFaults.of(entry.body),
         voltage=np.zeros(1),
-        noise=np.zeros(2, np.int64),
     )
 
 
@@ -151,20 +138,20 @@ def _scan(robot: KheperaState, simulated: Simulated, inputs: StepInputs) -> None
 def _start(robot: KheperaState, simulated: Simulated, inputs: StepInputs) -> bool:
     """Set the encoders to the wheels' present angles, and measure the supply."""
     scene = simulated.scene
-    robot.registers[_LEFT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.left_angle))
-    robot.registers[_RIGHT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.right_angle))
+    robot.registers[_LEFT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.angles[0]))
+    robot.registers[_RIGHT_ENCODER] = units.wheel_pulses(joint_position(scene, robot.angles[1]))
     return _measure_supply(robot, simulated, 0)
 
 
 @compilable
 def _measure_supply(robot: KheperaState, simulated: Simulated, time_ns: int) -> bool:
-    """Measure the supply; return True if its voltage is too low, which resets and stops the processor."""
+    """Measure the supply; return True if its voltage is low, which resets and stops the processor."""
     registers, scene = robot.registers, simulated.scene
     left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
     robot.voltage[0] = voltage = battery.voltage(robot.used_min, time_ns)
     current = robot.idle_current
-    current += units.supply_current(left, motor_torque(scene, robot.left_motor) / robot.motor_constant)
-    current += units.supply_current(right, motor_torque(scene, robot.right_motor) / robot.motor_constant)
+    current += units.supply_current(left, motor_torque(scene, robot.motors[0]) / robot.motor_constant)
+    current += units.supply_current(right, motor_torque(scene, robot.motors[1]) / robot.motor_constant)
     kernel.measure(registers, units.supply_counts(voltage), round(current * 1000))
     if voltage >= units.PROCESSOR_VOLTAGE or not robot.processor[kernel.POWERED]:
         return False
@@ -179,8 +166,8 @@ def _measure_supply(robot: KheperaState, simulated: Simulated, time_ns: int) -> 
 def _tick(robot: KheperaState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
     """Run the board's control loops once, from encoders to motor voltages."""
     registers, scene = robot.registers, simulated.scene
-    left = units.wheel_pulses(joint_position(scene, robot.left_angle))
-    right = units.wheel_pulses(joint_position(scene, robot.right_angle))
+    left = units.wheel_pulses(joint_position(scene, robot.angles[0]))
+    right = units.wheel_pulses(joint_position(scene, robot.angles[1]))
     kernel.run(registers, robot.processor, left, right)
     drive(scene, robot, 0)
     drive(scene, robot, 1)
@@ -190,10 +177,8 @@ def _tick(robot: KheperaState, simulated: Simulated, inputs: StepInputs, time_ns
 @compilable
 def drive(scene: Scene, robot: KheperaState, side: int) -> None:
     """Set the voltage of a motor (0 left, 1 right) by its duty."""
-    duty, motor, speed = robot.registers[_LEFT_DUTY], robot.left_motor, robot.left_speed
-    if side == 1:
-        duty, motor, speed = robot.registers[_RIGHT_DUTY], robot.right_motor, robot.right_speed
-    voltage = units.duty_voltage(duty, robot.voltage[0])
+    duty = robot.registers[_RIGHT_DUTY if side else _LEFT_DUTY]
+    voltage, motor, speed = units.duty_voltage(duty, robot.voltage[0]), robot.motors[side], robot.speeds[side]
     drive_motor(scene, robot.faults, side, motor, speed, robot.motor_constant, voltage)
 
 

@@ -47,7 +47,7 @@ from khep_twin.sensing.scene import (
     update_frames,
 )
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
-from khep_twin.sensors import robot_sensors
+from khep_twin.sensors import core_fields
 
 PULSES_PER_TURN = BODY.pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""
@@ -71,12 +71,9 @@ class Khepera4State(NamedTuple):
     """State of one robot.
 
     Attributes:
-        left_angle: Index of the left wheel's position.
-        right_angle: Index of the right wheel's position.
-        left_speed: Index of the left wheel's speed.
-        right_speed: Index of the right wheel's speed.
-        left_motor: Index of the left motor.
-        right_motor: Index of the right motor.
+        angles: Indices of the wheels' positions, left and right (2,).
+        speeds: Indices of the wheels' speeds (2,).
+        motors: Indices of the motors (2,).
         pose: Index of the robot's pose.
         velocity: Index of the robot's velocity.
         radius: Radius of the robot [m].
@@ -95,7 +92,7 @@ class Khepera4State(NamedTuple):
         zeros: Pulses of the wheels at which the encoders count zero (2,).
         burst: Sensor of the last burst, or NONE (1,).
         distances: Last reading of each ultrasonic sensor (N_ULTRASONIC,) [cm].
-        is_eager: 1 if a burst is evaluated at once, which needs no moment of it (1,).
+        is_eager: 1 if a burst is evaluated immediately, without a moment (1,).
         burst_distance: Then the distance by the last burst (1,) [cm].
         times: Time of each moment, NONE if there is nothing to evaluate (N_MOMENTS,) [ns].
         registers: Registers as in logs, in the order of `CHANNELS` (n_registers,).
@@ -103,12 +100,9 @@ class Khepera4State(NamedTuple):
         noise: Key of the robot's random draws, as two words (2,).
     """
 
-    left_angle: int
-    right_angle: int
-    left_speed: int
-    right_speed: int
-    left_motor: int
-    right_motor: int
+    angles: Sequence[int]
+    speeds: Sequence[int]
+    motors: Sequence[int]
     pose: int
     velocity: int
     radius: float
@@ -143,18 +137,11 @@ def _make_state(
     battery = np.zeros(gauge.N_GAUGE)
     battery[gauge.USED] = gauge.used_charge(entry.battery_used_min)
     return Khepera4State(
-        *indices.wheel_qpos,
-        *indices.wheel_dofs,
-        *indices.motors,
-        indices.pose,
-        indices.velocity,
-        radius=entry.body.radius,
-        motor_constant=measured.motors.constant,
+        **core_fields(model, indices, measured, entry, first_moment),
+        velocity=indices.velocity,
         idle_current=entry.body.idle_current,
         is_discharged=int(entry.battery_used_min is not None),
         first_moment=first_moment,
-        sensors=robot_sensors(model, indices, measured),
-        faults=DeviceFaults.of(entry.body),
         ground=Ground(
             list(map(float, ground.white_counts)),
             float(ground.nothing_counts),
@@ -175,7 +162,6 @@ def _make_state(
         times=np.full(N_MOMENTS, NONE),
         registers=np.zeros(KHEPERA_4.episode_interface.n_registers, np.int64),
         vehicle=np.zeros(N_VEHICLE, np.int64),
-        noise=np.zeros(2, np.int64),
     )
 
 
@@ -232,8 +218,8 @@ def _scan(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> Non
 @compilable
 def _start(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> bool:
     """Count from the wheels' present angles, and measure at time 0."""
-    robot.zeros[0] = wheel_pulses(joint_position(simulated.scene, robot.left_angle))
-    robot.zeros[1] = wheel_pulses(joint_position(simulated.scene, robot.right_angle))
+    robot.zeros[0] = wheel_pulses(joint_position(simulated.scene, robot.angles[0]))
+    robot.zeros[1] = wheel_pulses(joint_position(simulated.scene, robot.angles[1]))
     gauge.write_block(robot.dspic.memory, robot.gauge)
     _record(robot, simulated, inputs, 0)
     return False
@@ -245,12 +231,12 @@ def _tick(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time_n
     if not robot.dspic.powered[0]:
         return False
     scene, motors = simulated.scene, robot.dspic.motors
-    left = wheel_pulses(joint_position(scene, robot.left_angle)) - robot.zeros[0]
-    right = wheel_pulses(joint_position(scene, robot.right_angle)) - robot.zeros[1]
+    left = wheel_pulses(joint_position(scene, robot.angles[0])) - robot.zeros[0]
+    right = wheel_pulses(joint_position(scene, robot.angles[1])) - robot.zeros[1]
     dspic.tick(robot.dspic, left, right)
     voltage, current = gauge.battery_voltage(robot.gauge), robot.idle_current
-    current += _drive(scene, robot, 0, robot.left_motor, robot.left_speed, motors[_LEFT_PWM], voltage)
-    current += _drive(scene, robot, 1, robot.right_motor, robot.right_speed, motors[_RIGHT_PWM], voltage)
+    current += _drive(scene, robot, 0, motors[_LEFT_PWM], voltage)
+    current += _drive(scene, robot, 1, motors[_RIGHT_PWM], voltage)
     _measure_motion(scene, robot, inputs, time_ns)
     if gauge.draw_current(robot.gauge, robot.is_discharged, current):
         gauge.write_block(robot.dspic.memory, robot.gauge)
@@ -267,11 +253,9 @@ def wheel_pulses(angle: float) -> int:
 
 
 @compilable
-def _drive(
-    scene: Scene, robot: Khepera4State, side: int, motor: int, speed: int, pwm: int, voltage: float
-) -> float:
-    """Drive a motor with a PWM; return the current that it takes from the battery [A]."""
-    constant = robot.motor_constant
+def _drive(scene: Scene, robot: Khepera4State, side: int, pwm: int, voltage: float) -> float:
+    """Drive a motor (0 left, 1 right) with a PWM; return the current that it takes from the battery [A]."""
+    motor, speed, constant = robot.motors[side], robot.speeds[side], robot.motor_constant
     drive_motor(scene, robot.faults, side, motor, speed, constant, pwm / PWM_LIMIT * voltage)
     return max(pwm / PWM_LIMIT * motor_torque(scene, motor) / constant, 0.0)
 
@@ -313,8 +297,8 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
     dspic.reset(robot.dspic)
     robot.dspic.powered[0] = 0
     gauge.write_block(robot.dspic.memory, robot.gauge)
-    set_motor(scene, robot.left_motor, 0.0)
-    set_motor(scene, robot.right_motor, 0.0)
+    set_motor(scene, robot.motors[0], 0.0)
+    set_motor(scene, robot.motors[1], 0.0)
 
 
 @compilable
@@ -330,7 +314,7 @@ def _evaluate(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, pa
 
 @compilable
 def _set_distance(robot: Khepera4State, sensor: int, distance: int) -> None:
-    """Set the reading of an ultrasonic sensor; a dead one hears no echo (assumed)."""
+    """Set the reading of an ultrasonic sensor; a dead one receives no echo (assumed)."""
     number, silence = N_INFRARED + sensor, ultrasonic.NO_ECHO
     set_reading(robot.distances, sensor, robot.faults, number, distance, silence)
 
@@ -420,7 +404,7 @@ def _update_registers(robot: Khepera4State, simulated: Simulated, inputs: StepIn
 
 
 def _request_terms(record: Any, names: Collection[str]) -> None:
-    """Evaluate each burst at once if the ultrasonic sensors are among the terms."""
+    """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
     record["is_eager"] = "ultrasonic" in names
 
 

@@ -153,7 +153,7 @@ def deaf_to_cr(twin: Twin) -> None:
 def crossed_wheels(twin: Twin) -> None:
     """Drives the left motor for the right one."""
     robots: Any = twin.world.simulation.plain.groups[0]
-    robots[0] = robots[0]._replace(left_motor=robots[0].right_motor, right_motor=robots[0].left_motor)
+    robots[0] = robots[0]._replace(motors=robots[0].motors[::-1])
 
 
 def backwards(twin: Twin) -> None:
