@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Container
 from typing import Any, NamedTuple
 
 from khep_twin.compilable import compilable
+from khep_twin.errors import RobotModelError
 from khep_twin.robots.model import Interface, RobotModel
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.simulated import Simulated, StepInputs
@@ -134,6 +135,21 @@ def register(core: Core) -> Core:
 def core_of(model: RobotModel) -> Core:
     """Return the core of a model."""
     return model.load("core", Core)
+
+
+def make_state(model: RobotModel, *arguments: Any) -> RobotState:
+    """Return the state of a robot before a start; the further arguments are those of `Core.make_state`.
+
+    Raises:
+        RobotModelError: Its number of registers is not that of the model's interface.
+    """
+    state = core_of(model).make_state(*arguments)
+    if model.interface is not None and model.interface.n_registers != len(state.registers):
+        raise RobotModelError(
+            f"model {model.name}: interface.n_registers = {model.interface.n_registers}; expected "
+            f"{len(state.registers)}, the number of registers in its core's state"
+        )
+    return state
 
 
 def sense(robot: RobotState, simulated: Simulated, inputs: StepInputs, start: int) -> None:

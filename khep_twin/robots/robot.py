@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from khep_twin import step
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector, locate
 from khep_twin.board.turrets import TurretBody
-from khep_twin.errors import RobotModelError
 from khep_twin.robots.model import SampledRegisters, robot_name
 from khep_twin.sensing.device_faults import DEAD, SOUND, STUCK
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -105,13 +104,6 @@ class Robot(WiredBoard, ABC):
         self.dialect = model.dialect
         self.indices = indices
         self._context = context
-        if model.interface is not None:
-            n_registers, n_expected = model.interface.n_registers, len(self._record["registers"])
-            if n_registers != n_expected:
-                raise RobotModelError(
-                    f"model {model.name}: interface.n_registers = {n_registers}; expected {n_expected}, the "
-                    "number of registers in its core's state"
-                )
         self._has_stopped = False
         self._wheels = None
         if any(fault.device == WHEEL for fault in faults):

@@ -18,7 +18,7 @@ from khep_twin.playpen.model import MANY_ROBOTS
 from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import set_step, to_spec
 from khep_twin.process.status_line import announced
-from khep_twin.robots.core import core_of
+from khep_twin.robots.core import core_of, make_state
 from khep_twin.robots.model import robot_name
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
@@ -169,7 +169,8 @@ class MujocoForms:
         first_moment = 0
         robots = zip(self.cores, self.indices, self._run_calibrations, self._playpen.robots, strict=True)
         for core, indices, measured, entry in robots:
-            states.append(core.make_state(self.model, indices, measured, entry, first_moment))
+            arguments = self.model, indices, measured, entry, first_moment
+            states.append(make_state(entry.robot_model, *arguments))
             first_moment += core.n_moments
         return states
 

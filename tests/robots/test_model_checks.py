@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 import serial
 
+from khep_twin import ConstantSpeed, rollout
 from khep_twin import playpen as playpens
 from khep_twin.cli.ports import _describe_robot  # pyright: ignore[reportPrivateUsage]
 from khep_twin.envs.tasks import Task
@@ -147,10 +149,12 @@ def test_a_world_refuses_a_number_of_registers_unlike_that_of_the_core(
     robots = (
         playpen.robots[0].model_copy(update={"model": "toy", "calibration": toy.calibration, "rom": "toy-1"}),
     )
-    with pytest.raises(
-        RobotModelError, match="n_registers = 19; expected 17, the number of registers in its core"
-    ):
-        World(playpen.model_copy(update={"robots": robots}))
+    toys = playpen.model_copy(update={"robots": robots})
+    for make in (World, partial(rollout, driver=ConstantSpeed(0, 0), seeds=[1], seconds=0.1, planar=True)):
+        with pytest.raises(
+            RobotModelError, match="n_registers = 19; expected 17, the number of registers in its core"
+        ):
+            make(toys)
 
 
 def test_wheels_of_a_body_and_of_its_usual_calibration_are_the_same(toy: RobotModel) -> None:

@@ -19,7 +19,7 @@ from khep_twin.playpen import Lamp, Lighting
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.process.one_thread import one_thread
 from khep_twin.randomness import stream
-from khep_twin.robots.core import core_of
+from khep_twin.robots.core import make_state
 from khep_twin.robots.model import robot_name
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
@@ -173,8 +173,8 @@ class PlanarForms:
 
     def _set_constants(self, scene: PlanarScene) -> None:
         """Set the constants of a plane, and the robot's sensors from the last drawn calibration."""
-        make_state, indices = core_of(self._entry.robot_model).make_state, scene.indices
-        self._robot_state = make_state(self._model, indices, self._drawn_calibration, self._entry, 0)
+        arguments = self._model, scene.indices, self._drawn_calibration, self._entry, 0
+        self._robot_state = make_state(self._entry.robot_model, *arguments)
         proximity = self._robot_state.sensors.proximity
         ranges = np.array(proximity.offset) + proximity.reach + scene.mounts[: len(proximity.reach), 4]
         record: Any = self._records[0]
