@@ -92,8 +92,7 @@ def find_family(name: str) -> RobotModel:
     Raises:
         RobotModelError: No installed package has it.
     """
-    shipped = _families_of(shipped_models())
-    return shipped.get(name) or installed_families().get(name) or find_model(name)
+    return _shipped_families().get(name) or installed_families().get(name) or find_model(name)
 
 
 def find_replying_family(versions_reply: str) -> RobotModel | None:
@@ -122,6 +121,11 @@ def default_model() -> RobotModel:
 def installed_families() -> Mapping[str, RobotModel]:
     """Return the first model of each family."""
     return _families_of(installed_models())
+
+
+@cache
+def _shipped_families() -> Mapping[str, RobotModel]:
+    return _families_of(shipped_models())
 
 
 def _families_of(models: Mapping[str, RobotModel]) -> Mapping[str, RobotModel]:
