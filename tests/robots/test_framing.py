@@ -2,7 +2,6 @@
 
 import random
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from itertools import islice
@@ -235,9 +234,9 @@ def test_a_host_is_served_after_one_that_left_within_a_frame(where: str, tmp_pat
             )
             server.start()
             try:
-                with closing(serial.serial_for_url(port.path, 57_600)) as host:
-                    host.write(b"\xc5\x01\x02" + frame(2, 100, 100)[:5])
-                    time.sleep(0.05)
+                with closing(serial.serial_for_url(port.path, 57_600, timeout=60)) as host:
+                    host.write(frame(1) + b"\xc5\x01\x02" + frame(2, 100, 100)[:5])
+                    assert host.read(7).hex() == "c501546f7901fd"
                 model = find_model("toy")
                 with connect(port.path) if where == "pty" else open_robot(model, port.path) as robot:
                     assert type(robot) is model.load_class("host", HostRobot)
