@@ -75,13 +75,13 @@ def load_entry(entry: "EntryPoint", text: str, error_type: type[Exception]) -> o
     """Return the object of an entry point; `text` names it in the error.
 
     Raises:
-        error_type: Its module cannot be imported, or has no such object.
+        error_type: Its module cannot be imported, or it lacks the object.
     """
     try:
         return entry.load()
     except (ImportError, AttributeError) as error:
         raise error_type(f"{text} cannot be loaded: {error}") from error
-    except Exception as error:  # the package's module may raise any error, such as a SyntaxError
+    except Exception as error:  # the package's module may raise any error, for example a SyntaxError
         raise error_type(f"{text} cannot be loaded: {type(error).__name__}: {error}") from error
 
 

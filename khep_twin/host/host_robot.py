@@ -142,7 +142,7 @@ class HostRobot:
         self._line.port.check_clock(subject)
 
     def check_model(self) -> None:
-        """Refuse a robot of another kind, by its reply to the first probe, such as B.
+        """Refuse a robot of another kind, by its reply to the first probe, for example B.
 
         Raises:
             PortError: The robot is of another kind.
@@ -180,7 +180,7 @@ class HostRobot:
         return {name: [replies[_request_of(read)][i] for i in read.values] for name, read in reads.items()}
 
     def read_registers(self, registers: Sequence[int]) -> list[int]:
-        """Return registers of the model, such as those of `Interface.proximity`, one request at a time.
+        """Return registers of the model, for example those of `Interface.proximity`, one request at a time.
 
         Raises:
             RobotModelError: No request reads one of them.

@@ -1,8 +1,8 @@
 """Resynchronization of a line after a missing or malformed reply, and the wait for late replies.
 
-A probe is sent: the first of the dialect's probes, such as `B`, `H`, `E`, `K`, without a pending reply. All
-replies before its reply are late, and the last of them is the expected reply. If replies to all probes are
-pending, the line must also be silent after the reply.
+A probe is sent: the first of the dialect's probes (`B`, `H`, `E`, `K` of a Khepera) without a pending reply.
+All replies before its reply are late, and the last of them is the expected reply. If replies to all probes
+are pending, the line must also be silent after the reply.
 
 A machine that is busy replies late. Without a reply to the probe, the next one is sent until the line has
 been silent for long enough, and a late reply is reported once.

@@ -112,7 +112,7 @@ def relocate(typing_context, values, addresses, row):
 
 @intrinsic
 def call_update(typing_context, function, model, data):
-    """Call a function of MuJoCo that updates the state, such as mj_step."""
+    """Call a function of MuJoCo that updates the state, for example mj_step."""
 
     def generate(context, builder, signature, arguments):
         _emit_c_call(builder, arguments, [_BYTE_POINTER] * 2, ir.VoidType())

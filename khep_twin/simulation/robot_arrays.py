@@ -46,8 +46,8 @@ class Layout(NamedTuple):
             ValueError: They are damaged.
         """
         if arrays.keys() != self.arrays.keys():
-            given = ", ".join(sorted(arrays)) or "none"
-            raise ValueError(f"arrays {given}; expected {', '.join(sorted(self.arrays))}")
+            names = ", ".join(sorted(arrays)) or "none"
+            raise ValueError(f"arrays {names}; expected {', '.join(sorted(self.arrays))}")
         for path, parts in self.arrays.items():
             field = _field(record, path)
             field[:] = read(path, arrays[path], parts, is_float=field.dtype.kind == "f")

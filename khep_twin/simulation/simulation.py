@@ -325,7 +325,7 @@ class Simulation:
 
 
 def plain_advance(simulated: Simulated, inputs: StepInputs, end_step: int, stops: int) -> int:
-    """Run `step.advance`, or for `end_step` below 0 what `step.SWITCH_ON` and `step.EVALUATE` stand for."""
+    """Run `step.advance`, or for `end_step` below 0 the action of `step.SWITCH_ON` or `step.EVALUATE`."""
     if end_step < step.SWITCH_ON:
         step.evaluate_recorded(simulated.groups, simulated, inputs, step.EVALUATE - end_step, stops)
         return step.Reason.DONE

@@ -124,7 +124,7 @@ class NetworkTable(TomlTable):
         """Return the controller of a robot.
 
         Raises:
-            RobotModelError: The model has no such term.
+            RobotModelError: The model lacks a term.
         """
         top_speed = self.top_speed_pulses or 0.0
         return Network(

@@ -3,7 +3,7 @@
 The gauge counts voltage in 9.76 mV, current in 0.0781 mA, charge in 1.6 mAh, temperature in 1/256 degree C.
 """
 
-AROUND = ("back left", "left", "front left", "front", "front right", "right", "back right", "back")
+RING = ("back left", "left", "front left", "front", "front right", "right", "back right", "back")
 GROUND = ("ground left", "ground front left", "ground front right", "ground right")
 """Names of the infrared sensors around the robot and of those that look at the floor."""
 
@@ -30,7 +30,7 @@ LEDS = ("left", "right", "back")
 
 _WHEEL_LABELS = "left, right, setpoint left, setpoint right"
 _AXES = "x, y, z"
-_INFRARED = ", ".join((*AROUND, *GROUND))
+_INFRARED = ", ".join((*RING, *GROUND))
 
 CHANNELS = {
     "proximity": f"{_INFRARED} [counts]",

@@ -238,14 +238,6 @@ class Dspic:
         )
 
     @property
-    def newest_inertial(self) -> list[int]:
-        """Newest values of accelerometer and gyroscope, x, y and z each."""
-        registers = (DspicRegister.ACCELEROMETER, DspicRegister.GYROSCOPE)
-        return [
-            read_signed(self.state.memory, first + 20 * axis, 2) for first in registers for axis in range(3)
-        ]
-
-    @property
     def leds(self) -> bytes:
         """Red, green and blue of the LEDs front left, front right and back, 0 to 63 (9,)."""
         return bytes(self._memory[DspicRegister.LEDS : DspicRegister.LEDS + 9].tolist())

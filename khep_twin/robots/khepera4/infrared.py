@@ -24,7 +24,7 @@ from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import BeamScene, position, ray, sensor_frame
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
-N_AROUND = N_SENSORS
+N_RING = N_SENSORS
 """Number of sensors around the robot; the others look at the floor."""
 
 PERIOD_NS = 5_000_000
@@ -89,7 +89,7 @@ def measure(
     first_draw, ambient_optics = time_ns // PERIOD_NS * n_sensors, sensors.ambient
     for channel in range(n_sensors):
         noise = draws(tables, key, first_draw + channel)
-        if channel < N_AROUND:
+        if channel < N_RING:
             reflected, ambient = convert(scene, sensors, light, powers, time_ns, channel, noise)
         else:
             reflected = _floor_counts(scene, sensors, ground, channel, noise[0])
@@ -121,6 +121,6 @@ def _floor_counts(scene: BeamScene, sensors: RobotSensors, ground: Ground, chann
         if distance >= 0:
             nearness = min((_HEIGHT + _LENS) / (distance + _LENS), 1.0)
             total += reflectance * (nearness * nearness)
-    white, dark = ground.white_counts[channel - N_AROUND], ground.nothing_counts
+    white, dark = ground.white_counts[channel - N_RING], ground.nothing_counts
     counts = dark + (white - dark) * total / len(_SPOT_POINTS) + ground.noise_counts * noise
     return min(max(round(counts), 0), COUNTS_LIMIT)

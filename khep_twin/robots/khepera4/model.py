@@ -7,12 +7,12 @@ from pathlib import Path
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.khepera4.channels import (
-    AROUND,
     BAUD,
     CHANNELS,
     GROUND,
     LEDS,
     PACKET_SIZE,
+    RING,
     ULTRASONIC,
     ULTRASONIC_CODES,
 )
@@ -46,7 +46,7 @@ BODY = Body(
     idle_current=0.4857,
     height=0.0577,
     scene=str(Path(__file__).parent / "assets" / "khepera4.xml"),
-    sensors=(*AROUND, *GROUND),
+    sensors=(*RING, *GROUND),
     wheel_radius=0.021,
     wheel_width=0.0065,
     wheel_base=0.1054,
@@ -78,9 +78,9 @@ _TOP_RATE = 8_000  # 528 deg/s (assumed)
 
 _INTERFACE = Interface(
     SAMPLED[-1].registers[-1] + 1,
-    proximity=(_FIRST["proximity"], _FIRST["proximity"] + len(AROUND)),
-    ambient=(_FIRST["ambient"], _FIRST["ambient"] + len(AROUND)),
-    sides=(_FIRST["proximity"] + AROUND.index("left"), _FIRST["proximity"] + AROUND.index("right")),
+    proximity=(_FIRST["proximity"], _FIRST["proximity"] + len(RING)),
+    ambient=(_FIRST["ambient"], _FIRST["ambient"] + len(RING)),
+    sides=(_FIRST["proximity"] + RING.index("left"), _FIRST["proximity"] + RING.index("right")),
     setpoints=(_FIRST["speed"] + 2, _FIRST["speed"] + 3),
     positions=(_FIRST["position"], _FIRST["position"] + 1),
     counts=(100, COUNTS_LIMIT),
@@ -89,7 +89,7 @@ _INTERFACE = Interface(
 )
 
 _TERMS = (
-    Term("ground", _FIRST["proximity"] + len(AROUND), GROUND, 0, COUNTS_LIMIT, "counts"),
+    Term("ground", _FIRST["proximity"] + len(RING), GROUND, 0, COUNTS_LIMIT, "counts"),
     Term("ultrasonic", _FIRST["ultrasonic"], ULTRASONIC, 0, 250, "cm"),
     Term("gyroscope", _FIRST["gyroscope"] + 2, ("turn",), -_TOP_RATE, _TOP_RATE, "0.066 deg/s"),
 )

@@ -14,7 +14,7 @@ import re
 from collections.abc import Sequence
 
 from khep_twin.firmware import FirmwareState
-from khep_twin.robots.khepera4.channels import AROUND, BINARY_BYTES, PACKET_SIZE
+from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE, RING
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
@@ -139,7 +139,7 @@ class Kh4Server(LineServer):
         vehicle = self._vehicle
         if not vehicle[WANDERING]:
             return
-        proximity, position = self._read(DspicRegister.PROXIMITY, len(AROUND)), self._read(*_READS["r"])
+        proximity, position = self._read(DspicRegister.PROXIMITY, len(RING)), self._read(*_READS["r"])
         last_position = vehicle[_LAST_LEFT], vehicle[_LAST_RIGHT]
         is_still = all(
             abs(new - old) < MOVED_PULSES for new, old in zip(position, last_position, strict=True)

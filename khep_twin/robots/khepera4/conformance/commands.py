@@ -4,10 +4,10 @@ import re
 
 from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check, expect_range
 from khep_twin.robots.khepera4.channels import (
-    AROUND,
     BINARY_BYTES,
     GROUND,
     PACKET_SIZE,
+    RING,
     ULTRASONIC,
     ULTRASONIC_CODES,
 )
@@ -15,7 +15,7 @@ from khep_twin.robots.khepera4.conformance.grammar import PUBLISHED, REVISION, e
 from khep_twin.units import COUNTS_LIMIT
 
 _TOO_NEAR_CM, _NO_ECHO_CM, _DISABLED_CM = ULTRASONIC_CODES
-_N_INFRARED = len(AROUND) + len(GROUND)
+_N_INFRARED = len(RING) + len(GROUND)
 
 _ROUND_S = 0.3
 """Time in which every ultrasonic sensor measures more than twice [s]."""
