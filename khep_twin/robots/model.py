@@ -50,7 +50,6 @@ class Feature(StrEnum):
     LINE = "an episode with a line"
     TOOLBOX = "a controller in the toolbox's form"
     FIT = "a fit"
-    PROGRAMS = "programs of the page"
     SHADOW = "the shadow"
     RECORDING_CHECKS = "the checks of a recording"
 
@@ -229,6 +228,7 @@ class RobotModel:
         vehicle: Function that returns the setpoints of its Braitenberg vehicle [register], by the readings of
             proximity; None without a vehicle.
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
+        template: First text of a controller for it: a file in assets, or a path; empty for a straight drive.
     """
 
     name: str
@@ -250,6 +250,7 @@ class RobotModel:
     tasks: Mapping[str, str] = field(default_factory=dict[str, str])
     vehicle: Callable[[Sequence[int]], tuple[int, int]] | None = None
     commands: Mapping[str, str] = field(default_factory=dict[str, str])
+    template: str = ""
 
     def load(self, part: str, kind: type[Base]) -> Base:
         """Return a part that is an instance of `kind`.

@@ -6,14 +6,15 @@ from collections.abc import Mapping
 
 from khep_twin import playpen as playpens
 from khep_twin.board.rom import Rom
-from khep_twin.errors import PlaypenError
+from khep_twin.errors import CalibrationError, PlaypenError
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import choices_of
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Lighting, RobotEntry, model_defaults
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
-from khep_twin.robots.model import Feature
+from khep_twin.robots.model import Feature, RobotModel
 from khep_twin.robots.registry import installed_models
+from khep_twin.sensing import calibration
 
 Draft = dict[str, object]
 
@@ -72,11 +73,13 @@ def text_of(draft: Mapping[str, object], base: str | None) -> str:
 def models() -> dict[str, object]:
     """Return each model's default keys, the values of its other keys, and whether it has turrets.
 
-    `modes` has the running modes of each ROM: number and description.
+    `calibrations` are the built-in ones for its sensors, `modes` has the running modes of each ROM: number
+    and description.
     """
     return {
         name: {
             "defaults": dict(model_defaults(name)),
+            "calibrations": [title for title in calibration.names() if _fits(title, model)],
             "modes": {version: _modes(rom) for version, rom in model.roms.items()},
             "has_turrets": Feature.TURRETS in model.features,
         }
@@ -97,6 +100,15 @@ def key_choices() -> dict[str, object]:
 def surfaces() -> dict[str, object]:
     """Return the built-in surfaces."""
     return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}
+
+
+def _fits(name: str, model: RobotModel) -> bool:
+    """Return whether a calibration has the sensors of a model."""
+    try:
+        calibration.read_for(name, model)
+    except CalibrationError:
+        return False
+    return True
 
 
 def _modes(rom: Rom) -> dict[int, str]:

@@ -17,16 +17,15 @@ from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, PortE
 from khep_twin.files.atomic import read_regular, unusable, write_atomic
 from khep_twin.files.text import decode
 from khep_twin.host.discovery import found_ports
+from khep_twin.lab.experiment.controllers import template_of
 from khep_twin.playpen import Playpen, bitmap, bitmap_files
 from khep_twin.playpen.starts import at_spots
+from khep_twin.robots.registry import DEFAULT, find_model
 from khep_twin.web import drafts, requests
 from khep_twin.web.answers import Actions, action
 from khep_twin.web.documents import PROGRAM_SUFFIXES, ConflictError, Documents, OutsideError, version_of
 from khep_twin.web.messages import Publish
 from khep_twin.web.requests import PROGRAM_LIMIT
-
-TEMPLATE = Path(__file__).parent.parent / "assets" / "controller_template.py"
-"""Initial text of a new program."""
 
 _DOWNLOAD = "application/octet-stream"
 """Type of a file that a browser saves instead of showing it."""
@@ -43,14 +42,14 @@ class Programs:
         self._writable = writable
         self._save_lock = threading.Lock()
 
-    def open(self, name: str) -> dict[str, object]:
-        """Return a program's text and version; the template if the file does not exist.
+    def open(self, name: str, model: str = DEFAULT) -> dict[str, object]:
+        """Return a program's text and version; the template of a model if the file does not exist.
 
         Raises:
             KhepTwinError: The file cannot be used.
         """
         text = self._text(name)
-        content = TEMPLATE.read_text(encoding="utf-8") if text is None else text
+        content = template_of(find_model(model)) if text is None else text
         return {"text": content, "version": None if text is None else version_of(text)}
 
     def save(self, name: str, text: str, version: str | None, overwrite: bool) -> str:
@@ -112,7 +111,9 @@ class FileActions:
             "preview": action(requests.DraftRequest, self._preview),
             "log": action(requests.FileRequest, self._log),
             "report": action(requests.FileRequest, self._report),
-            "program": action(requests.FileRequest, lambda request: programs.open(request.file)),
+            "program": action(
+                requests.ProgramRequest, lambda request: programs.open(request.file, request.model)
+            ),
             "save-program": action(requests.SaveProgramRequest, self._save_program),
         }
 

@@ -5,15 +5,15 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
 
-from khep_twin.host import Khepera
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import forget_modules_beside
-from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController
+from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, as_controller
 from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_files import SeriesFolder
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun
@@ -28,7 +28,7 @@ Progress = Callable[[float], None]
 """Function that takes the completed part of a job, 0 to 1."""
 
 
-Job = Callable[[Khepera, Publish, Progress, Callable[[], bool]], None]
+Job = Callable[[HostRobot, Publish, Progress, Callable[[], bool]], None]
 """Job of the robot: does it and reports its progress, until it is done or the last function returns True."""
 
 
@@ -51,10 +51,11 @@ class SeriesJob:
     robot: int = 0
 
     def __call__(
-        self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]
+        self, robot: HostRobot, publish: Publish, progress: Progress, stop: Callable[[], bool]
     ) -> None:
         """Run the series."""
         plan = self.plan
+        as_controller(self.controller).require_model(robot.model)
         series_folder = None
         if self.folder is not None:
             limits = {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause}
@@ -86,7 +87,7 @@ class SeriesJob:
 def file_job(request: RunRequest, documents: Documents, number: int) -> Job:
     """Return a series whose controller is read in the job: its file may print, and may never return."""
 
-    def do(robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
+    def do(robot: HostRobot, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         series_job(request, documents, number)(robot, publish, progress, stop)
 
     return do
@@ -124,10 +125,10 @@ def sensor_test(request: SenseRequest) -> SensorTest:
 
 
 def sensor_job(test: SensorTest, save: Callable[[SensorRun], None], text: str = "") -> Job:
-    """Return a sensor test with a description; `save` takes its data."""
+    """Return a sensor test of a robot of any model, with a description; `save` takes its data."""
 
-    def do(robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
-        run = sense(robot, test, text=text, progress=progress, stop=stop)
+    def do(robot: HostRobot, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
+        run = sense(robot, replace(test, model=robot.model.family), text=text, progress=progress, stop=stop)
         save(run)
         publish({"kind": "sensed", "warning": run.warning})
 

@@ -11,18 +11,24 @@ from typing import Literal, NotRequired, TypedDict
 class RobotShape(TypedDict):
     """Radius of a robot [mm], and position [mm] and heading [deg] of each proximity sensor.
 
-    `names` are those of the infrared sensors, of which `n_ground` point at the floor; `wheels_mm` has the
-    distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`,
+    `programs` are the built-in controllers that can drive its model, and `speed_unit` is that of the wheels'
+    speeds; `names` are those of the infrared sensors, of which `n_ground` point at the floor; `wheels_mm` has
+    the distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`,
     `sonar_codes` their readings without a distance, and `sonar_unit_mm` the unit of others; `bars` has the
     kinds of bars.
     """
 
+    model: str
+    title: str
+    programs: Sequence[str]
+    speed_unit: str
     radius_mm: float
     sensors: Sequence[Sequence[float]]
     names: Sequence[str]
     n_ground: int
     wheels_mm: Sequence[float]
     sonar: Sequence[Sequence[float]]
+    sonar_height_mm: float
     sonar_unit_mm: float
     sonar_codes: Sequence[int]
     bars: Mapping[str, object]

@@ -14,6 +14,7 @@ from khep_twin.errors import KhepTwinError, Problem
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import TomlTable
 from khep_twin.randomness import SEED_LIMIT
+from khep_twin.robots.registry import DEFAULT
 from khep_twin.units import COUNTS_LIMIT
 
 _DEPTH_LIMIT = 32
@@ -71,6 +72,12 @@ class FileRequest(Request):
     """A request about a file."""
 
     file: FileName
+
+
+class ProgramRequest(FileRequest):
+    """A program to open, for robots of a model."""
+
+    model: ShortText = DEFAULT
 
 
 class PlaypenRequest(Request):

@@ -36,7 +36,6 @@ class RobotActor(SessionActor):
     def _serve(self) -> None:
         robot = connect(self._url)
         model = robot.model
-        self.models = [model]
         with robot:
             self._start_time = robot.time
             if isinstance(robot, Khepera):
@@ -51,7 +50,7 @@ class RobotActor(SessionActor):
                 self._poll(robot)
                 for job in self.jobs[:1]:
                     try:
-                        if job is not None and isinstance(robot, Khepera):
+                        if job is not None:
                             self._do_job(job, robot, self._is_stopping)
                     finally:
                         self._finish_jobs()
@@ -60,7 +59,7 @@ class RobotActor(SessionActor):
     def _is_stopping(self) -> bool:
         return self._halt.is_set() or self._is_ending()
 
-    def _set_progress(self, progress: float, robot: Khepera) -> None:
+    def _set_progress(self, progress: float, robot: HostRobot) -> None:
         super()._set_progress(progress, robot)
         if robot.time - self._poll_time > 2 * _POLL_INTERVAL:
             self._poll(robot)

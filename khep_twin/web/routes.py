@@ -1,7 +1,6 @@
 """Routes of the page: its files, its actions and its messages."""
 
 import asyncio
-from dataclasses import asdict
 from pathlib import Path
 from typing import cast
 
@@ -15,8 +14,7 @@ from khep_twin import playpen as playpens
 from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.toml_files import summary
-from khep_twin.lab.experiment.controllers import BUILT_IN
-from khep_twin.robots.registry import default_model, installed_models
+from khep_twin.robots.registry import installed_models
 from khep_twin.sensing import colours
 from khep_twin.web import drafts, requests
 from khep_twin.web.answers import Actions, action, body_endpoint, endpoint, internal_error
@@ -107,8 +105,6 @@ class Page:
             "version_of_twin": __version__,
             "surfaces": drafts.surfaces(),
             "library": {name: summary("playpens", name) for name in playpens.names()},
-            "controllers": list(BUILT_IN),
-            "bars": {name: asdict(bar) for name, bar in default_model().bars.items()},
             "colours": {"sensors": colours.ALL_SENSORS, "wheels": colours.WHEELS},
             "turrets": {
                 name: {"description": kind.description, "parts": start_parts(name)}

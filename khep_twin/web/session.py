@@ -14,15 +14,13 @@ answers with messages to the page. Two states describe an actor, its activity
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from ctypes import c_ulong, py_object, pythonapi
 from enum import IntEnum
 
 from khep_twin.errors import KhepTwinError, PortError, user_error_text
-from khep_twin.host import Khepera
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.process.machine import n_forks
-from khep_twin.robots.model import Feature, RobotModel
-from khep_twin.robots.registry import titles_with
 from khep_twin.web.jobs import Job
 from khep_twin.web.messages import Message, Publish
 from khep_twin.web.print_capture import PrintBuffer, captured_by
@@ -47,7 +45,7 @@ class SessionActor:
     """Common part of twin and robot sessions: a thread with one job at a time for each robot.
 
     The thread calls `publish` with messages for the page. `jobs` are the current jobs, with None for a robot
-    that stands; empty while idle. `models` are the models of the robots.
+    that stands; empty while idle.
     """
 
     def __init__(self, publish: Publish) -> None:
@@ -55,7 +53,6 @@ class SessionActor:
         self._phase = Phase.OPEN
         self._phase_lock = threading.Lock()
         self.jobs: tuple[Job | None, ...] = ()
-        self.models: Sequence[RobotModel] = ()
         self._stopping_jobs: tuple[Job | None, ...] = ()
         self._job_threads: set[int] = set()
         # Jobs report their completed part at each cycle; it is sent with the pictures.
@@ -77,16 +74,11 @@ class SessionActor:
         """Start jobs, the first one for the first robot; None lets a robot stand.
 
         Raises:
-            PortError: The session has jobs already or has ended, or a robot runs no jobs.
+            PortError: The session has jobs already or has ended.
         """
         if self.jobs or not self.is_alive:
             text = "the robot is busy; expected a stopped robot" if self.is_alive else "it has ended"
             raise PortError(text)
-        for number, (job, model) in enumerate(zip(jobs, self.models, strict=False), 1):
-            if job is not None and Feature.PROGRAMS not in model.features:
-                problem = f"robot {number} is {model.dialect.robot_name}"
-                expected = f"{titles_with(Feature.PROGRAMS)} for {Feature.PROGRAMS.value}"
-                raise PortError(f"{problem}; expected {expected}")
         self._progress = 0.0
         self.jobs = jobs
 
@@ -148,11 +140,11 @@ class SessionActor:
         """Run the session until it is ending."""
         raise NotImplementedError
 
-    def _set_progress(self, progress: float, robot: Khepera) -> None:
+    def _set_progress(self, progress: float, robot: HostRobot) -> None:
         self._exit_if_forked()
         self._progress = round(progress, 4)
 
-    def _do_job(self, job: Job, robot: Khepera, stop: Callable[[], bool]) -> None:
+    def _do_job(self, job: Job, robot: HostRobot, stop: Callable[[], bool]) -> None:
         """Do a job; report its errors and continue."""
         self._job_threads.add(threading.get_ident())
         try:

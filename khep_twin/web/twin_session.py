@@ -29,7 +29,7 @@ from khep_twin.web.scene import DrawnScene, TurretParts
 from khep_twin.web.session import SessionActor
 
 _EXTRA_CHANNELS = ("ultrasonic", "position", "accelerometer", "gyroscope", "battery")
-"""Further channels of a Khepera IV that the page shows."""
+"""Further channels that the page shows, of the models that have them."""
 
 _NOT_STARTED = "the twin is not there yet; expected a started twin"
 
@@ -39,7 +39,6 @@ class TwinActor(SessionActor):
 
     def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, publish: Publish) -> None:
         super().__init__(publish)
-        self.models = [robot.robot_model for robot in playpen.robots]
         self.playpen = playpen
         self._options = options
         self.log = log

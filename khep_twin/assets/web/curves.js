@@ -6,10 +6,10 @@ const SPAN = 20; // shown [s]
 const SLOT = 0.04; // interval of the samples, each the last of its slot [s]
 const SIZE = 512; // capacity of a ring buffer: more than SPAN / SLOT samples
 // Plots: `n` values of a sample from index `first`, with the colours of the legend from index `entry`.
-const createPlots = (n) => ({
+const createPlots = (n, unit) => ({
   proximity: { title: "proximity [counts]", first: 0, n, entry: 0, lowest: 0 },
   light: { title: "light [counts, low is bright]", first: n, n, entry: 0, lowest: 0 },
-  speed: { title: "speeds of the wheels [pulses/10 ms]", first: 2 * n, n: 2, entry: n, lowest: -1 },
+  speed: { title: `speeds of the wheels [${unit}]`, first: 2 * n, n: 2, entry: n, lowest: -1 },
 });
 const [LEFT, RIGHT, TITLE, PLOT, HEIGHT, FOOT] = [38, 8, 17, 76, 101, 22]; // [px]
 
@@ -50,12 +50,12 @@ export class Curves {
     this.#colourTable = colours;
   }
 
-  #createLegend({ names, bars }) {
+  #createLegend({ names, bars, speed_unit: unit }) {
     const { sensors, wheels } = this.#colourTable;
-    this.#plots = createPlots(names.length);
+    this.#plots = createPlots(names.length, unit);
     this.#fullScale = Object.fromEntries(Object.entries(bars).map(([name, { full }]) => [name, full]));
     const wheelColours = Object.entries(wheels).map(([side, colour]) => [`${side} wheel`, colour]);
-    this.curves = [...names.map((name) => [name, sensors[name]]), ...wheelColours].map(([name, colour]) => {
+    this.curves = [...names.map((name) => [name, sensors[name] ?? sensors.back]), ...wheelColours].map(([name, colour]) => {
       const [entry, chip, value] = ["li", "i", "b"].map((tag) => create(tag));
       entry.append(chip, name, value);
       return { colour, entry, chip, value };

@@ -4,6 +4,7 @@ import { clampFinite, KINDS, OBJECTS } from "./model.js";
 
 const NS = "http://www.w3.org/2000/svg";
 const MAX_STRIPES = 1000; // of a side
+const STEPS = [100, 200, 500, 1000, 2000, 5000, 10000]; // distances of the labels of the axes [mm]
 
 export class Drawing {
   constructor(svg, model) {
@@ -11,10 +12,11 @@ export class Drawing {
     this.model = model;
     this.world = createSvg("g", { transform: "scale(1,-1)" });
     this.ground = createSvg("g");
+    this.axes = createSvg("g");
     this.parts = createSvg("g");
     this.liveGroup = createSvg("g");
     this.overlay = createSvg("g");
-    this.world.append(this.ground, this.parts, this.liveGroup, this.overlay);
+    this.world.append(this.ground, this.axes, this.parts, this.liveGroup, this.overlay);
     this.labels = createSvg("g");
     svg.append(this.world, this.labels);
     this.nodes = new Map();
@@ -22,6 +24,7 @@ export class Drawing {
     this.shapes = {};
     this.turrets = {};
     this.view = { x: 0, y: 0, width: 600, height: 500 };
+    new ResizeObserver(() => this.#drawAxes()).observe(svg);
   }
 
   surfaceColour(name) {
@@ -31,16 +34,16 @@ export class Drawing {
 
   fit() {
     const { width_mm, height_mm, wall_thickness_mm } = this.#arenaSize();
-    const margin = wall_thickness_mm + 28;
-    const showArena = (legend) => this.setView(-margin, -height_mm - margin - legend, width_mm + 2 * margin, height_mm + 2 * (margin + legend));
-    showArena(0);
-    // The legend is above the arena, usually in at most two lines; the margin below is as high.
-    showArena(Math.max(50 * this.pixelMm - 28, 0));
+    const showArena = (side, end) => this.setView(-side, -height_mm - end, width_mm + 2 * side, height_mm + 2 * end);
+    showArena(wall_thickness_mm, wall_thickness_mm);
+    // The axes are beside the arena, and the legend above it, usually in at most two lines; the margin below is as high.
+    for (const { pixelMm } of [this, this]) showArena(wall_thickness_mm + 44 * pixelMm, wall_thickness_mm + 50 * pixelMm);
   }
 
   setView(x, y, width, height) {
     this.view = { x, y, width, height };
     this.svg.setAttribute("viewBox", `${x} ${y} ${width} ${height}`);
+    this.#drawAxes();
     this.onView?.();
   }
 
@@ -123,16 +126,17 @@ export class Drawing {
     this.drawReasons(
       entries.map(([id, text]) => {
         const part = this.model.part(id);
-        return [(part.points_mm ? part.points_mm[0] : [part.x_mm, part.y_mm]).map((value) => clampFinite(value)), text];
+        return [(part.points_mm ? part.points_mm[0] : [part.x_mm, part.y_mm]).map((value) => clampFinite(value)), text, this.shapes[part.model]?.radius_mm];
       }),
     );
   }
 
-  // Draws reasons, each beside its position.
+  // Draws reasons, each beside its position, and the robot there of a radius.
   drawReasons(reasons) {
     const size = 13 * this.pixelMm;
     this.labels.replaceChildren(
-      ...reasons.map(([[x, y], text]) => {
+      ...reasons.map(([[x, y], text, radius = 27]) => {
+        const offset = radius + 5 * this.pixelMm;
         const lines = text.split("\n")[0].replace(/^[^:]*? (overlaps|is outside)/, "$1").split(/; expected /);
         const { width_mm } = this.model.draft.arena;
         const isRight = x > width_mm / 2; // its text ends at the part
@@ -141,7 +145,7 @@ export class Drawing {
         label.style.strokeWidth = `${size / 3}px`;
         lines.forEach((content, line) =>
           label.append(
-            Object.assign(createSvg("tspan", { x: x + (isRight ? -32 : 32), y: -y + line * size * 1.2 }), {
+            Object.assign(createSvg("tspan", { x: x + (isRight ? -offset : offset), y: -y + line * size * 1.2 }), {
               textContent: line ? `→ ${content}` : `! ${content}`,
             }),
           ),
@@ -226,23 +230,27 @@ export class Drawing {
       createSvg("path", { d: path, fill: "none", stroke: this.surfaceColour(arena.surface ?? "white"), "stroke-width": Math.max(2 * thickness - 3, 1) }),
     ];
     const step = Math.max(width, height) > 2500 ? 500 : 100;
-    let lines = "";
-    const texts = [];
-    for (let x = 0; x <= width; x += step) {
-      lines += `M${x} 0V${height}`;
-      texts.push([x, -thickness - 14, x, "middle"]);
-    }
-    for (let y = 0; y <= height; y += step) {
-      lines += `M0 ${y}H${width}`;
-      texts.push([-thickness - 4, y - 4, y, "end"]);
-    }
+    const lines = [...multiples(step, width).map((x) => `M${x} 0V${height}`), ...multiples(step, height).map((y) => `M0 ${y}H${width}`)].join("");
     this.ground.replaceChildren(
       ...walls,
       createSvg("path", { d: path, class: "floor", ...(arena.table && { style: "stroke: var(--edge); stroke-dasharray: 12 6" }) }), // a table has an edge instead of walls
       ...this.#createStripes(arena, [...corners].every((corner) => corner.length === 2) ? innerSides(corners) : []),
       createSvg("path", { d: lines, class: "grid" }),
-      ...texts.map(([x, y, text, anchor]) => Object.assign(createSvg("text", { class: "axis", transform: `translate(${x} ${y}) scale(1,-1)`, "text-anchor": anchor }), { textContent: text })),
     );
+    this.#drawAxes();
+  }
+
+  // Draws the labels of the axes, in the same size at any zoom, as many as have room.
+  #drawAxes() {
+    const { width_mm: width, height_mm: height, wall_thickness_mm: thickness } = this.#arenaSize();
+    const { pixelMm } = this;
+    if (!(pixelMm < Infinity)) return; // the plan is hidden
+    const step = STEPS.find((step) => step > 44 * pixelMm) ?? STEPS.at(-1);
+    const texts = [
+      ...multiples(step, width).map((x) => [x, -thickness - 14 * pixelMm, x, "middle"]),
+      ...multiples(step, height).map((y) => [-thickness - 4 * pixelMm, y - 4 * pixelMm, y, "end"]),
+    ];
+    this.axes.replaceChildren(...texts.map(([x, y, text, anchor]) => Object.assign(createSvg("text", { class: "axis", transform: `translate(${x} ${y}) scale(${pixelMm} ${-pixelMm})`, "text-anchor": anchor }), { textContent: text })));
   }
 }
 
@@ -315,6 +323,8 @@ function innerSides(corners) {
   const ring = area < 0 ? corners : [...corners].reverse();
   return ring.map((corner, index) => [corner, ring[(index + 1) % ring.length]]);
 }
+
+const multiples = (step, end) => Array.from({ length: Math.floor(end / step) + 1 }, (_, index) => index * step);
 
 export const closedPath = (points) => `M${points.map((point) => point.join(" ")).join("L")}Z`;
 

@@ -27,26 +27,30 @@ export class Driving {
 
   // Shows a list of programs for each robot of the twin, or of the drawing if no twin runs.
   updateLists() {
-    const { isActive, robots, model } = this.running;
-    const count = Math.max(isActive ? robots.length : model.partsOf("robot").length, 1);
-    $("#first").textContent = count > 1 ? "robot 1" : "program";
+    const { shapes } = this.running;
     const others = $("#others");
-    while (others.childElementCount > count - 1) others.lastChild.remove();
-    while (others.childElementCount < count - 1) others.append(create("label", { className: "wide" }, `robot ${others.childElementCount + 2} `, create("select")));
-    const choices = this.#programNames.map((name) => [name, name]);
-    if (count > 1) choices.push(["none: it stands", ""]);
-    for (const list of this.#programLists) this.updateOptions?.(list, choices.map(([text, value]) => new Option(text, value)));
+    while (others.childElementCount > shapes.length - 1) others.lastChild.remove();
+    while (others.childElementCount < shapes.length - 1) others.append(create("label", { className: "wide" }, create("span"), create("select"), create("button", { type: "button" }, "Edit")));
+    this.programLists.forEach((list, index) => {
+      const { title, programs } = shapes[index];
+      list.previousElementSibling.textContent = shapes.length > 1 ? `${index + 1}: ${title}` : "program";
+      list.nextElementSibling.dataset.edit = index;
+      const choices = [...programs, ...this.#programNames].map((name) => [name, name]);
+      if (shapes.length > 1) choices.push(["none: it stands", ""]);
+      this.updateOptions?.(list, choices.map(([text, value]) => new Option(text, value)));
+    });
   }
 
-  // Selects a program for the first robot, if no robot has it.
-  selectProgram(file) {
+  // Selects a program for the robot that it was opened for, if no robot has it.
+  selectProgram(file, index) {
     if (!this.#programNames.includes(file)) this.#programNames.push(file);
     this.updateLists();
-    if (!this.#programLists.some(({ value }) => value === file)) $("#controller").value = file;
+    const lists = this.programLists;
+    if (!lists.some(({ value }) => value === file)) (lists[index] ?? lists[0]).value = file;
   }
 
   // The list of programs of each robot.
-  get #programLists() {
+  get programLists() {
     return [$("#controller"), ...document.querySelectorAll("#others select")];
   }
 
@@ -61,7 +65,7 @@ export class Driving {
     $("#printed").textContent = "";
     $("#printed").hidden = true;
     $("#part").value = 0;
-    await post("run", { controllers: this.#programLists.map(({ value }) => value), cycles: readNumber("#cycles"), seconds: readNumber("#seconds"), runs: readNumber("#runs") ?? 1, pause: readNumber("#between") ?? 0, folder: $("#keep").value || null });
+    await post("run", { controllers: this.programLists.map(({ value }) => value), cycles: readNumber("#cycles"), seconds: readNumber("#seconds"), runs: readNumber("#runs") ?? 1, pause: readNumber("#between") ?? 0, folder: $("#keep").value || null });
   }
 
   async #runSensorTest() {

@@ -102,7 +102,7 @@ export class Editor {
     const rotation = (clampFinite(part.heading_deg ?? part.angle_deg) * Math.PI) / 180;
     const toArena = (along, across) => [x + along * Math.cos(rotation) - across * Math.sin(rotation), y + along * Math.sin(rotation) + across * Math.cos(rotation)];
     if (part.length_mm !== undefined || "heading_deg" in part) {
-      const distance = (length || 56) / 2 + 24 * pixelMm;
+      const distance = (length / 2 || drawing.shapes[part.model]?.radius_mm || 28) + 24 * pixelMm;
       const [hx, hy] = toArena(distance, 0);
       overlay.append(createSvg("path", { d: `M${x} ${y}L${hx} ${hy}`, class: "marquee" }), handle("turn", hx, hy));
     }

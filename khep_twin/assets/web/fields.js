@@ -114,6 +114,7 @@ export class Fields {
       input.checked = value === true;
     } else if (LISTS.has(key) || TEXTS.has(key)) {
       input.value = LISTS.has(key) ? formatList(value) : value ?? "";
+      if (key === "calibration") this.#suggestCalibrations(input, parts);
       if (LISTS.has(key)) input.title = EXAMPLES[key] ?? "numbers, such as [0, 0], [600, 0]";
     } else {
       input.type = "number";
@@ -133,11 +134,19 @@ export class Fields {
     return new Map([...first].filter(([name]) => others.every((other) => other.has(name))));
   }
 
+  // Suggests the calibrations that fit all robots; the path of another file can be typed.
+  #suggestCalibrations(input, parts) {
+    const [first, ...others] = parts.map(({ model }) => this.models[model]?.calibrations ?? []);
+    const names = first.filter((name) => others.every((other) => other.includes(name)));
+    $("#calibrations").replaceChildren(...names.map((name) => new Option(name)));
+    input.setAttribute("list", "calibrations");
+  }
+
   // Replaces the keys of a robot that do not fit its model.
   #fitRobot(part) {
     const { modes, defaults, has_turrets: hasTurrets } = this.models[part.model];
     if (!modes[part.rom]) part.rom = defaults.rom;
-    if (!modes[part.rom][part.mode]) part.mode = DEFAULTS.robot.mode;
+    if (!modes[part.rom][part.mode]) part.mode = modes[part.rom][DEFAULTS.robot.mode] ? DEFAULTS.robot.mode : +Object.keys(modes[part.rom])[0];
     if (!hasTurrets) part.turrets = [];
   }
 
@@ -170,14 +179,15 @@ export class Fields {
     }
   }
 
-  // Creates a box for each installed turret, and for each other turret of the robots.
+  // Creates a box for each installed turret that fits the robots, and for each other turret of theirs.
   #createTurrets(parts) {
     const group = create("div", { className: "row" });
     group.setAttribute("role", "group");
     const names = parts.flatMap((part) => part.turrets ?? []);
-    const order = [...new Set([...Object.keys(this.turrets), ...names])];
+    const order = [...new Set([...(parts.every(({ model }) => this.models[model]?.has_turrets) ? Object.keys(this.turrets) : []), ...names])];
+    if (!order.length) group.append("none for this model");
     const boxes = order.map((name) => {
-      const box = create("input", { type: "checkbox", value: name, disabled: !parts.every((part) => this.models[part.model]?.has_turrets || part.turrets?.includes(name)) });
+      const box = create("input", { type: "checkbox", value: name });
       box.addEventListener("change", () => {
         for (const part of parts) {
           const others = (part.turrets ?? []).filter((other) => other !== name);

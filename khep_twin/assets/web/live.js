@@ -48,8 +48,7 @@ export class LivePlan {
       node.classList.add("live", "part");
       node.dataset.live = index;
       if (lastPicture) setPose(node, lastPicture.robots[index]);
-      const beamPath = (reading) => (robot.sonar_codes.includes(reading) ? "" : sectorPath(reading * robot.sonar_unit_mm));
-      return { node, rays, beams, beamPath, leds, turrets: node.querySelectorAll(".turret") };
+      return { node, rays, beams, leds, robot, turrets: node.querySelectorAll(".turret") };
     });
     drawing.liveGroup.replaceChildren(...this.#trails.map(({ node }) => node), ...this.#nodes.map(({ node }) => node));
   }
@@ -58,13 +57,13 @@ export class LivePlan {
   showPicture(message, liftedIndex, isHidden) {
     if (!this.#nodes) return;
     message.robots.forEach((robot, index) => {
-      const { node, rays, beams, beamPath, leds, turrets } = this.#nodes[index] ?? {};
+      const { node, rays, beams, leds, robot: shape, turrets } = this.#nodes[index] ?? {};
       if (!node) return;
       this.#trails[index].add(robot.x_mm, robot.y_mm);
       if (isHidden) return;
       if (liftedIndex !== index) setPose(node, robot);
       robot.turrets.forEach((points, turretPart) => turrets[turretPart]?.setAttribute("d", closedPath(points)));
-      robot.more?.ultrasonic?.forEach((reading, sensor) => beams[sensor].setAttribute("d", beamPath(reading)));
+      robot.more?.ultrasonic?.forEach((reading, sensor) => beams[sensor].setAttribute("d", sectorPath(beamLength(shape, reading))));
       if (robot.leds.length === 3 * leds.length) leds.forEach((led, number) => setLed(led, robot.leds.slice(3 * number, 3 * number + 3)));
       robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
     });
@@ -102,8 +101,12 @@ class Trail {
   }
 }
 
-// Returns a beam of 30 degrees, with the distance that an ultrasonic sensor measures.
+// Returns the distance that a reading of a robot's ultrasonic sensor means [mm]; 0 without one.
+export const beamLength = ({ sonar_codes: codes, sonar_unit_mm: unit }, reading) => (codes.includes(reading) ? 0 : reading * unit);
+
+// Returns a beam of 30 degrees, with the distance that an ultrasonic sensor measures; empty for 0.
 function sectorPath(distance) {
+  if (!distance) return "";
   const [x, y] = [distance * Math.cos(Math.PI / 12), distance * Math.sin(Math.PI / 12)];
   return `M0 0L${x} ${-y}A${distance} ${distance} 0 0 1 ${x} ${y}Z`;
 }

@@ -316,7 +316,7 @@ document.addEventListener("visibilitychange", () => document.hidden && drafts.st
 // Updates the lists of programs and ports.
 async function updatePrograms() {
   const { programs, ports } = await post("list");
-  running.driving.setPrograms([...hello.controllers, ...programs], updateOptions);
+  running.driving.setPrograms(programs, updateOptions);
   challenges.setPrograms(programs, updateOptions);
   updateOptions($("#ports"), ports.map(({ url, what }) => new Option(what, url)));
 }
@@ -381,7 +381,6 @@ async function start() {
   drawing.surfaces = hello.surfaces;
   drawing.shapes = hello.shapes;
   drawing.turrets = hello.turrets;
-  running.panel.setBars(hello.bars, $("#bars"));
   running.curves.setColours(hello.colours);
   new Fields(model, hello);
   model.load(hello, hello.version ? { file: hello.file } : {});

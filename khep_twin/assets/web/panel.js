@@ -3,19 +3,17 @@
 import { createSvg } from "./drawing.js";
 import { create, createRow, setText } from "./page.js";
 
-export const SENSORS = ["left 90", "left 45", "left 10", "right 10", "right 45", "right 90", "back right", "back left"];
 const BAR = 15;
 const [RED, ORANGE, BLUE] = ["var(--red)", "var(--orange)", "var(--blue)"];
 
 export class Panel {
   #bars = {};
 
-  constructor(svg, table) {
-    Object.assign(this, { svg, table });
-    this.#createRows(SENSORS);
+  constructor(svg, table, legend) {
+    Object.assign(this, { svg, table, legend });
   }
 
-  // Creates a row for each sensor and the wheels; other channels of a Khepera IV get theirs with their first reading.
+  // Creates a row for each sensor and the wheels; other channels get theirs with their first reading.
   #createRows(names) {
     const head = create("tr", {}, ...["sensor", "proximity", "light"].map((text) => create("th", {}, text)));
     this.rows = [...names.map((name) => createRow(name, "–", "–")), createRow("speed left, right", "–", "–")];
@@ -24,16 +22,15 @@ export class Panel {
   }
 
   // Takes the kinds of bars by name, each with its full-scale value and its entry in the legend.
-  setBars(bars, legend) {
-    Object.assign(this, { legend });
+  #setBars(bars) {
     this.#bars = bars;
-    legend.replaceChildren(...Object.entries(bars).map(([className, bar]) => create("span", {}, create("i", { className }), bar.legend)));
+    this.legend.replaceChildren(...Object.entries(bars).map(([className, bar]) => create("span", {}, create("i", { className }), bar.legend)));
   }
 
   // Draws a robot with its front up. A large robot is scaled down; ground sensors have their bars in a row within it.
   drawRobot({ radius_mm, sensors: sensors_mm, names, n_ground, wheels_mm, bars }) {
     this.#createRows(names);
-    this.setBars(bars, this.legend);
+    this.#setBars(bars);
     const scale = n_ground ? 27.5 / radius_mm : 1;
     const [radius, base] = [radius_mm * scale, wheels_mm[0] * scale];
     const sensors = sensors_mm.map(([ahead, left]) => [ahead * scale, left * scale]);

@@ -12,7 +12,7 @@ export class Program {
   constructor(running, banner, attempt) {
     Object.assign(this, { running, banner, attempt, text: $("#code") });
     running.onError = (text) => this.markErrorLine(text);
-    $("#edit").addEventListener("click", () => attempt(() => this.edit(), "program"));
+    $("#tab-run").addEventListener("click", ({ target: { dataset } }) => dataset.edit && attempt(() => this.edit(+dataset.edit), "program"));
     $("#save-program").addEventListener("click", () => attempt(() => this.save(), "program"));
     $("#run-program").addEventListener("click", () => this.run());
     this.text.addEventListener("input", (event) => {
@@ -39,14 +39,15 @@ export class Program {
     return this.#programs.has(file) && isChanged(this.#programs.get(file));
   }
 
-  // Opens the selected program, or a new one if a built-in controller is selected.
-  async edit() {
-    const { value: selected } = $("#controller");
-    const file = selected.endsWith(".py") ? selected : "mine.py";
-    const reply = await post("program", { file });
+  // Opens the program that is selected for a robot, or with a built-in controller selected a new one for its model.
+  async edit(robot = 0) {
+    const { shapes, driving } = this.running;
+    const { value: selected } = driving.programLists[robot];
+    const file = selected.endsWith(".py") ? selected : `mine${robot ? robot + 1 : ""}.py`;
+    const reply = await post("program", { file, model: shapes[robot].model });
     const [text, version] = [reply.text.replaceAll("\r\n", "\n"), reply.version]; // a textarea has no \r
     const program = this.#programs.get(file);
-    if (!program) this.#programs.set(file, { file, version, savedText: version === null ? "" : text, history: new TextHistory(text), view: [0, 0, 0], errorLine: 0 });
+    if (!program) this.#programs.set(file, { file, version, savedText: version === null ? "" : text, robot, history: new TextHistory(text), view: [0, 0, 0], errorLine: 0 });
     else if (version !== null && version !== program.version && !isChanged(program)) {
       // Another program has changed the file; undo restores the previous text.
       program.history.record(text);
@@ -90,10 +91,10 @@ export class Program {
     return this.attempt(async () => {
       if (!this.#current) return this.edit();
       if (!(await this.save())) return;
-      const { file } = this.#current;
+      const { file, robot } = this.#current;
       this.#current.errorLine = 0;
       this.#update();
-      this.running.driving.selectProgram(file);
+      this.running.driving.selectProgram(file, robot);
       await this.attempt(() => this.running.driving.run(), "run");
     }, "program");
   }

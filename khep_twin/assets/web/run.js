@@ -5,9 +5,9 @@ import { Curves } from "./curves.js";
 import { Driving } from "./driving.js";
 import { Handling } from "./handling.js";
 import { LivePlan } from "./live.js";
-import { readUndoKey } from "./model.js";
+import { DEFAULTS, readUndoKey } from "./model.js";
 import { $, appendOutput, readNumber, setText } from "./page.js";
-import { Panel, SENSORS, Strip } from "./panel.js";
+import { Panel, Strip } from "./panel.js";
 
 // States in which a button is enabled, by its data-when.
 const WHEN = {
@@ -31,10 +31,9 @@ export class Running {
     this.plan = new LivePlan(drawing);
     this.handling = new Handling(this);
     this.driving = new Driving(this);
-    this.panel = new Panel($("#panel"), $("#readings"));
+    this.panel = new Panel($("#panel"), $("#readings"), $("#bars"));
     this.strip = new Strip($("#vision"));
     this.curves = new Curves($("#curves"));
-    $("#sensor").append(...SENSORS.map((name) => new Option(name, name)));
     const press = (selector, act, about = selector) => $(selector).addEventListener("click", () => attempt(act, about));
     press("#start", () => this.start(), "run");
     press("#reset", () => this.start(), "run");
@@ -51,7 +50,7 @@ export class Running {
     model.addEventListener("change", ({ detail }) => {
       if (detail !== "draft") return;
       if (this.isActive) this.#drawLive();
-      this.driving.updateLists();
+      this.#updateModels();
     });
     this.#updateButtons();
   }
@@ -64,6 +63,14 @@ export class Running {
   // The robots of the twin, each with the points of its path.
   get robotPaths() {
     return this.hasTwin ? this.robots.map((robot, index) => ({ ...robot, path: this.plan.path(index) })) : [];
+  }
+
+  // The robots that run, or the models of those in the drawing, at least one.
+  get shapes() {
+    if (this.isActive) return this.robots;
+    const { shapes } = this.drawing;
+    const parts = this.model.partsOf("robot");
+    return (parts.length ? parts : [DEFAULTS.robot]).map(({ model }) => shapes[model] ?? shapes[DEFAULTS.robot.model]);
   }
 
   get selectedIndex() {
@@ -146,15 +153,24 @@ export class Running {
     this.plan.clear(message.robots.length);
     this.curves.clear(message.robots);
     this.handling.history.clear();
-    $("#which").replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
+    $("#which").replaceChildren(...message.robots.map(({ title }, index) => new Option(`${index + 1}: ${title}`, index)));
     this.model.select([]);
     if (!isRealRobot && message.playpen !== this.model.draft.name) this.banner(`The running twin is in ${message.playpen}, not in this drawing: another page has started it.`, "error");
     for (const element of [this.drawing.svg, $("#arena")]) element.classList.toggle("running", !isRealRobot);
     this.#showRobot();
     if (!isRealRobot) this.#drawLive();
-    this.driving.updateLists();
+    this.#updateModels();
     this.#updateButtons();
     this.stage?.reload();
+  }
+
+  // Shows the programs of the robots, and the sensors of the first one, which a sensor test drives.
+  #updateModels() {
+    this.driving.updateLists();
+    const [shape] = this.shapes;
+    const names = ["all", ...shape.names].map((name, index) => new Option(name, index ? name : ""));
+    if (names.map(({ value }) => value).join() !== [...$("#sensor").options].map(({ value }) => value).join()) $("#sensor").replaceChildren(...names);
+    if (!this.lastPicture) this.panel.drawRobot(shape);
   }
 
   #drawLive() {
@@ -212,7 +228,7 @@ export class Running {
     $("#part").value = 0;
     $("#port").textContent = "–";
     $("#host").textContent = "";
-    this.driving.updateLists();
+    this.#updateModels();
     this.#updateButtons();
     this.stage?.reload();
   }

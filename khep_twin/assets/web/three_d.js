@@ -1,6 +1,7 @@
 // The scene in 3-D: one mesh of all static shapes and one of each moving body; drawn only after a change.
 
 import { GouraudMaterial } from "./lit.js";
+import { beamLength } from "./live.js";
 import { FloorShading } from "./shades.js";
 import { mergeShapes } from "./solids.js";
 import * as THREE from "./three.min.js";
@@ -53,6 +54,7 @@ export class ThreeD {
       lines: new THREE.LineBasicMaterial(),
       trail: new THREE.LineBasicMaterial(),
       fans: new THREE.MeshBasicMaterial({ vertexColors: true, transparent: true, depthWrite: false, side: THREE.DoubleSide }),
+      beams: new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.12, depthWrite: false, side: THREE.DoubleSide }),
     };
     new ResizeObserver(() => this.#resize()).observe(canvas.parentElement);
     this.#resize();
@@ -86,9 +88,10 @@ export class ThreeD {
       const fan = createFans(robot, this.material.fans);
       const trail = new Trail(this.material.trail);
       for (const [x, y] of robot.path) trail.add(x / 1e3, y / 1e3);
-      body.add(fan);
+      const beams = createBeams(robot, this.material.beams);
+      body.add(fan, ...beams);
       this.#scene.add(trail.node);
-      return { body, fan, trail };
+      return { body, fan, beams, trail, robot };
     });
     if (this.followedIndex !== null && !this.#robots[this.followedIndex]) this.followedIndex = null;
     this.#poses = scene.poses;
@@ -109,12 +112,13 @@ export class ThreeD {
     this.#pictureTime = now;
     this.#previousPoses = this.#bodies.map(({ position, quaternion }) => [position.clone(), quaternion.clone()]);
     this.#poses = bodies;
-    robots.forEach(({ proximity, x_mm, y_mm }, index) => {
-      const { fan, trail } = this.#robots[index] ?? {};
+    robots.forEach(({ proximity, x_mm, y_mm, more }, index) => {
+      const { fan, beams, trail, robot } = this.#robots[index] ?? {};
       if (!fan) return;
       const colours = fan.geometry.attributes.color;
       for (let vertex = 0; vertex < colours.count; vertex++) colours.setW(vertex, 0.05 + (0.6 * proximity[Math.floor(vertex / 9)]) / 1023);
       colours.needsUpdate = true;
+      more?.ultrasonic?.forEach((reading, sensor) => beams[sensor].scale.setScalar(Math.max(beamLength(robot, reading) / 1e3, 1e-6)));
       trail.add(x_mm / 1e3, y_mm / 1e3);
     });
     this.#shading.setPoses(bodies);
@@ -210,7 +214,7 @@ export class ThreeD {
   }
 
   #clear() {
-    const nodes = [...this.#staticGroup.children, ...this.#bodies, ...this.#robots.flatMap(({ fan, trail }) => [fan, trail.node])];
+    const nodes = [...this.#staticGroup.children, ...this.#bodies, ...this.#robots.flatMap(({ fan, beams, trail }) => [fan, ...beams, trail.node])];
     for (const node of nodes) {
       node.geometry?.dispose();
       node.dispose?.();
@@ -223,7 +227,7 @@ export class ThreeD {
   #setColours() {
     this.#scene.background = readColour("--around");
     this.material.floor.uniforms.tint.value.copy(readColour("--floor"));
-    for (const name of ["lines", "trail"]) this.material[name].color.copy(readColour(`--${name}`));
+    for (const [name, colour] of [["lines", "lines"], ["trail", "trail"], ["beams", "ray"]]) this.material[name].color.copy(readColour(`--${colour}`));
   }
 
   #resize() {
@@ -262,6 +266,18 @@ class Trail {
     }
     this.#last = [x, y];
   }
+}
+
+// Creates a beam for each ultrasonic sensor of a robot: a sector of 30 degrees and 1 m, which is scaled to the distance.
+function createBeams({ sonar, sonar_height_mm: height }, material) {
+  return sonar.map(([x, y, heading]) => {
+    const rim = Array.from({ length: 7 }, (_, point) => ((heading - 15 + 5 * point) * Math.PI) / 180).map((angle) => [Math.cos(angle), Math.sin(angle), 0]);
+    const corners = rim.slice(1).flatMap((corner, index) => [0, 0, 0, ...rim[index], ...corner]);
+    const beam = new THREE.Mesh(new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3)), material);
+    beam.position.set(x / 1e3, y / 1e3, height / 1e3);
+    beam.scale.setScalar(1e-6); // until its first reading
+    return beam;
+  });
 }
 
 // Creates the fields of view of a robot's sensors, which are drawn stronger at higher counts.

@@ -22,7 +22,8 @@ from typing import Generic, TypeVar
 
 from khep_twin.clock import TimeSource
 from khep_twin.errors import KhepTwinError, PortError
-from khep_twin.host import Khepera
+from khep_twin.host.host_robot import HostRobot, open_robot
+from khep_twin.lab.experiment.controllers import AnyRobot
 from khep_twin.playpen import PlaypenLike
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
@@ -35,7 +36,7 @@ TIMEOUT = 1.0
 
 
 def run_together(
-    playpen: PlaypenLike, scripts: Sequence[Callable[[Khepera], ResultType]], options: TwinOptions
+    playpen: PlaypenLike, scripts: Sequence[Callable[[AnyRobot], ResultType]], options: TwinOptions
 ) -> list[ResultType]:
     """Run a script for each robot of a playpen, all on one world; return their results.
 
@@ -54,7 +55,7 @@ def run_together(
         return drive_together(twin, dict(enumerate(scripts)))
 
 
-def drive_together(twin: Twin, scripts: Mapping[int, Callable[[Khepera], ResultType]]) -> list[ResultType]:
+def drive_together(twin: Twin, scripts: Mapping[int, Callable[[AnyRobot], ResultType]]) -> list[ResultType]:
     """Run scripts for some robots of a twin, by robot number, until all have ended; return their results.
 
     A single script runs in the caller's thread. An error of the twin, or its end, aborts all scripts.
@@ -80,16 +81,16 @@ def drive_together(twin: Twin, scripts: Mapping[int, Callable[[Khepera], ResultT
     return [thread.outcome.result() for thread in threads]
 
 
-def _open_robot(twin: Twin, index: int, time_source: TimeSource) -> Khepera:
+def _open_robot(twin: Twin, index: int, time_source: TimeSource) -> HostRobot:
     """Return a robot of a twin on a separate port; the world stays open when it is closed."""
     single_robot_twin = Twin(twin.world, (twin.robots[index],), twin.options, time_source)
-    return Khepera(Serial.of(single_robot_twin, timeout=TIMEOUT))
+    return open_robot(single_robot_twin.robot_model, Serial.of(single_robot_twin, timeout=TIMEOUT))
 
 
 class _ScriptThread(Generic[ResultType]):
     """A script, its thread, and its wake-up time; the `TimeSource` of its robot's port."""
 
-    def __init__(self, twin: Twin, index: int, script: Callable[[Khepera], ResultType]) -> None:
+    def __init__(self, twin: Twin, index: int, script: Callable[[AnyRobot], ResultType]) -> None:
         self.index = index
         self.wake_ns = 0
         self.outcome = Future[ResultType]()

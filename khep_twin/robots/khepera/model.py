@@ -143,6 +143,7 @@ KHEPERA_1 = RobotModel(
     interface=_INTERFACE,
     speed_modes={first + Wheel.MODE: Mode.SPEED for first in (LEFT, RIGHT)},
     vehicle=_vehicle_speeds,
+    template="controller_template.py",
 )
 
 KHEPERA_2 = replace(
