@@ -192,3 +192,56 @@ def test_a_program_without_an_end_is_left_after_a_stop_and_the_mended_one_runs(
     assert second.errors == []
     visit.stop()
     visit.end()
+
+
+def test_a_khepera_and_a_khepera4_are_drawn_and_each_is_driven_by_a_program_of_its_own(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    page.click('[data-tab="playpen"]')
+    for key in ("width_mm", "height_mm"):
+        page.fill(f"#field-arena-{key}", "2000")
+        page.press(f"#field-arena-{key}", "Enter")
+    page.click("#zoom-fit")
+    heights = page.locator(".axis").evaluate_all(
+        "(texts) => texts.map((text) => text.getBoundingClientRect().height)"
+    )
+    assert min(heights) > 10
+    visit.add("robot", (600, 1000), (1400, 1000))
+    page.click('[data-tab="object"]')
+    page.select_option("#field-robot-model", "khepera4")
+    page.wait_for_selector("#problems.none")
+    page.click('[data-tab="run"]')
+    assert page.locator("#tab-run .wide > span").all_inner_texts() == ["1: Khepera", "2: Khepera IV"]
+    for robot, file, text in ((0, "mine.py", "robot: Khepera)"), (1, "mine2.py", "robot: Khepera4)")):
+        page.click('[data-tab="run"]')
+        page.click(f'[data-edit="{robot}"]')
+        visit.wait(f"document.querySelector('#program-file').value === '{file}'")
+        visit.wait(f"document.querySelector('#code').value.includes('{text}')")
+        page.press("#code", "Control+s")
+        visit.wait("document.querySelector('#save-program').disabled")
+    visit.show_3d()
+    visit.drive()
+    lists = page.locator("#tab-run .wide select")
+    assert lists.evaluate_all("(lists) => lists.map(({ value }) => value)") == ["mine.py", "mine2.py"]
+    visit.wait_seconds(3)
+    visit.picture("33-both-3d")
+    page.click("#three-d")
+    rays = "[...document.querySelectorAll('[data-live=\"1\"] .ray')]"
+    visit.wait(f"{rays}.filter((ray) => ray.getAttribute('d')).length > 8")  # the infrared ones are 8
+    for robot in (0, 1):
+        place = f"document.querySelectorAll('.live')[{robot}].getAttribute('transform').match(/[-.\\d]+/g)"
+        visit.wait(f"{place}[1] > 1005")
+    page.select_option("#which", "1")
+    visit.wait("document.querySelector('#readings').textContent.includes('ultrasonic')")
+    visit.picture("34-both-plan")
+    visit.stop()
+    (tmp_path / "mine.py").write_text(
+        "def controller(robot):\n    robot.set_speed(3, 3)\n    robot.nose\n"
+    )
+    page.click('[data-tab="run"]')
+    page.click("#run")
+    page.wait_for_selector("#program-status >> text=mine.py:3: AttributeError")
+    visit.wait_driven()
+    visit.stop()
+    visit.end()

@@ -1,6 +1,5 @@
-"""The designer and its page have the same kinds of messages, the same actions and names of the sensors."""
+"""The designer and its page have the same kinds of messages, the same actions."""
 
-import json
 import re
 from pathlib import Path
 from typing import get_args, get_type_hints
@@ -8,7 +7,6 @@ from typing import get_args, get_type_hints
 from PIL import Image
 
 from khep_twin.playpen.bitmap_files import PICTURES
-from khep_twin.units import SENSOR_LABELS
 from khep_twin.web.documents import Documents
 from khep_twin.web.messages import Message
 from khep_twin.web.routes import ASSETS, Page
@@ -56,9 +54,3 @@ def test_the_page_offers_all_kinds_of_pictures_that_are_read_for_an_import() -> 
     offered = re.search(r'id="import" accept="\.mat,([^"]*)"', (ASSETS / "index.html").read_text())
     assert offered is not None
     assert {Image.registered_extensions()[suffix] for suffix in offered[1].split(",")} == set(PICTURES)
-
-
-def test_the_page_names_the_sensors_as_everything_else_does() -> None:
-    names = re.search(r"^export const SENSORS = (\[.*?\]);$", SCRIPTS["panel.js"], re.MULTILINE)
-    assert names is not None
-    assert tuple(json.loads(names[1])) == SENSOR_LABELS

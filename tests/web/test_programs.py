@@ -2,15 +2,23 @@
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from khep_twin.errors import KhepTwinError, PortError
+from khep_twin.host.host_robot import open_robot
+from khep_twin.lab.experiment.controller_files import find_controller
+from khep_twin.lab.experiment.controllers import template_of
+from khep_twin.lab.experiment.series import OneRobot, run_series
+from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.playpen import Playpen
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.web.documents import Documents, OutsideError, version_of
 from khep_twin.web.drafts import draft_of
-from khep_twin.web.file_actions import TEMPLATE, Programs
+from khep_twin.web.file_actions import Programs
 from khep_twin.web.server import Server
 from khep_twin.web.session_actions import SessionActions
 from tests.web.conftest import Client, Inbox
@@ -20,12 +28,31 @@ TEXT = "def controller(robot):\n    robot.set_speed(3, 3)  # ü\n"
 
 def test_a_new_program_begins_with_the_template_and_is_saved(client: Client, tmp_path: Path) -> None:
     status, new = client.do("program", file="mine.py")
-    assert (status, new) == (200, {"text": TEMPLATE.read_text(), "version": None})
+    assert (status, new["version"]) == (200, None)
+    assert "def cycle(self, robot: Khepera)" in new["text"]
     status, saved = client.do("save-program", file="mine.py", text=TEXT)
     assert (status, saved["version"]) == (200, version_of(TEXT))
     assert (tmp_path / "mine.py").read_text() == TEXT
     assert client.do("program", file="mine.py")[1] == {"text": TEXT, "version": version_of(TEXT)}
     assert "mine.py" in client.do("list")[1]["programs"]
+
+
+@pytest.mark.parametrize("robot", [0, 2])
+@pytest.mark.parametrize("is_shipped", [True, False])
+def test_the_template_of_each_model_runs_as_it_stands(tmp_path: Path, robot: int, is_shipped: bool) -> None:
+    """Without a template of its own, a robot drives straight ahead."""
+    twin = open_twin("arena4-two", TwinOptions(robot=robot))
+    model = twin.robot_model
+    (tmp_path / "mine.py").write_text(template_of(model if is_shipped else replace(model, template="")))
+    controller = find_controller(str(tmp_path / "mine.py"))
+    with open_robot(model, Serial.of(twin, timeout=1.0)) as host:
+        (run,) = run_series(controller, OneRobot(host), Plan(seconds=0.5))
+    assert run.metrics["distance_m"] > 0.01
+
+
+def test_a_template_of_an_unknown_model_is_refused(client: Client) -> None:
+    status, reply = client.do("program", file="mine.py", model="khepera9")
+    assert (status, reply["error"].startswith("model = 'khepera9': unknown")) == (400, True)
 
 
 def test_a_program_that_was_changed_meanwhile_is_not_overwritten(client: Client, tmp_path: Path) -> None:

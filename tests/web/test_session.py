@@ -440,7 +440,7 @@ def test_a_fork_of_a_controller_ends_and_its_log_repeats(
     assert ended
 
 
-def test_a_khepera4_at_a_port_is_shown_as_one_and_refuses_programs(inbox: Inbox) -> None:
+def test_a_khepera4_at_a_port_is_shown_as_one_and_runs_programs(inbox: Inbox) -> None:
     twin = TwinActor(Playpen.load("arena4"), TwinOptions(), None, inbox)
     twin.begin()
     port = inbox.wait("twin")["robots"][0]["port"]
@@ -450,11 +450,53 @@ def test_a_khepera4_at_a_port_is_shown_as_one_and_refuses_programs(inbox: Inbox)
     shape = robot_inbox.wait("robot")["robots"][0]
     assert (shape["radius_mm"], len(shape["names"])) == (70.4, 12)
     assert len(robot_inbox.wait("picture")["robots"][0]["proximity"]) == 12
-    for actor in (robot, twin):
-        with pytest.raises(PortError, match="robot 1 is a Khepera IV; expected a Khepera or Khepera II for"):
-            actor.start_jobs(SeriesJob("braitenberg", braitenberg, Plan(cycles=5), None))
-        assert actor.is_alive
+    robot.start_jobs(SeriesJob("braitenberg", braitenberg, Plan(cycles=5), None))
+    assert robot_inbox.wait("run")["cycles"] == 5
     robot.end()
+    twin.end()
+
+
+def test_a_khepera_and_a_khepera4_each_have_a_program_and_an_error_ends_only_its_own(
+    inbox: Inbox, tmp_path: Path
+) -> None:
+    draft = draft_of(Playpen.load("default"))
+    draft["arena"] = {"width_mm": 1200, "height_mm": 600}
+    draft["robot"] = [
+        {"model": model, "x_mm": x_mm, "y_mm": 300, "heading_deg": 0}
+        for model, x_mm in (("khepera1", 200), ("khepera4", 800))
+    ]
+    (tmp_path / "small.py").write_text("def controller(robot):\n    robot.set_speed(5, 5)\n")
+    (tmp_path / "large.py").write_text("def controller(robot):\n    robot.set_speed(0.1, 0.1)\n")
+    (tmp_path / "wrong.py").write_text(
+        "def controller(robot):\n    robot.set_speed(0.1, 0.1)\n    robot.turret\n"
+    )
+    session = SessionActions(Documents(tmp_path), inbox)
+    session.actions["start"].do(StartRequest(draft=draft, speed=0))
+    shapes = inbox.wait("twin")["robots"]
+    assert [shape["title"] for shape in shapes] == ["Khepera", "Khepera IV"]
+    run = session.actions["run"]
+    run.do(RunRequest(controllers=("small.py", "large.py"), seconds=1))
+    runs = {message["robot"]: message["metrics"] for message in (inbox.wait("run"), inbox.wait("run"))}
+    assert [runs[robot]["distance_m"] for robot in (0, 1)] == pytest.approx([0.04, 0.1], rel=0.2)
+    inbox.wait("done")
+    run.do(RunRequest(controllers=("small.py", "wrong.py"), seconds=1))
+    text = inbox.wait("error")["text"]
+    assert text.endswith("wrong.py:3: AttributeError: 'Khepera4' object has no attribute 'turret'")
+    assert inbox.wait("run")["robot"] == 0
+    inbox.wait("done")
+    inbox.wait("picture", lambda picture: not picture["busy"])
+    session.close()
+
+
+def test_a_sensor_test_reads_the_sensors_of_a_khepera4(inbox: Inbox) -> None:
+    gathered: list[SensorRun] = []
+    twin = TwinActor(Playpen.load("arena4"), TwinOptions(), None, inbox)
+    twin.set_pace(math.inf, False)
+    twin.begin()
+    inbox.wait("twin")
+    twin.start_jobs(sensor_job(SensorTest(rotate_deg=30), gathered.append))
+    inbox.wait("sensed")
+    assert gathered[0].dv.shape[1] == 14
     twin.end()
 
 

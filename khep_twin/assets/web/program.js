@@ -76,6 +76,7 @@ export class Program {
     if (file !== program.file && this.isUnsaved(file)) throw new Error(`${file} is open here with changes that are not saved: save it first.`);
     try {
       const { version } = await post("save-program", { file, text, version: file === program.file ? program.version : null, overwrite });
+      if (program.version === null) this.running.driving.selectProgram(file, program.robot);
       this.#programs.delete(program.file);
       this.#programs.set(file, Object.assign(program, { file, version, savedText: text }));
     } catch (error) {

@@ -26,6 +26,7 @@ from khep_twin.drawing.map import STYLE, blank_figure
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
+from khep_twin.robots.registry import find_family
 from khep_twin.units import (
     BODY_RADIUS,
     SENSOR_LABELS,
@@ -158,23 +159,28 @@ def draw_body(axes: Axes) -> None:
 
 
 def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
-    figure = blank_figure(10.5, 7.6)
-    edges = {"left": 0.07, "right": 0.985, "bottom": 0.075, "top": 0.955}
-    cells = figure.add_gridspec(3, 4, hspace=0.42, wspace=0.26, **edges)
-    for index, name in enumerate(SENSOR_LABELS):
-        row, column = _CELLS[index]
+    """Draw all sensors around a Khepera, or row by row those of another robot, and the description."""
+    names = _names(runs)
+    is_khepera = names == SENSOR_LABELS
+    places = _CELLS if is_khepera else [divmod(index, 4) for index in range(len(names))]
+    n_rows = 3 if is_khepera else len(names) // 4 + 1
+    figure = blank_figure(10.5, 7.6 / 3 * n_rows)
+    edges = {"left": 0.07, "right": 0.985, "bottom": 0.225 / n_rows, "top": 1 - 0.135 / n_rows}
+    cells = figure.add_gridspec(n_rows, 4, hspace=0.42, wspace=0.26, **edges)
+    for index, (name, (row, column)) in enumerate(zip(names, places, strict=True)):
         axes = figure.add_subplot(cells[row, column])
         _draw_sensor(axes, runs, index, y_min, grid)
         axes.set_title(name, fontsize=10)
-        if name in ("left 45", "left 90", "back left"):
+        if column == 0 or name == "back left":
             axes.set_ylabel(runs[0].test.quantity.title)
-        if row > 0:
+        if row > 0 or not is_khepera:
             axes.set_xlabel(_UNITS[runs[0].test.motion], fontsize=8)
         if index == 0 and len(runs) > 1:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="lower right", frameon=False, bbox_to_anchor=(0.985, 0.06))
-    _draw_robot(figure.add_subplot(cells[1, 1:3]))
-    text = figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
+    if is_khepera:
+        _draw_robot(figure.add_subplot(cells[1, 1:3]))
+    text = figure.text(0.07 if is_khepera else 0.77, 0.225 / n_rows, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
     text.set_parse_math(False)  # a dollar in the text is a dollar
     return figure
 
@@ -273,4 +279,6 @@ def _names(runs: Sequence[SensorRun]) -> tuple[str, ...]:
 
 
 def _limit(run: SensorRun) -> int:
-    return AMBIENT_LIMIT if run.test.what == "light" else run.test.quantity.limit
+    if run.test.what == "light":
+        return round(AMBIENT_LIMIT / 500 * find_family(run.test.model).bars["light"].full)
+    return run.test.quantity.limit
