@@ -245,4 +245,5 @@ def test_a_khepera_and_a_khepera4_are_drawn_and_each_is_driven_by_a_program_of_i
     assert page.inner_text("#program-status").startswith("mine.py:3: AttributeError: 'Khepera' object")
     visit.wait_driven()
     visit.stop()
+    page.click('[data-tab="run"]')
     visit.end()
