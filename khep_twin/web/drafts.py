@@ -2,7 +2,8 @@
 
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 
 from khep_twin import playpen as playpens
 from khep_twin.board.rom import Rom
@@ -79,7 +80,7 @@ def models() -> dict[str, object]:
     return {
         name: {
             "defaults": dict(model_defaults(name)),
-            "calibrations": [title for title in calibration.names() if _fits(title, model)],
+            "calibrations": list(_calibrations(model)),
             "modes": {version: _modes(rom) for version, rom in model.roms.items()},
             "has_turrets": Feature.TURRETS in model.features,
         }
@@ -102,13 +103,12 @@ def surfaces() -> dict[str, object]:
     return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}
 
 
-def _fits(name: str, model: RobotModel) -> bool:
-    """Return whether a calibration has the sensors of a model."""
-    try:
-        calibration.read_for(name, model)
-    except CalibrationError:
-        return False
-    return True
+def _calibrations(model: RobotModel) -> Iterator[str]:
+    """Yield the names of the built-in calibrations that fit a model."""
+    for name in calibration.names():
+        with suppress(CalibrationError):
+            calibration.read_for(name, model)
+            yield name
 
 
 def _modes(rom: Rom) -> dict[int, str]:

@@ -28,7 +28,6 @@ class RobotShape(TypedDict):
     n_ground: int
     wheels_mm: Sequence[float]
     sonar: Sequence[Sequence[float]]
-    sonar_height_mm: float
     sonar_unit_mm: float
     sonar_codes: Sequence[int]
     bars: Mapping[str, object]
@@ -41,6 +40,7 @@ class PresentRobot(RobotShape):
     port: str
     baud: NotRequired[int]
     sensor_height_mm: NotRequired[float]
+    sonar_height_mm: NotRequired[float]
     leds_mm: NotRequired[Sequence[Sequence[float]]]
     turrets: NotRequired[Sequence[str]]
 

@@ -3,7 +3,7 @@
 import math
 from dataclasses import asdict
 
-from khep_twin.lab.experiment.controllers import BUILT_IN, braitenberg
+from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.robots.model import RobotModel
 from khep_twin.sensing import calibration
 from khep_twin.web.messages import RobotShape
@@ -19,9 +19,7 @@ def robot_shape(model: RobotModel, calibration_name: str) -> RobotShape:
     return {
         "model": model.name,
         "title": model.title,
-        "programs": [
-            name for name, function in BUILT_IN.items() if model.vehicle or function is not braitenberg
-        ],
+        "programs": list(BUILT_IN) if model.vehicle else [],  # they are vehicles
         "speed_unit": model.channels["speed"][0][1],
         "radius_mm": body.radius * 1e3,
         "sensors": [[round(x * 1e3, 2), round(y * 1e3, 2), heading] for (x, y), heading in poses],
@@ -29,7 +27,6 @@ def robot_shape(model: RobotModel, calibration_name: str) -> RobotShape:
         "n_ground": len(body.ground_positions),
         "wheels_mm": [round(1e3 * length, 3) for length in wheels],
         "sonar": [[round(rim_mm * x, 2), round(rim_mm * y, 2), angle] for x, y, angle in sonar],
-        "sonar_height_mm": 1e3 * body.sonar.height if body.sonar else 0.0,
         "sonar_unit_mm": 1e3 * model.sonar_unit,
         "sonar_codes": body.sonar.codes if body.sonar else (),
         "bars": {name: asdict(bar) for name, bar in model.bars.items()},

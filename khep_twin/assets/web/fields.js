@@ -104,8 +104,13 @@ export class Fields {
     if (key === "turrets") return this.#createTurrets(parts);
     const value = commonValue(parts, key);
     const choices = this.#readChoices(key, parts, kind);
-    const input = document.createElement(choices ? "select" : "input");
-    if (choices) {
+    const isFree = key === "calibration"; // a list of suggestions, but any file
+    const input = document.createElement(choices && !isFree ? "select" : "input");
+    if (isFree) {
+      $("#calibrations").replaceChildren(...[...choices.keys()].map((name) => new Option(name)));
+      input.setAttribute("list", "calibrations");
+      input.value = value ?? "";
+    } else if (choices) {
       const missing = [value ?? ""].filter((name) => !choices.has(String(name))).map((name) => [name, name]);
       input.append(...[...missing, ...choices].map(([name, text]) => new Option(text, name)));
       input.value = value ?? "";
@@ -114,7 +119,6 @@ export class Fields {
       input.checked = value === true;
     } else if (LISTS.has(key) || TEXTS.has(key)) {
       input.value = LISTS.has(key) ? formatList(value) : value ?? "";
-      if (key === "calibration") this.#suggestCalibrations(input, parts);
       if (LISTS.has(key)) input.title = EXAMPLES[key] ?? "numbers, such as [0, 0], [600, 0]";
     } else {
       input.type = "number";
@@ -128,18 +132,11 @@ export class Fields {
   // Returns the texts of a key's choices by value, those that fit all parts; undefined for a key without choices.
   #readChoices(key, parts, kind) {
     if (key === "surface") return nameChoices([...Object.keys(this.surfaces), ...Object.keys(this.model.draft.surfaces ?? {})]);
-    if (kind !== "robot" || (key !== "rom" && key !== "mode")) return this.choices[`${kind}.${key}`] && nameChoices(this.choices[`${kind}.${key}`]);
+    if (kind !== "robot" || !["rom", "mode", "calibration"].includes(key)) return this.choices[`${kind}.${key}`] && nameChoices(this.choices[`${kind}.${key}`]);
     const modes = (part) => this.models[part.model]?.modes ?? {};
-    const [first, ...others] = parts.map((part) => new Map(key === "rom" ? nameChoices(Object.keys(modes(part))) : Object.entries(modes(part)[part.rom] ?? {}).map(([mode, text]) => [mode, `${mode}: ${text}`])));
+    const names = (part) => (key === "rom" ? Object.keys(modes(part)) : this.models[part.model]?.calibrations ?? []);
+    const [first, ...others] = parts.map((part) => new Map(key !== "mode" ? nameChoices(names(part)) : Object.entries(modes(part)[part.rom] ?? {}).map(([mode, text]) => [mode, `${mode}: ${text}`])));
     return new Map([...first].filter(([name]) => others.every((other) => other.has(name))));
-  }
-
-  // Suggests the calibrations that fit all robots; the path of another file can be typed.
-  #suggestCalibrations(input, parts) {
-    const [first, ...others] = parts.map(({ model }) => this.models[model]?.calibrations ?? []);
-    const names = first.filter((name) => others.every((other) => other.includes(name)));
-    $("#calibrations").replaceChildren(...names.map((name) => new Option(name)));
-    input.setAttribute("list", "calibrations");
   }
 
   // Replaces the keys of a robot that do not fit its model.

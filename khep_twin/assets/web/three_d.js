@@ -118,7 +118,7 @@ export class ThreeD {
       const colours = fan.geometry.attributes.color;
       for (let vertex = 0; vertex < colours.count; vertex++) colours.setW(vertex, 0.05 + (0.6 * proximity[Math.floor(vertex / 9)]) / 1023);
       colours.needsUpdate = true;
-      more?.ultrasonic?.forEach((reading, sensor) => beams[sensor].scale.setScalar(Math.max(beamLength(robot, reading) / 1e3, 1e-6)));
+      more?.ultrasonic?.forEach((reading, sensor) => beams[sensor].scale.setScalar(beamLength(robot, reading) / 1e3 || 1e-6));
       trail.add(x_mm / 1e3, y_mm / 1e3);
     });
     this.#shading.setPoses(bodies);
@@ -268,12 +268,11 @@ class Trail {
   }
 }
 
-// Creates a beam for each ultrasonic sensor of a robot: a sector of 30 degrees and 1 m, which is scaled to the distance.
+// Creates a beam for each ultrasonic sensor: a sector of 30 degrees and 1 m (a flat cone), scaled to the distance.
 function createBeams({ sonar, sonar_height_mm: height }, material) {
   return sonar.map(([x, y, heading]) => {
-    const rim = Array.from({ length: 7 }, (_, point) => ((heading - 15 + 5 * point) * Math.PI) / 180).map((angle) => [Math.cos(angle), Math.sin(angle), 0]);
-    const corners = rim.slice(1).flatMap((corner, index) => [0, 0, 0, ...rim[index], ...corner]);
-    const beam = new THREE.Mesh(new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3)), material);
+    const cone = new THREE.CylinderGeometry(0, 1, 0, 6, 1, true, ((heading + 75) * Math.PI) / 180, Math.PI / 6).rotateX(Math.PI / 2);
+    const beam = new THREE.Mesh(cone, material);
     beam.position.set(x / 1e3, y / 1e3, height / 1e3);
     beam.scale.setScalar(1e-6); // until its first reading
     return beam;

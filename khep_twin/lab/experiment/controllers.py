@@ -253,15 +253,11 @@ def write_template(kind: Literal["controller", "toolbox"], file: Path, replace: 
 
 
 def template_of(model: RobotModel) -> str:
-    """Return the first text of a controller for robots of a model."""
+    """Return the first text of a controller of a model; without a template, it drives straight ahead."""
     if model.template:
         return (Path(__file__).parents[2] / "assets" / model.template).read_text("utf-8")
     speed, unit = model.bars["speed"].full // 4, model.channels["speed"][0][1]
-    return (
-        f'"""Controller of {model.dialect.robot_name}: it drives straight ahead."""\n\n\n'
-        f"def controller(robot):\n    robot.set_setpoints({speed}, {speed})  # left, right [{unit}]\n"
-        '    # robot.read_channels("proximity", "ambient")\n'
-    )
+    return f"def controller(robot):\n    robot.set_setpoints({speed}, {speed})  # left, right [{unit}]\n"
 
 
 def _python_number(value: bool | int | float) -> bool | int | float:
