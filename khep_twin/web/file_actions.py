@@ -20,7 +20,7 @@ from khep_twin.host.discovery import found_ports
 from khep_twin.lab.experiment.controllers import template_of
 from khep_twin.playpen import Playpen, bitmap, bitmap_files
 from khep_twin.playpen.starts import at_spots
-from khep_twin.robots.registry import DEFAULT, find_model
+from khep_twin.robots.registry import find_model
 from khep_twin.web import drafts, requests
 from khep_twin.web.answers import Actions, action
 from khep_twin.web.documents import PROGRAM_SUFFIXES, ConflictError, Documents, OutsideError, version_of
@@ -42,7 +42,7 @@ class Programs:
         self._writable = writable
         self._save_lock = threading.Lock()
 
-    def open(self, name: str, model: str = DEFAULT) -> dict[str, object]:
+    def open(self, name: str, model: str) -> dict[str, object]:
         """Return a program's text and version; the template of a model if the file does not exist.
 
         Raises:

@@ -13,7 +13,7 @@ class RobotShape(TypedDict):
 
     `programs` are the built-in controllers that can drive its model, and `speed_unit` is that of the wheels'
     speeds; `names` are those of the infrared sensors, of which `n_ground` point at the floor; `wheels_mm` has
-    the distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`,
+    the distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`, and their height,
     `sonar_codes` their readings without a distance, and `sonar_unit_mm` the unit of others; `bars` has the
     kinds of bars.
     """
@@ -38,9 +38,7 @@ class PresentRobot(RobotShape):
 
     name: str
     port: str
-    baud: NotRequired[int]
     sensor_height_mm: NotRequired[float]
-    sonar_height_mm: NotRequired[float]
     leds_mm: NotRequired[Sequence[Sequence[float]]]
     turrets: NotRequired[Sequence[str]]
 

@@ -14,7 +14,6 @@ from khep_twin.errors import KhepTwinError, Problem
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import TomlTable
 from khep_twin.randomness import SEED_LIMIT
-from khep_twin.robots.registry import DEFAULT
 from khep_twin.units import COUNTS_LIMIT
 
 _DEPTH_LIMIT = 32
@@ -77,7 +76,7 @@ class FileRequest(Request):
 class ProgramRequest(FileRequest):
     """A program to open, for robots of a model."""
 
-    model: ShortText = DEFAULT
+    model: ShortText
 
 
 class PlaypenRequest(Request):

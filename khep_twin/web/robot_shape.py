@@ -13,7 +13,9 @@ def robot_shape(model: RobotModel, calibration_name: str) -> RobotShape:
     """Return a robot's shape for drawing: [mm] and [deg]."""
     body = model.body
     poses = zip(body.sensor_positions, calibration.read(calibration_name)[0].heading_deg, strict=True)
-    sonar_deg, rim_mm = (body.sonar.headings_deg, 1e3 * body.sonar.radius) if body.sonar else ((), 0.0)
+    sonar_deg, rim, height = (
+        (body.sonar.headings_deg, body.sonar.radius, body.sonar.height) if body.sonar else ((), 0.0, 0.0)
+    )
     sonar = ((math.cos(math.radians(angle)), math.sin(math.radians(angle)), angle) for angle in sonar_deg)
     wheels = (body.wheel_base, body.wheel_radius, body.wheel_width)
     return {
@@ -26,7 +28,9 @@ def robot_shape(model: RobotModel, calibration_name: str) -> RobotShape:
         "names": body.sensors,
         "n_ground": len(body.ground_positions),
         "wheels_mm": [round(1e3 * length, 3) for length in wheels],
-        "sonar": [[round(rim_mm * x, 2), round(rim_mm * y, 2), angle] for x, y, angle in sonar],
+        "sonar": [
+            [round(1e3 * rim * x, 2), round(1e3 * rim * y, 2), angle, 1e3 * height] for x, y, angle in sonar
+        ],
         "sonar_unit_mm": 1e3 * model.sonar_unit,
         "sonar_codes": body.sonar.codes if body.sonar else (),
         "bars": {name: asdict(bar) for name, bar in model.bars.items()},

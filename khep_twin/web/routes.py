@@ -9,7 +9,6 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 
-from khep_twin import __version__
 from khep_twin import playpen as playpens
 from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import KhepTwinError
@@ -101,8 +100,6 @@ class Page:
         return {
             **document,
             "trouble": error_text,
-            "folder": self._documents.root.name,
-            "version_of_twin": __version__,
             "surfaces": drafts.surfaces(),
             "library": {name: summary("playpens", name) for name in playpens.names()},
             "colours": {"sensors": colours.ALL_SENSORS, "wheels": colours.WHEELS},

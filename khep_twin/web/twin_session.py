@@ -166,10 +166,8 @@ class TwinActor(SessionActor):
                 {
                     "name": robot.name,
                     "port": port.path,
-                    "baud": robot.firmware.baud,
                     **robot_shape(entry.robot_model, entry.calibration),
                     "sensor_height_mm": entry.body.sensor_height * 1e3,
-                    "sonar_height_mm": 1e3 * (entry.body.sonar.height if entry.body.sonar else 0),
                     "leds_mm": np.round(1e3 * sites[list(robot.indices.leds), :2], 2).tolist(),
                     "turrets": entry.turrets,
                 }

@@ -236,9 +236,7 @@ def test_a_khepera_and_a_khepera4_are_drawn_and_each_is_driven_by_a_program_of_i
     visit.wait("document.querySelector('#readings').textContent.includes('ultrasonic')")
     visit.picture("34-both-plan")
     visit.stop()
-    (tmp_path / "mine.py").write_text(
-        "def controller(robot):\n    robot.set_speed(3, 3)\n    robot.nose\n"
-    )
+    (tmp_path / "mine.py").write_text("def controller(robot):\n    robot.set_speed(3, 3)\n    robot.nose\n")
     page.click('[data-tab="run"]')
     page.click("#run")
     page.wait_for_selector("#lines .failed")

@@ -27,13 +27,16 @@ TEXT = "def controller(robot):\n    robot.set_speed(3, 3)  # ü\n"
 
 
 def test_a_new_program_begins_with_the_template_and_is_saved(client: Client, tmp_path: Path) -> None:
-    status, new = client.do("program", file="mine.py")
+    status, new = client.do("program", file="mine.py", model="khepera1")
     assert (status, new["version"]) == (200, None)
     assert "def cycle(self, robot: Khepera)" in new["text"]
     status, saved = client.do("save-program", file="mine.py", text=TEXT)
     assert (status, saved["version"]) == (200, version_of(TEXT))
     assert (tmp_path / "mine.py").read_text() == TEXT
-    assert client.do("program", file="mine.py")[1] == {"text": TEXT, "version": version_of(TEXT)}
+    assert client.do("program", file="mine.py", model="khepera1")[1] == {
+        "text": TEXT,
+        "version": version_of(TEXT),
+    }
     assert "mine.py" in client.do("list")[1]["programs"]
 
 
@@ -57,7 +60,7 @@ def test_a_template_of_an_unknown_model_is_refused(client: Client) -> None:
 
 def test_a_program_that_was_changed_meanwhile_is_not_overwritten(client: Client, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("x = 1\n")
-    version = client.do("program", file="mine.py")[1]["version"]
+    version = client.do("program", file="mine.py", model="khepera1")[1]["version"]
     (tmp_path / "mine.py").write_text("x = 2\n")
     for base_version in (version, None):
         status, reply = client.do("save-program", file="mine.py", text=TEXT, version=base_version)
@@ -74,7 +77,7 @@ def test_no_other_file_is_read_or_written(tmp_path: Path, name: str) -> None:
     os.mkfifo(tmp_path / "in" / "pipe.py")
     programs = Programs(Documents(tmp_path / "in"), True)
     with pytest.raises(KhepTwinError):
-        programs.open(name)
+        programs.open(name, "khepera1")
     with pytest.raises(KhepTwinError):
         programs.save(name, TEXT, None, True)
     assert (tmp_path / "out.py").read_text() == "secret = 1\n"
@@ -85,10 +88,10 @@ def test_what_is_no_text_is_refused_in_a_line(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_bytes(b"\xff\xfe")
     programs = Programs(Documents(tmp_path), True)
     with pytest.raises(KhepTwinError, match=r"mine.py: this is text in UTF-16; expected UTF-8"):
-        programs.open("mine.py")
+        programs.open("mine.py", "khepera1")
     (tmp_path / "mine.py").write_bytes(b"#" * 900_000)
     with pytest.raises(KhepTwinError, match=r"900000 bytes; expected at most"):
-        programs.open("mine.py")
+        programs.open("mine.py", "khepera1")
 
 
 def test_a_page_for_other_machines_writes_no_programs(tmp_path: Path) -> None:

@@ -45,8 +45,7 @@ export class Driving {
   selectProgram(file, index) {
     if (!this.#programNames.includes(file)) this.#programNames.push(file);
     this.updateLists();
-    const lists = this.programLists;
-    if (!lists.some(({ value }) => value === file)) (lists[index] ?? lists[0]).value = file;
+    if (!this.programLists.some(({ value }) => value === file)) (this.programLists[index] ?? $("#controller")).value = file;
   }
 
   // The list of programs of each robot.

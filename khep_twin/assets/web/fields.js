@@ -104,13 +104,8 @@ export class Fields {
     if (key === "turrets") return this.#createTurrets(parts);
     const value = commonValue(parts, key);
     const choices = this.#readChoices(key, parts, kind);
-    const isFree = key === "calibration"; // a list of suggestions, but any file
-    const input = document.createElement(choices && !isFree ? "select" : "input");
-    if (isFree) {
-      $("#calibrations").replaceChildren(...[...choices.keys()].map((name) => new Option(name)));
-      input.setAttribute("list", "calibrations");
-      input.value = value ?? "";
-    } else if (choices) {
+    const input = document.createElement(choices && key !== "calibration" ? "select" : "input");
+    if (input.matches("select")) {
       const missing = [value ?? ""].filter((name) => !choices.has(String(name))).map((name) => [name, name]);
       input.append(...[...missing, ...choices].map(([name, text]) => new Option(text, name)));
       input.value = value ?? "";
@@ -119,6 +114,8 @@ export class Fields {
       input.checked = value === true;
     } else if (LISTS.has(key) || TEXTS.has(key)) {
       input.value = LISTS.has(key) ? formatList(value) : value ?? "";
+      if (choices) $("#calibrations").replaceChildren(...[...choices.keys()].map((name) => new Option(name)));
+      if (choices) input.setAttribute("list", "calibrations"); // suggestions: any file can be typed
       if (LISTS.has(key)) input.title = EXAMPLES[key] ?? "numbers, such as [0, 0], [600, 0]";
     } else {
       input.type = "number";

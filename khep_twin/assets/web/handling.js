@@ -101,7 +101,7 @@ export class Handling {
     if (robot?.index !== index || !robot.isWaiting) return;
     robot.isWaiting = false;
     robot.node.classList.toggle("bad", reason !== "");
-    this.running.drawing.drawReasons(reason ? [[[robot.x_mm, robot.y_mm], reason]] : []);
+    this.running.drawing.drawReasons(reason ? [[[robot.x_mm, robot.y_mm], reason, this.running.robots[index].radius_mm]] : []);
     if (robot.hasMoved && !robot.isPut) this.#requestRoom(robot);
   }
 

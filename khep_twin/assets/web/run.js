@@ -67,10 +67,8 @@ export class Running {
 
   // The robots that run, or the models of those in the drawing, at least one.
   get shapes() {
-    if (this.isActive) return this.robots;
-    const { shapes } = this.drawing;
-    const parts = this.model.partsOf("robot");
-    return (parts.length ? parts : [DEFAULTS.robot]).map(({ model }) => shapes[model] ?? shapes[DEFAULTS.robot.model]);
+    const [{ shapes }, parts] = [this.drawing, this.model.partsOf("robot")];
+    return this.isActive ? this.robots : (parts.length ? parts : [DEFAULTS.robot]).map(({ model }) => shapes[model] ?? shapes[DEFAULTS.robot.model]);
   }
 
   get selectedIndex() {
@@ -168,8 +166,7 @@ export class Running {
   #updateModels() {
     this.driving.updateLists();
     const [shape] = this.shapes;
-    const names = ["all", ...shape.names].map((name, index) => new Option(name, index ? name : ""));
-    if (names.map(({ value }) => value).join() !== [...$("#sensor").options].map(({ value }) => value).join()) $("#sensor").replaceChildren(...names);
+    this.driving.updateOptions?.($("#sensor"), ["all", ...shape.names].map((name, index) => new Option(name, index ? name : "")));
     if (!this.lastPicture) this.panel.drawRobot(shape);
   }
 

@@ -269,8 +269,8 @@ class Trail {
 }
 
 // Creates a beam for each ultrasonic sensor: a sector of 30 degrees and 1 m (a flat cone), scaled to the distance.
-function createBeams({ sonar, sonar_height_mm: height }, material) {
-  return sonar.map(([x, y, heading]) => {
+function createBeams({ sonar }, material) {
+  return sonar.map(([x, y, heading, height]) => {
     const cone = new THREE.CylinderGeometry(0, 1, 0, 6, 1, true, ((heading + 75) * Math.PI) / 180, Math.PI / 6).rotateX(Math.PI / 2);
     const beam = new THREE.Mesh(cone, material);
     beam.position.set(x / 1e3, y / 1e3, height / 1e3);

@@ -180,14 +180,8 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
             figure.legend(handles, labels, loc="lower right", frameon=False, bbox_to_anchor=(0.985, 0.06))
     if is_khepera:
         _draw_robot(figure.add_subplot(cells[1, 1:3]))
-    text = figure.text(
-        0.07 if is_khepera else 0.77,
-        0.225 / n_rows,
-        "\n".join(_description(runs)),
-        va="bottom",
-        fontsize=9,
-        linespacing=1.4,
-    )
+    place = (0.07 if is_khepera else 0.77, 0.225 / n_rows)
+    text = figure.text(*place, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
     text.set_parse_math(False)  # a dollar in the text is a dollar
     return figure
 
