@@ -13,9 +13,9 @@ class RobotShape(TypedDict):
 
     `programs` are the built-in controllers that can drive its model, and `speed_unit` is that of the wheels'
     speeds; `names` are those of the infrared sensors, of which `n_ground` point at the floor; `wheels_mm` has
-    the distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`, and their height,
-    `sonar_codes` their readings without a distance, and `sonar_unit_mm` the unit of others; `bars` has the
-    kinds of bars.
+    the distance, radius and width of the wheels; `sonar` has position x, y, z and heading of each ultrasonic
+    sensor, `sonar_codes` their readings without a distance, and `sonar_unit_mm` the unit of others; `bars`
+    has the kinds of bars.
     """
 
     model: str

@@ -13,10 +13,7 @@ def robot_shape(model: RobotModel, calibration_name: str) -> RobotShape:
     """Return a robot's shape for drawing: [mm] and [deg]."""
     body = model.body
     poses = zip(body.sensor_positions, calibration.read(calibration_name)[0].heading_deg, strict=True)
-    sonar_deg, rim, height = (
-        (body.sonar.headings_deg, body.sonar.radius, body.sonar.height) if body.sonar else ((), 0.0, 0.0)
-    )
-    sonar = ((math.cos(math.radians(angle)), math.sin(math.radians(angle)), angle) for angle in sonar_deg)
+    sonar = body.sonar.places if body.sonar else []
     wheels = (body.wheel_base, body.wheel_radius, body.wheel_width)
     return {
         "model": model.name,
@@ -28,9 +25,7 @@ def robot_shape(model: RobotModel, calibration_name: str) -> RobotShape:
         "names": body.sensors,
         "n_ground": len(body.ground_positions),
         "wheels_mm": [round(1e3 * length, 3) for length in wheels],
-        "sonar": [
-            [round(1e3 * rim * x, 2), round(1e3 * rim * y, 2), angle, 1e3 * height] for x, y, angle in sonar
-        ],
+        "sonar": [[*(round(1e3 * x, 2) for x in place), math.degrees(angle)] for *place, angle in sonar],
         "sonar_unit_mm": 1e3 * model.sonar_unit,
         "sonar_codes": body.sonar.codes if body.sonar else (),
         "bars": {name: asdict(bar) for name, bar in model.bars.items()},

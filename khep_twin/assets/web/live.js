@@ -42,7 +42,7 @@ export class LivePlan {
         return ray;
       });
       const rays = addRays(robot.sensors, { d: "M0 0L40 -14A42 42 0 0 1 40 14Z", opacity: 0.06 });
-      const beams = addRays(robot.sonar, { opacity: 0.12 });
+      const beams = addRays(robot.sonar.map(([x, y, , heading]) => [x, y, heading]), { opacity: 0.12 });
       const leds = (robot.leds_mm ?? []).map(([cx, cy]) => createSvg("circle", { cx, cy, r: 4, visibility: "hidden" }));
       node.append(...leds);
       node.classList.add("live", "part");

@@ -270,10 +270,10 @@ class Trail {
 
 // Creates a beam for each ultrasonic sensor: a sector of 30 degrees and 1 m (a flat cone), scaled to the distance.
 function createBeams({ sonar }, material) {
-  return sonar.map(([x, y, heading, height]) => {
+  return sonar.map(([x, y, z, heading]) => {
     const cone = new THREE.CylinderGeometry(0, 1, 0, 6, 1, true, ((heading + 75) * Math.PI) / 180, Math.PI / 6).rotateX(Math.PI / 2);
     const beam = new THREE.Mesh(cone, material);
-    beam.position.set(x / 1e3, y / 1e3, height / 1e3);
+    beam.position.set(x / 1e3, y / 1e3, z / 1e3);
     beam.scale.setScalar(1e-6); // until its first reading
     return beam;
   });
