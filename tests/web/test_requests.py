@@ -24,6 +24,7 @@ VALID: dict[str, Any] = {
     "challenge": "nowhere",
     "draft": {**DRAFT, "lamp": [{"x_mm": 100, "y_mm": 100, "power_w": 7}]},
     "file": "mine.toml",
+    "model": "khepera1",
     "heading_deg": 90,
     "lamp": 0,
     "name": "default",
