@@ -50,7 +50,7 @@ export class ThreeD {
     this.#scene.add(this.#staticGroup, this.#shading.node);
     this.material = {
       solid: this.#solidMaterial,
-      floor: new GouraudMaterial(this.#solidMaterial.uniforms),
+      floor: Object.assign(new GouraudMaterial(this.#solidMaterial.uniforms), { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }), // below its lines
       lines: new THREE.LineBasicMaterial(),
       trail: new THREE.LineBasicMaterial(),
       fans: new THREE.MeshBasicMaterial({ vertexColors: true, transparent: true, depthWrite: false, side: THREE.DoubleSide }),
