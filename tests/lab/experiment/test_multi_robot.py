@@ -5,7 +5,7 @@ from scenes import arena, robot
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PortError, PortTimeout
-from khep_twin.host import Khepera
+from khep_twin.host import Khepera, Khepera4
 from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.ports.twin import TwinOptions
 
@@ -34,6 +34,21 @@ def test_two_scripts_share_one_time_and_run_twice_the_same() -> None:
     assert len(runs[0][0]) == 60
     assert len(runs[0][1]) == 20
     assert run_together(TWO, [chase, wander], TwinOptions(seed=6)) != runs[0]
+
+
+def test_robots_of_two_models_share_one_time() -> None:
+    def drive(robot: Khepera4) -> float:
+        robot.set_speed(0.1, 0.1)
+        robot.sleep(0.5)
+        return robot.ultrasonic().right or 0.0
+
+    def wait(robot: Khepera) -> float:
+        robot.sleep(0.5)
+        return robot.time
+
+    runs = [run_together("arena4-two", [drive, drive, wait], TwinOptions(seed=5)) for _ in range(2)]
+    assert runs[0] == runs[1]
+    assert runs[0] == pytest.approx([0.93, 0.93, 0.5], abs=0.05)
 
 
 def test_the_turn_goes_to_the_earliest_and_then_to_the_lower_number() -> None:

@@ -10,7 +10,8 @@ from matplotlib.collections import PolyCollection
 from khep_twin.drawing.map import save
 from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, check, draw, mean_and_spread, positions
-from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
+from khep_twin.lab.sensor_test.sensor_test import QuantityName, SensorRun, SensorTest
+from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.units import SENSOR_LABELS
 
 LINEAR = SensorTest(linear_cm=10)
@@ -36,6 +37,15 @@ def test_eight_axes_lie_like_the_sensors_on_a_robot_that_looks_up() -> None:
     assert places_of["back left"].x1 < places_of["back right"].x0
     assert places_of["left 90"].y1 < places_of["left 45"].y0
     assert places_of["back left"].y1 < places_of["left 90"].y0
+
+
+@pytest.mark.parametrize("what", ["proximity", "light"])
+def test_a_khepera4_has_axes_for_its_own_sensors_up_to_their_limit(what: QuantityName) -> None:
+    test = SensorTest(what, linear_cm=10, model="khepera4")
+    dv = np.full((11, 14), 980)
+    figure = draw([SensorRun(test, dv, np.arange(11) / 10)])
+    assert tuple(axes.get_title() for axes in figure.axes) == KHEPERA_4.body.sensors
+    assert figure.axes[0].get_ylim()[1] > 980
 
 
 def test_a_path_counts_down_to_0_at_the_right_and_a_turn_up() -> None:
