@@ -18,7 +18,7 @@ from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
-from khep_twin.web.drafts import blank, draft_of, models, problems_of
+from khep_twin.web.drafts import blank, draft_of, problems_of
 from tests.drawn_bitmap import drawn
 from tests.web.conftest import Client, run_server
 
@@ -336,13 +336,12 @@ def test_a_file_that_was_broken_meanwhile_can_be_replaced_or_left_for_another(
         assert draft_of(Playpen.load(tmp_path / name)) == draft
 
 
-@pytest.mark.parametrize("name", ["khepera1", "khepera2", "khepera4"])
-def test_no_choice_that_the_page_offers_for_a_model_is_refused(name: str) -> None:
-    choices: Any = models()[name]
-    turrets = [*installed_turrets()] if choices["has_turrets"] else []
-    for rom, modes in choices["modes"].items():
-        for mode, calibration in product(modes, choices["calibrations"]):
-            robot = {"x_mm": 1000, "y_mm": 1000, "heading_deg": 0, "model": name, "rom": rom}
-            robot |= {"mode": mode, "calibration": calibration, "turrets": turrets}
-            draft = {"version": 1, "name": "all", "arena": {"width_mm": 2000, "height_mm": 2000}}
-            assert problems_of({**draft, "robot": [robot]}) == []
+def test_no_choice_that_the_page_offers_for_a_model_is_refused(client: Client) -> None:
+    for name, choices in client.do("hello")[1]["models"].items():
+        turrets = [*installed_turrets()] if choices["has_turrets"] else []
+        for rom, modes in choices["modes"].items():
+            for mode, calibration in product(map(int, modes), choices["calibrations"]):
+                robot = {"x_mm": 1000, "y_mm": 1000, "heading_deg": 0, "model": name, "rom": rom}
+                robot |= {"mode": mode, "calibration": calibration, "turrets": turrets}
+                draft = {"version": 1, "name": "all", "arena": {"width_mm": 2000, "height_mm": 2000}}
+                assert problems_of({**draft, "robot": [robot]}) == []

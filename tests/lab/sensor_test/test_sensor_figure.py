@@ -39,9 +39,9 @@ def test_eight_axes_lie_like_the_sensors_on_a_robot_that_looks_up() -> None:
     assert places_of["back left"].y1 < places_of["left 90"].y0
 
 
-@pytest.mark.parametrize("what", ["proximity", "light"])
-def test_a_khepera4_has_axes_for_its_own_sensors_up_to_their_limit(what: QuantityName) -> None:
-    test = SensorTest(what, linear_cm=10, model="khepera4")
+@pytest.mark.parametrize("quantity", ["proximity", "light"])
+def test_a_khepera4_has_axes_for_its_own_sensors_up_to_their_limit(quantity: QuantityName) -> None:
+    test = SensorTest(quantity, linear_cm=10, model="khepera4")
     dv = np.full((11, 14), 980)
     figure = draw([SensorRun(test, dv, np.arange(11) / 10)])
     assert tuple(axes.get_title() for axes in figure.axes) == KHEPERA_4.body.sensors
