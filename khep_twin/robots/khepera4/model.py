@@ -133,7 +133,7 @@ KHEPERA_4 = RobotModel(
     terms=_TERMS,
     speed_modes={_FIRST["control"]: Control.SPEED},
     vehicle=vehicle_speeds,
-    template="khepera4_template.py",
+    template=str(Path(__file__).parent / "assets" / "template.py"),
     tasks={
         "KheperaIVObstacleAvoidance": "khep_twin.robots.khepera4.tasks:OBSTACLE_AVOIDANCE",
         "KheperaIVLineFollowing": "khep_twin.robots.khepera4.tasks:LINE_FOLLOWING",
