@@ -117,10 +117,12 @@ class Network:
         seed: int | None = None,
         replace: bool = False,
     ) -> None:
-        """Write the network with its genes to an NPZ file, which may replace that of another network.
+        """Write the network with its genes to an NPZ file, or to a program in C for the robot itself.
+
+        The file may replace that of another network.
 
         Args:
-            path: Name of the file, which ends in .npz.
+            path: Name of the file, which ends in .npz, or in .c for a program.
             genes: Genome (n_genes,); by default that of the network.
             setup: Setup of the training episodes, for `period_ns`, `light` and `playpen`.
             seed: Seed of training; by default that of the network.

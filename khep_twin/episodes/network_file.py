@@ -1,4 +1,4 @@
-"""Network files: NPZ archives that numpy opens without pickle.
+"""Network files: NPZ archives that numpy opens without pickle, and programs in C (`network_program`).
 
 Arrays of a file, which are checked after reading and before writing:
 
@@ -16,6 +16,7 @@ Arrays of a file, which are checked after reading and before writing:
     seed        seed of training; left out if unknown
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from khep_twin import units
-from khep_twin.episodes import networks
+from khep_twin.episodes import network_program, networks
 from khep_twin.errors import ControllerError, RobotModelError, choices
 from khep_twin.files.atomic import open_regular, write_atomic
 from khep_twin.files.npz_file import SIZE_LIMIT, npz_bytes, read_arrays
@@ -79,6 +80,17 @@ class NetworkContent(NamedTuple):
     model: str
 
 
+class Input(NamedTuple):
+    """Input of a network: its name, register, limits, and the readings that are 0 and 1."""
+
+    name: str
+    register: int
+    low: float
+    high: float
+    zero: float
+    one: float
+
+
 def sizes(hidden: Sequence[int], ambient: bool, terms: Sequence[str], family: str) -> tuple[int, ...]:
     """Return a network's numbers of inputs, neurons of each layer and outputs (left and right)."""
     model = find_family(family)
@@ -112,15 +124,16 @@ def decode(data: bytes, path: Path) -> NetworkContent:
 
 
 def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
-    """Write a file; an existing network is replaced, any other file only with `replace`.
+    """Write a file, or a program in C; an existing one is replaced, any other file only with `replace`.
 
     Raises:
-        ControllerError: The network cannot be used, or the name does not end in .npz.
+        ControllerError: The network cannot be used, its model runs no program, or the name ends otherwise.
         KhepTwinError: Another file exists, or the file cannot be written.
     """
-    if path.suffix != SUFFIX:
-        raise ControllerError(f"{path}: expected a name that ends in {SUFFIX}")
-    names, zero, one = _describe_inputs(content.ambient, content.terms, content.light, content.model)
+    if path.suffix not in (SUFFIX, network_program.SUFFIX):
+        expected = f"{SUFFIX}, or in {network_program.SUFFIX} for a program"
+        raise ControllerError(f"{path}: expected a name that ends in {expected}")
+    inputs = _describe_inputs(content.ambient, content.terms, content.light, content.model)
     arrays: dict[str, ArrayLike] = {
         "format": FORMAT,
         "version": VERSION,
@@ -128,9 +141,9 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
         "recurrent": content.recurrent,
         "top_speed": float(content.top_speed),
         "genes": np.array(content.genes, np.float64),
-        "inputs": names,
-        "zero": zero,
-        "one": one,
+        "inputs": [entry.name for entry in inputs],
+        "zero": [entry.zero for entry in inputs],
+        "one": [entry.one for entry in inputs],
         "period_ns": content.period_ns,
         "playpen": content.playpen,
         **({} if content.seed is None else {"seed": content.seed}),
@@ -140,30 +153,40 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
     may_replace = replace or _is_network(path)
     if not may_replace and path.is_file() and path.stat().st_size:
         raise ControllerError(f"{path}: is there, and no network; expected another name, or replace=True")
-    write_atomic(path, npz_bytes(arrays), may_replace)
+    if path.suffix == SUFFIX:
+        data = npz_bytes(arrays)
+    else:
+        n_neurons = sizes(content.hidden, content.ambient, content.terms, content.model)
+        data = network_program.c_source(content, inputs, n_neurons).encode()
+    write_atomic(path, data, may_replace)
 
 
 def _is_network(path: Path) -> bool:
     try:
+        if path.suffix == network_program.SUFFIX:
+            return path.read_bytes().startswith(network_program.HEAD.encode())
         read(path)
-    except ControllerError:
+    except (ControllerError, OSError):
         return False
     return True
 
 
 def _describe_inputs(
     ambient: bool, terms: Sequence[str], light: tuple[float, float], family: str
-) -> tuple[list[str], list[float], list[float]]:
-    """Return the names of the inputs, and the readings that are 0 and 1."""
+) -> list[Input]:
+    """Return the inputs in their order."""
     model = find_family(family)
-    interface, cameras = model.episode_interface, model.body.cameras
-    parts = [("proximity", cameras[: interface.n_proximity], (0.0, float(interface.counts[1])))]
+    interface, cameras, none = model.episode_interface, model.body.cameras, (-math.inf, math.inf)
+    parts = [("proximity", interface.proximity, cameras, (*none, 0.0, float(interface.counts[1])))]
     if ambient:
-        parts.append(("light", cameras[: interface.n_ambient], light))
-    parts += [(term.name, term.names, (term.zero, float(term.high))) for term in model.find_terms(terms)]
-    names = [f"{part} {name}" for part, part_names, _ in parts for name in part_names]
-    zero, one = ([scale[end] for _, part_names, scale in parts for _ in part_names] for end in (0, 1))
-    return names, zero, one
+        parts.append(("light", interface.ambient, cameras, (*none, *light)))
+    for term in model.find_terms(terms):
+        parts.append((term.name, term.registers, term.names, (term.low, term.high, term.zero, term.high)))
+    return [
+        Input(f"{part} {name}", register, *map(float, scale))
+        for part, registers, names, scale in parts
+        for register, name in zip(range(*registers), names, strict=False)
+    ]
 
 
 def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> NetworkContent:
@@ -219,7 +242,9 @@ def _content(
     zero, one = arrays["zero"].tolist(), arrays["one"].tolist()
     if ambient and len(zero) == len(one) == len(inputs):
         light = float(zero[index]), float(one[index])
-    names, *expected_scale = _describe_inputs(ambient, terms, light, family)
+    expected_inputs = _describe_inputs(ambient, terms, light, family)
+    names = [entry.name for entry in expected_inputs]
+    expected_scale = [[entry.zero for entry in expected_inputs], [entry.one for entry in expected_inputs]]
     if len(inputs) != len(names):
         raise refusal(f"{len(inputs)} inputs", _n_inputs_text(interface, n_readings))
     for index, (input_name, name) in enumerate(zip(inputs, names, strict=True)):

@@ -11,6 +11,7 @@ This module knows no model. A package registers its models under the entry point
     robot           subclass of `khep_twin.robots.robot.Robot`: the robot of a world
     host            subclass of `khep_twin.host.HostRobot`: the robot at the other end of a line
     conformance     `khep_twin.lab.conformance.port.conform.Checks`: checks at a port
+    program         function that returns C functions for programs on the robot, of networks' registers
 """
 
 import re

@@ -352,7 +352,7 @@ def _centre(scene: BeamScene, pose: int) -> tuple[float, float, float]:
     return joint_position(scene, pose), joint_position(scene, pose + 1), joint_position(scene, pose + 2)
 
 
-_WORDS = (
+WORDS = (
     (int(DspicRegister.PROXIMITY), 2, 0, 2, N_INFRARED),
     (int(DspicRegister.AMBIENT), 2, 0, 2, N_INFRARED),
     (int(DspicRegister.ULTRASONIC), 2, 0, 2, N_ULTRASONIC),
@@ -381,7 +381,7 @@ to the next [bytes], and their number."""
 def fill_registers(robot: Khepera4State) -> None:
     """Set the registers to the numbers of the dsPIC."""
     index, registers, memory = 0, robot.registers, robot.dspic.memory
-    for first, size, is_signed, stride, count in _WORDS:
+    for first, size, is_signed, stride, count in WORDS:
         for number in range(count):
             value = dspic.read_signed(memory, first + number * stride, size)
             registers[index] = value if is_signed or value >= 0 else value + (1 << 8 * size)
