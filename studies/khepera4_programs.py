@@ -19,7 +19,6 @@ from tempfile import TemporaryDirectory, TemporaryFile
 
 from khep_twin.robots.khepera4.machine import Machine
 from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
-from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
 from tools.command_table import command_line
@@ -52,8 +51,7 @@ class TrackedTime:
             now = self._robot.pose
             self.path_m += math.dist(now[:2], self._last_pose[:2])
             self._last_pose = now
-            self._robot.dspic.read(DspicRegister.PROXIMITY, 16)
-            near = max(self._robot.dspic.words(DspicRegister.PROXIMITY, 8))
+            near = max(self._robot.readings()["proximity"][:8])
             self.nearest = max(self.nearest, near)
         self._world.advance_to(time_ns)
 

@@ -144,9 +144,14 @@ class Network:
         network_file.write(Path(path), network_file.NetworkContent(**fields), replace)
 
     @property
+    def inputs(self) -> list[network_file.Input]:
+        """Inputs in their order."""
+        return network_file.describe_inputs(self.ambient, self.terms, self.light, self.model)
+
+    @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers of inputs, neurons of each layer and outputs (left and right)."""
-        return network_file.sizes(self.hidden, self.ambient, self.terms, self.model)
+        return len(self.inputs), *self.hidden, 2
 
     @property
     def requests(self) -> str:
@@ -270,6 +275,7 @@ def make_controllers(
     interface, n_robots = setup.interface, len(setup.playpen.robots)
     terms = find_terms(driver, setup.entry.robot_model)
     kind, function, sizes, recurrent, top_speed, n_memory = stepping.CONSTANT_SPEED, 0, (), False, 0.0, 0
+    scales: list[tuple[float, ...]] = []
     if isinstance(driver, Network) and not genes.size:
         genes = np.array(driver.genes, np.float64)
     if genes.ndim == 2 and len(genes) != n_robots:
@@ -284,6 +290,8 @@ def make_controllers(
                 raise ControllerError(f"{weights.shape[1]} genes for {driver}; expected {driver.n_genes}")
             kind, sizes, recurrent = stepping.NETWORK, driver.sizes, driver.recurrent
             top_speed, n_memory = float(driver.top_speed), sizes[1]
+            first_term = sizes[0] - sum(len(term.names) for term in terms)
+            scales = [entry[1:5] for entry in driver.inputs[first_term:]]
         case Function():
             kind, n_memory = stepping.FUNCTION, driver.n_memory
             if compiled:
@@ -305,7 +313,7 @@ def make_controllers(
         np.array(sizes, np.int64),
         recurrent,
         top_speed,
-        _input_scales(terms) if isinstance(driver, Network) else np.zeros((0, N_SCALE)),
+        np.array(scales, np.float64).reshape(-1, N_SCALE),
         weights,
         np.zeros((n_robots, n_memory)),
         np.zeros(sum(sizes)),
@@ -317,16 +325,6 @@ def make_controllers(
         np.zeros((n_robots, interface.n_registers), np.int64),
     )
     return controllers if compiled else _to_python(controllers)
-
-
-def _input_scales(terms: Sequence[Term]) -> Floats:
-    """Return the register, lowest and highest value, and value of 0 of each reading (n, N_SCALE)."""
-    rows = [
-        (term.register + index, term.low, term.high, term.zero)
-        for term in terms
-        for index in range(len(term.names))
-    ]
-    return np.array(rows, np.float64).reshape(-1, N_SCALE)
 
 
 def _call_plain(

@@ -1,6 +1,6 @@
-"""Network files: NPZ archives that numpy opens without pickle, and programs in C (`network_program`).
+"""Network files: NPZ archives that numpy opens without pickle, and programs in C that run on the robot.
 
-Arrays of a file, which are checked after reading and before writing:
+Arrays of an archive, which are checked after reading and before writing:
 
     format      "khep_twin network"
     version     1
@@ -14,18 +14,23 @@ Arrays of a file, which are checked after reading and before writing:
     period_ns   control period of training [ns]
     playpen     playpen of training, as text; empty if unknown
     seed        seed of training; left out if unknown
+
+A program has the network's tables, functions of the model's part `program`, and `assets/network.c`.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from khep_twin import units
-from khep_twin.episodes import network_program, networks
+from khep_twin.clock import NS_PER_S
+from khep_twin.episodes import networks
 from khep_twin.errors import ControllerError, RobotModelError, choices
 from khep_twin.files.atomic import open_regular, write_atomic
 from khep_twin.files.npz_file import SIZE_LIMIT, npz_bytes, read_arrays
@@ -33,8 +38,11 @@ from khep_twin.randomness import SEED_LIMIT
 from khep_twin.robots.model import Interface
 from khep_twin.robots.registry import default_model, find_family
 
-SUFFIX = ".npz"
-"""Suffix of network files."""
+SUFFIX, PROGRAM = ".npz", ".c"
+"""Suffixes of network files: archives and programs."""
+
+_SOURCE = (files("khep_twin") / "assets" / "network.c").read_text()
+_HEAD = _SOURCE[: _SOURCE.index("\n")].encode()
 
 FORMAT, VERSION = "khep_twin network", 1
 
@@ -90,12 +98,9 @@ class Input(NamedTuple):
     zero: float
     one: float
 
-
-def sizes(hidden: Sequence[int], ambient: bool, terms: Sequence[str], family: str) -> tuple[int, ...]:
-    """Return a network's numbers of inputs, neurons of each layer and outputs (left and right)."""
-    model = find_family(family)
-    interface, n_readings = model.episode_interface, sum(len(t.names) for t in model.find_terms(terms))
-    return (interface.n_proximity + ambient * interface.n_ambient + n_readings, *hidden, 2)
+    def scale(self, reading: float) -> float:
+        """Return the input for a reading."""
+        return (min(max(reading, self.low), self.high) - self.zero) / (self.one - self.zero)
 
 
 def read(path: Path) -> NetworkContent:
@@ -130,10 +135,10 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
         ControllerError: The network cannot be used, its model runs no program, or the name ends otherwise.
         KhepTwinError: Another file exists, or the file cannot be written.
     """
-    if path.suffix not in (SUFFIX, network_program.SUFFIX):
-        expected = f"{SUFFIX}, or in {network_program.SUFFIX} for a program"
-        raise ControllerError(f"{path}: expected a name that ends in {expected}")
-    inputs = _describe_inputs(content.ambient, content.terms, content.light, content.model)
+    if path.suffix not in (SUFFIX, PROGRAM):
+        raise ControllerError(f"{path}: expected a name that ends in {SUFFIX}, or in {PROGRAM} for a program")
+    inputs = describe_inputs(content.ambient, content.terms, content.light, content.model)
+    names, _, _, _, zero, one = zip(*inputs, strict=True)
     arrays: dict[str, ArrayLike] = {
         "format": FORMAT,
         "version": VERSION,
@@ -141,9 +146,9 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
         "recurrent": content.recurrent,
         "top_speed": float(content.top_speed),
         "genes": np.array(content.genes, np.float64),
-        "inputs": [entry.name for entry in inputs],
-        "zero": [entry.zero for entry in inputs],
-        "one": [entry.one for entry in inputs],
+        "inputs": names,
+        "zero": zero,
+        "one": one,
         "period_ns": content.period_ns,
         "playpen": content.playpen,
         **({} if content.seed is None else {"seed": content.seed}),
@@ -153,25 +158,43 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
     may_replace = replace or _is_network(path)
     if not may_replace and path.is_file() and path.stat().st_size:
         raise ControllerError(f"{path}: is there, and no network; expected another name, or replace=True")
-    if path.suffix == SUFFIX:
-        data = npz_bytes(arrays)
-    else:
-        n_neurons = sizes(content.hidden, content.ambient, content.terms, content.model)
-        data = network_program.c_source(content, inputs, n_neurons).encode()
-    write_atomic(path, data, may_replace)
+    is_archive = path.suffix == SUFFIX
+    write_atomic(path, npz_bytes(arrays) if is_archive else _program(content, inputs), may_replace)
 
 
 def _is_network(path: Path) -> bool:
     try:
-        if path.suffix == network_program.SUFFIX:
-            return path.read_bytes().startswith(network_program.HEAD.encode())
+        if path.suffix == PROGRAM:
+            return path.read_bytes().startswith(_HEAD)
         read(path)
     except (ControllerError, OSError):
         return False
     return True
 
 
-def _describe_inputs(
+def _program(content: NetworkContent, inputs: Sequence[Input]) -> bytes:
+    """Return the program of a network; raise a `ControllerError` if its model runs none."""
+    model, sizes = find_family(content.model), (len(inputs), *content.hidden, 2)
+    if "program" not in model.parts:
+        raise ControllerError(f"a program in C for model {model.name}, which runs none; expected a file .npz")
+    seconds, rest_ns = divmod(content.period_ns, NS_PER_S)
+    scales = "".join(f"    {', '.join(map(repr, row[2:]))}, /* {row.name} */\n" for row in inputs)
+    tables = f"""\
+#define PERIOD {{{seconds}, {rest_ns}}}
+#define TOP_SPEED {float(content.top_speed)!r}
+#define N_INPUTS {len(inputs)}
+#define N_NEURONS {sum(sizes)}
+#define N_LAYERS {len(sizes)}
+#define N_FEEDBACK {content.recurrent * sizes[1]}
+static const int SIZES[] = {{{", ".join(map(str, sizes))}}};
+static const double GENES[] = {{{", ".join(map(repr, content.genes))}}};
+static const double SCALES[] = {{
+{scales.replace("inf,", "INFINITY,")}}};
+{model.load("program", FunctionType)([row.register for row in inputs])}"""
+    return _SOURCE.replace("/* tables */", tables).encode()
+
+
+def describe_inputs(
     ambient: bool, terms: Sequence[str], light: tuple[float, float], family: str
 ) -> list[Input]:
     """Return the inputs in their order."""
@@ -242,9 +265,8 @@ def _content(
     zero, one = arrays["zero"].tolist(), arrays["one"].tolist()
     if ambient and len(zero) == len(one) == len(inputs):
         light = float(zero[index]), float(one[index])
-    expected_inputs = _describe_inputs(ambient, terms, light, family)
-    names = [entry.name for entry in expected_inputs]
-    expected_scale = [[entry.zero for entry in expected_inputs], [entry.one for entry in expected_inputs]]
+    expected_inputs = zip(*describe_inputs(ambient, terms, light, family), strict=True)
+    names, _, _, _, *expected_scale = map(list, expected_inputs)
     if len(inputs) != len(names):
         raise refusal(f"{len(inputs)} inputs", _n_inputs_text(interface, n_readings))
     for index, (input_name, name) in enumerate(zip(inputs, names, strict=True)):
@@ -258,7 +280,7 @@ def _content(
             expected += f"; {', '.join(terms)} from {expected_scale[0][-n_readings:]}"
             expected += f" to {expected_scale[1][-n_readings:]}"
         raise refusal(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", expected)
-    layers = sizes(hidden, ambient, terms, family)
+    layers = len(names), *hidden, 2
     if len(genes) != (count := networks.n_genes(layers, recurrent)):
         feedback = ", recurrent" if recurrent else ""
         raise refusal(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")

@@ -180,10 +180,6 @@ class Term(NamedTuple):
         """Value that is the input 0 of a network; `high` is 1, and values are clipped to `low` and `high`."""
         return max(self.low, 0.0)
 
-    def scale(self, value: float) -> float:
-        """Return a reading as an input of a network."""
-        return (min(max(value, self.low), self.high) - self.zero) / (self.high - self.zero)
-
 
 @dataclass(frozen=True, slots=True)
 class Bar:

@@ -99,7 +99,7 @@ def test_its_vehicle_stops_at_the_end_whatever_drives(robot: Khepera4) -> None:
         other.sleep(1)
         assert min(other.speed()) > 0.05
         twin = twin_of(other)
-    assert twin.dspic.motor_numbers[0][2:] == (0, 0)
+    assert twin.readings()["speed"][2:] == [0, 0]
     robot.hold()
     with pytest.raises(StoppedError, match="'A,0' is not sent"):
         robot.wander()

@@ -1,4 +1,4 @@
-"""Programs compiled for a Khepera IV: device nodes, clock, threads, and errors."""
+"""Programs compiled for a Khepera IV: device nodes, clock, threads, networks, and errors."""
 
 import os
 import shutil
@@ -7,11 +7,17 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
+import numpy as np
 import pytest
 
+from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
-from khep_twin.robots.khepera4.machine import CHARGER_PIN, Machine
+from khep_twin.robots.khepera4.machine import BYTE_NS, CHARGER_PIN, Machine
 from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
@@ -36,10 +42,13 @@ def machine() -> Machine:
     return machine_of(World("arena4"))
 
 
-def machine_of(world: World) -> Machine:
+Kind = TypeVar("Kind", bound=Machine)
+
+
+def machine_of(world: World, kind: type[Kind] = Machine) -> Kind:
     robot = world.robots[0]
     assert isinstance(robot, Khepera4Robot)
-    return Machine(robot.dspic, world)
+    return kind(robot.dspic, world)
 
 
 def python(source: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
@@ -72,6 +81,42 @@ def test_a_program_finds_the_dspic_on_its_bus_and_drives(
     assert speeds[0] == 0
     assert 600 < max(speeds) < 750
     assert speeds[-1] == pytest.approx(500, abs=3)
+
+
+class ObservedMachine(Machine):
+    """Machine that keeps the speeds that its program sets, as they are on the bus."""
+
+    speeds: tuple[bytes, ...] = ()
+
+    def transfer(self, messages: Sequence[tuple[int, int, bytes]], byte_ns: int = BYTE_NS) -> bytes:
+        content = messages[0][2]
+        if content[0] == DspicRegister.SPEED_ORDER_LEFT:
+            self.speeds += (content[1:],)
+        return super().transfer(messages, byte_ns)
+
+
+def test_a_networks_program_drives_at_the_speeds_of_its_rollout(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    terms, n_cycles, setup = ("gyroscope", "ground", "ultrasonic"), 12, EpisodeSetup("arena4")
+    network = Network(hidden=(4, 3), recurrent=True, ambient=True, terms=terms, model="khepera4")
+    genes = np.random.default_rng(1).normal(size=network.n_genes)
+    network.save(tmp_path / "best.c", genes, setup=setup)
+    build = ["cc", "-Wall", "-Werror", "-o", tmp_path / "best", tmp_path / "best.c", "-lm"]
+    subprocess.run(build, check=True)
+    machine = machine_of(World("arena4", seed=1), ObservedMachine)
+    program = RobotProgram([str(tmp_path / "best")], machine)
+    assert run_programs([program], until_ns=n_cycles * setup.period_ns) == [0]
+    assert capfd.readouterr() == ("", "")
+    episode, expected = Episode(setup, network, compiled=False), []
+    episode.begin(1, EpisodeOptions(genes=genes))
+    robot = episode.world.robots[0]
+    assert isinstance(robot, Khepera4Robot)
+    for _ in range(n_cycles):
+        episode.step(setup.steps_per_period)
+        expected.append(robot.dspic.read(DspicRegister.SPEED_ORDER_LEFT, 4))
+    assert machine.speeds == (bytes(4), *expected, bytes(4))
+    assert len(set(expected)) == n_cycles
 
 
 def test_time_passes_while_all_threads_and_children_wait_and_a_run_repeats(

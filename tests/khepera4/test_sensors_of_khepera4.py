@@ -253,9 +253,9 @@ def test_a_reset_sets_the_positions_to_zero_and_keeps_readings() -> None:
     assert words(world, DspicRegister.PROXIMITY, 12) == before
     assert dspic.read(DspicRegister.BATTERY, 12)[3] == 100
     world.advance(0.02)
-    (speed, *_), (position, *_), _ = dspic.motor_numbers
-    assert 0 < position < 800
-    assert abs(speed) < 400
+    readings = robot_of(world).readings()
+    assert 0 < readings["position"][0] < 800
+    assert abs(readings["speed"][0]) < 400
 
 
 def test_a_brown_out_resets_the_robot_and_with_an_empty_battery_it_does_not_reply() -> None:

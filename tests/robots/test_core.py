@@ -91,9 +91,9 @@ def test_a_reading_belongs_to_the_lamps_of_its_measurement(compiled: bool) -> No
         assert isinstance(robot, Khepera4Robot)
         if world is lit:  # more lamps than the moments had space for
             world.set_lamps(LAMPS)
-        ambient.append(robot.dspic.read_words(DspicRegister.AMBIENT, 12))
+        ambient.append(robot.readings()["ambient"])
         world.advance(0.01)
-        ambient.append(robot.dspic.read_words(DspicRegister.AMBIENT, 12))
+        ambient.append(robot.readings()["ambient"])
     assert ambient[0] == ambient[2] == ambient[3]
     assert ambient[1] != ambient[0]
 

@@ -73,6 +73,7 @@ class NetworkController(PeriodicController):
         self.network = network
         self.file = file
         self._genes = list(network.genes)
+        self._inputs = network.inputs
         self._memory: list[float] = []
         self._sizes = list(network.sizes)
         self._values = [0.0] * sum(network.sizes)
@@ -93,20 +94,11 @@ class NetworkController(PeriodicController):
 
     def decide(self, robot: HostRobot) -> tuple[float, float]:
         """Read the robot's sensors and evaluate the network."""
-        network, values, interface = self.network, self._values, robot.model.episode_interface
-        n_proximity, limit = interface.n_proximity, interface.counts[1]
-        values[:n_proximity] = [count / limit for count in robot.read_registers(range(*interface.proximity))]
-        if network.ambient:
-            dark, bright = network.light
-            values[n_proximity : n_proximity + interface.n_ambient] = [
-                (dark - count) / (dark - bright) for count in robot.read_registers(range(*interface.ambient))
-            ]
-        first = len(values) - sum(network.sizes[1:])
-        for term in reversed(robot.model.find_terms(network.terms)):
-            first -= len(term.names)
-            values[first : first + len(term.names)] = map(
-                term.scale, robot.read_registers(range(*term.registers))
-            )
+        network, values, inputs = self.network, self._values, self._inputs
+        readings = robot.read_registers([entry.register for entry in inputs])
+        values[: len(inputs)] = [
+            entry.scale(reading) for entry, reading in zip(inputs, readings, strict=True)
+        ]
         output_start = networks.forward(self._sizes, network.recurrent, self._genes, self._memory, values)
         left, right = (network.top_speed * value for value in values[output_start : output_start + 2])
         if not (math.isfinite(left) and math.isfinite(right)):

@@ -215,28 +215,6 @@ class Dspic:
         for index, value in enumerate(values):
             write_number(self.state.memory, register + 2 * index, 2, value)
 
-    def read_words(self, register: int, count: int) -> list[int]:
-        """Read unsigned registers of 2 bytes."""
-        self.before_read(register, register + 2 * count)
-        return self.words(register, count)
-
-    def words(self, register: int, count: int) -> list[int]:
-        """Return unsigned registers of 2 bytes, without a call of `before_read`."""
-        content: Sequence[int] = self._memory[register : register + 2 * count].tolist()
-        return [low | high << 8 for low, high in zip(content[::2], content[1::2], strict=True)]
-
-    @property
-    def motor_numbers(self) -> tuple[Sequence[int], Sequence[int], Sequence[int]]:
-        """Speeds and their orders, positions and their orders, left before right, and PWM."""
-        memory, motors = self.state.memory, self.state.motors
-        speeds = [read_signed(memory, _SPEED_ORDER + at, 2) for at in (0, 2)]
-        positions = [read_signed(memory, _POSITION_ORDER + at, 4) for at in (0, 4)]
-        return (
-            (motors[_SPEED], motors[N_MOTOR + _SPEED], *speeds),
-            (motors[_POSITION], motors[N_MOTOR + _POSITION], *positions),
-            self.pwm,
-        )
-
     @property
     def leds(self) -> bytes:
         """Red, green and blue of the LEDs front left, front right and back, 0 to 63 (9,)."""

@@ -121,7 +121,7 @@ KHEPERA_4 = RobotModel(
     parts={
         **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),
         "conformance": "khep_twin.robots.khepera4.conformance.catalogue:KHEPERA_4_CHECKS",
-        "program": "khep_twin.robots.khepera4.network_program:bus_source",
+        "program": "khep_twin.robots.khepera4.programs:bus_source",
     },
     plots={
         "ultrasonic": "ultrasonic [cm]",

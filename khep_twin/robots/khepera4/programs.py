@@ -25,10 +25,11 @@ from types import FrameType
 from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
+from khep_twin.robots.khepera4.core import WORDS
 from khep_twin.robots.khepera4.device_server import DeviceServer
 from khep_twin.robots.khepera4.executable import Executable, StartedPrograms, check_executable, check_preload
 from khep_twin.robots.khepera4.machine import Machine
-from khep_twin.robots.khepera4.preload import find_temporary_folder, preload_library
+from khep_twin.robots.khepera4.preload import SOURCES, find_temporary_folder, preload_library
 from khep_twin.robots.khepera4.scheduler import NEVER_NS
 
 CONFIGURATION = "section Khepera4\ndevice dsPic i2c 0x30\n"
@@ -39,6 +40,19 @@ TERMINATE_S = 2.0
 
 ORPHANS_S = 0.3
 """Time of the wall clock until children without a twin are killed [s]; most end on their own."""
+
+
+def bus_source(registers: Sequence[int]) -> str:
+    """Return C functions that start the robot, read registers of 2 bytes, and drive."""
+    places = [first + number * stride for first, _, _, stride, count in WORDS for number in range(count)]
+    reads: list[list[int]] = []
+    for place in map(places.__getitem__, registers):
+        if reads and reads[-1][0] + 2 * reads[-1][1] == place:
+            reads[-1][1] += 1
+        else:
+            reads.append([place, 1])
+    table = ", ".join(f"{place}, {count}" for place, count in reads)
+    return f"static unsigned char READS[] = {{{table}}};\n{(SOURCES / 'bus.c').read_text()}"
 
 
 class RobotProgram(NamedTuple):
