@@ -10,6 +10,7 @@ STUDIES = {
     "infrared-fits": "infrared_fits",
     "khepera2-fits": "khepera2_fits",
     "khepera4-programs": "khepera4_programs",
+    "khepera4-transfer": "khepera4_transfer",
     "infrared-picture": "infrared_picture",
     "lamp-fits": "lamp_fits",
     "lamp-picture": "lamp_picture",

@@ -13,9 +13,11 @@ import gymnasium
 import numpy as np
 import pytest
 
-from khep_twin import Khepera, TaskController
+from khep_twin import Khepera, Network, TaskController
+from khep_twin.episodes import networks
 
 PAGE = Path(__file__).parents[1] / "docs" / "evolve_train_drive.md"
+PROGRAMS = dict(re.findall(r"<!-- file: (\w+\.py) -->\n\n```python\n(.*?)```", PAGE.read_text(), re.DOTALL))
 
 
 class Model:
@@ -63,11 +65,8 @@ def test_what_is_trained_keeps_its_period_on_the_line(
         monkeypatch.setattr(sys.modules[module], name, stand_in, raising=False)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    programs = dict(
-        re.findall(r"<!-- file: (\w+\.py) -->\n\n```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    )
     for name in ("learn.py", "avoid.py"):
-        exec(compile(programs[name], name, "exec"), names)
+        exec(compile(PROGRAMS[name], name, "exec"), names)
     controller = names["controller"]
     assert isinstance(controller, TaskController)
     with Khepera("khep://obstacles?mode=3", baudrate=38400) as robot:
@@ -75,3 +74,22 @@ def test_what_is_trained_keeps_its_period_on_the_line(
         start_s = robot.time
         controller.cycle(robot)
         assert robot.time - start_s == pytest.approx(0.05)
+
+
+def test_the_actor_of_a_policy_is_a_network() -> None:
+    names: dict[str, Any] = {}
+    exec(compile(PROGRAMS["network_of.py"], "network_of.py", "exec"), names)
+    rng, sizes = np.random.default_rng(1), (8, 5, 4, 2)
+    layers = [
+        (rng.normal(size=size), rng.normal(size=size[0])) for size in zip(sizes[1:], sizes, strict=False)
+    ]
+    network = names["network_of"](layers, period_ns=50_000_000)
+    assert isinstance(network, Network)
+    assert network.sizes == sizes
+    inputs = rng.uniform(size=8)
+    values = [*inputs, *[0.0] * 11]
+    first = networks.forward(network.sizes, False, network.genes, [], values)
+    expected = 2 * inputs - 1  # the observation
+    for weights, biases in layers:
+        expected = np.tanh(weights @ expected + biases)
+    assert values[first:] == pytest.approx(expected)

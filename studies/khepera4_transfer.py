@@ -1,0 +1,118 @@
+"""From a genome to a Khepera IV: `python -m studies khepera4-transfer best4.npz`, files of networks.
+
+Each network drives in the playpen from random starts, and the columns have the mean `obstacle_avoidance`: of
+rollouts in the plane and in MuJoCo, over `khep://`, and by its program in C under `exec`; then the same on
+other robots of the model (`vary`). Run n has the seed and the start n of all columns. Needs a C compiler.
+"""
+
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from khep_twin import EpisodeOptions, EpisodeSetup, Network, NetworkController, Playpen, rollout
+from khep_twin.episodes.fitness import TOP_SPEED_PULSES, obstacle_avoidance
+from khep_twin.lab.experiment import StartPose, starts
+from khep_twin.lab.experiment.series import FreshTwins, run_series
+from khep_twin.lab.experiment.series_run import Plan
+from khep_twin.playpen.starts import at_start
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.khepera4.machine import BYTE_NS, Machine, MachineTime
+from khep_twin.robots.khepera4.model import KHEPERA_4
+from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
+from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.robot import Khepera4Robot
+from tools.command_table import command_line
+
+SEED = 100
+
+
+class MeasuredMachine(Machine):
+    """Machine that computes the fitness of each cycle, from the readings and the speeds of its program."""
+
+    def __init__(self, robot: Khepera4Robot, clock: MachineTime) -> None:
+        super().__init__(robot.dspic, clock)
+        self.fitness: list[float] = []
+        self._nearest: float | None = None
+
+    def transfer(self, messages: Sequence[tuple[int, int, bytes]], byte_ns: int = BYTE_NS) -> bytes:
+        """Run messages on the bus."""
+        reply, content = super().transfer(messages, byte_ns), messages[0][2]
+        none, full = KHEPERA_4.episode_interface.counts
+        if content[0] == DspicRegister.PROXIMITY:
+            counts = np.frombuffer(reply[:16], "<u2")
+            self._nearest = max(float(counts.max()) - none, 0) / (full - none)
+        elif content[0] == DspicRegister.SPEED_ORDER_LEFT and self._nearest is not None:
+            scale = TOP_SPEED_PULSES / KHEPERA_4.episode_interface.top_speed
+            left, right = np.frombuffer(content[1:], "<i2") * scale
+            self.fitness.append(float(obstacle_avoidance(left, right, self._nearest)))
+            self._nearest = None
+        return reply
+
+
+class Transfer:
+    """Runs of one network: each method returns the mean fitness of the runs."""
+
+    def __init__(self, network: Network, playpen: Playpen, runs: int, seconds: float, program: Path) -> None:
+        self._network, self._playpen, self._seconds, self._program = network, playpen, seconds, program
+        self._seeds = range(SEED, SEED + runs)
+        self._starts: list[StartPose] = starts(["random"], playpen, robot=0, runs=runs, seed=SEED)
+        source = program.with_suffix(".c")
+        network.save(source)
+        subprocess.run(["cc", "-O2", "-o", program, source, "-lm"], check=True)
+
+    def planar(self, vary: bool, planar: bool = True) -> float:
+        """Run rollouts in the plane."""
+        setup, options = EpisodeSetup(self._playpen, planar=planar), EpisodeOptions(vary=vary)
+        results = rollout(
+            setup, self._network, self._seeds, self._seconds, starts=self._starts, options=options
+        )
+        return float(results.metrics["obstacle_avoidance"].mean())
+
+    def mujoco(self, vary: bool) -> float:
+        """Run rollouts in MuJoCo."""
+        return self.planar(vary, planar=False)
+
+    def line(self, vary: bool) -> float:
+        """Run over `khep://`."""
+        twins = FreshTwins(self._playpen, TwinOptions(SEED, vary=vary), self._starts)
+        plan = Plan(len(self._seeds), None, self._seconds, 0.0)
+        runs = run_series(NetworkController(self._network), twins, plan)
+        return float(np.mean([run.metrics["fitness"] for run in runs]))
+
+    def program(self, vary: bool) -> float:
+        """Run the program."""
+        runs = zip(self._seeds, self._starts, strict=True)
+        return float(np.mean([self._execute(seed, start, vary) for seed, start in runs]))
+
+    def _execute(self, seed: int, start: StartPose, vary: bool) -> float:
+        with open_twin(at_start(self._playpen, 0, start), TwinOptions(seed, vary=vary)) as twin:
+            robot = twin.world.robots[0]
+            assert isinstance(robot, Khepera4Robot)
+            machine = MeasuredMachine(robot, twin.world)
+            until_ns = round(self._seconds * 1e9)
+            run_programs([RobotProgram([str(self._program)], machine)], until_ns=until_ns)
+            return float(np.mean(machine.fitness))
+
+
+def main() -> None:
+    parser = command_line(__doc__)
+    parser.add_argument("networks", nargs="+", help="files of networks")
+    parser.add_argument("--playpen", default="arena4")
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    options = parser.parse_args()
+    columns = ("plane", "MuJoCo", "`khep://`", "`exec`")
+    print("| network |", *(f"{name} |" for name in columns), *(f"{name}, other robots |" for name in columns))
+    print("|---" * 9 + "|", flush=True)
+    for file in options.networks:
+        with TemporaryDirectory() as folder:
+            program = Path(folder, "network")
+            network, playpen = Network.load(file), Playpen.load(options.playpen)
+            transfer = Transfer(network, playpen, options.runs, options.seconds, program)
+            ways: list[Callable[[bool], float]]
+            ways = [transfer.planar, transfer.mujoco, transfer.line, transfer.program]
+            cells = [f"{way(vary):.3f}" for vary in (False, True) for way in ways]
+        print(f"| {file} | {' | '.join(cells)} |", flush=True)
