@@ -1,16 +1,17 @@
 """From a genome to a Khepera IV: `python -m studies khepera4-transfer best4.npz`, files of networks.
 
-Each network drives in the playpen from random starts, and the columns have the mean `obstacle_avoidance`: of
-rollouts in the plane and in MuJoCo, over `khep://`, and by its program in C under `exec`; then the same on
-other robots of the model (`vary`). Run n has the seed and the start n of all columns. Needs a C compiler.
+Each network drives in the playpen from random starts, and the columns have the mean `obstacle_avoidance` of
+rollouts in the plane and in MuJoCo, over `khep://`, and of its program in C under `exec`; a second row those on
+other robots of the model (`vary`). Run n has the same seed and start in all columns. Needs a C compiler.
 """
 
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin import EpisodeOptions, EpisodeSetup, Network, NetworkController, Playpen, rollout
 from khep_twin.episodes.fitness import TOP_SPEED_PULSES, obstacle_avoidance
@@ -53,47 +54,43 @@ class MeasuredMachine(Machine):
 
 
 class Transfer:
-    """Runs of one network: each method returns the mean fitness of the runs."""
+    """Runs of one network, from the same starts with the same seeds."""
 
-    def __init__(self, network: Network, playpen: Playpen, runs: int, seconds: float, program: Path) -> None:
-        self._network, self._playpen, self._seconds, self._program = network, playpen, seconds, program
-        self._seeds = range(SEED, SEED + runs)
-        self._starts: list[StartPose] = starts(["random"], playpen, robot=0, runs=runs, seed=SEED)
-        source = program.with_suffix(".c")
-        network.save(source)
-        subprocess.run(["cc", "-O2", "-o", program, source, "-lm"], check=True)
+    def __init__(self, network: Network, playpen: Playpen, rollouts: int, runs: int, seconds: float) -> None:
+        self._network, self._playpen, self._seconds, self._runs = network, playpen, seconds, runs
+        self._seeds = range(SEED, SEED + rollouts)
+        self._starts: list[StartPose] = starts(["random"], playpen, robot=0, runs=rollouts, seed=SEED)
 
-    def planar(self, vary: bool, planar: bool = True) -> float:
-        """Run rollouts in the plane."""
+    def rollouts(self, vary: bool, planar: bool) -> NDArray[np.float64]:
+        """Return the fitness of rollouts."""
         setup, options = EpisodeSetup(self._playpen, planar=planar), EpisodeOptions(vary=vary)
         results = rollout(
             setup, self._network, self._seeds, self._seconds, starts=self._starts, options=options
         )
-        return float(results.metrics["obstacle_avoidance"].mean())
-
-    def mujoco(self, vary: bool) -> float:
-        """Run rollouts in MuJoCo."""
-        return self.planar(vary, planar=False)
+        return results.metrics["obstacle_avoidance"]
 
     def line(self, vary: bool) -> float:
-        """Run over `khep://`."""
+        """Return the mean fitness of runs over `khep://`."""
         twins = FreshTwins(self._playpen, TwinOptions(SEED, vary=vary), self._starts)
-        plan = Plan(len(self._seeds), None, self._seconds, 0.0)
+        plan = Plan(self._runs, None, self._seconds, 0.0)
         runs = run_series(NetworkController(self._network), twins, plan)
         return float(np.mean([run.metrics["fitness"] for run in runs]))
 
     def program(self, vary: bool) -> float:
-        """Run the program."""
-        runs = zip(self._seeds, self._starts, strict=True)
-        return float(np.mean([self._execute(seed, start, vary) for seed, start in runs]))
+        """Return the mean fitness of runs of the program."""
+        with TemporaryDirectory() as folder:
+            program = Path(folder, "network")
+            self._network.save(program.with_suffix(".c"))
+            subprocess.run(["cc", "-O2", "-o", program, program.with_suffix(".c"), "-lm"], check=True)
+            runs = list(zip(self._seeds, self._starts, strict=True))[: self._runs]
+            return float(np.mean([self._execute(program, seed, start, vary) for seed, start in runs]))
 
-    def _execute(self, seed: int, start: StartPose, vary: bool) -> float:
+    def _execute(self, program: Path, seed: int, start: StartPose, vary: bool) -> float:
         with open_twin(at_start(self._playpen, 0, start), TwinOptions(seed, vary=vary)) as twin:
             robot = twin.world.robots[0]
             assert isinstance(robot, Khepera4Robot)
             machine = MeasuredMachine(robot, twin.world)
-            until_ns = round(self._seconds * 1e9)
-            run_programs([RobotProgram([str(self._program)], machine)], until_ns=until_ns)
+            run_programs([RobotProgram([str(program)], machine)], until_ns=round(self._seconds * 1e9))
             return float(np.mean(machine.fitness))
 
 
@@ -101,18 +98,20 @@ def main() -> None:
     parser = command_line(__doc__)
     parser.add_argument("networks", nargs="+", help="files of networks")
     parser.add_argument("--playpen", default="arena4")
+    parser.add_argument("--rollouts", type=int, default=200)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=30.0)
     options = parser.parse_args()
-    columns = ("plane", "MuJoCo", "`khep://`", "`exec`")
-    print("| network |", *(f"{name} |" for name in columns), *(f"{name}, other robots |" for name in columns))
-    print("|---" * 9 + "|", flush=True)
+    many, few = options.rollouts, options.runs
+    print(f"| network | plane, {many} | MuJoCo, {many} | MuJoCo, {few} | `khep://`, {few} | `exec`, {few} |")
+    print("|---|---|---|---|---|---|", flush=True)
     for file in options.networks:
-        with TemporaryDirectory() as folder:
-            program = Path(folder, "network")
-            network, playpen = Network.load(file), Playpen.load(options.playpen)
-            transfer = Transfer(network, playpen, options.runs, options.seconds, program)
-            ways: list[Callable[[bool], float]]
-            ways = [transfer.planar, transfer.mujoco, transfer.line, transfer.program]
-            cells = [f"{way(vary):.3f}" for vary in (False, True) for way in ways]
-        print(f"| {file} | {' | '.join(cells)} |", flush=True)
+        network, playpen = Network.load(file), Playpen.load(options.playpen)
+        transfer = Transfer(network, playpen, many, few, options.seconds)
+        for vary in (False, True):
+            plane, mujoco = (transfer.rollouts(vary, planar) for planar in (True, False))
+            means = plane.mean(), mujoco.mean(), mujoco[:few].mean()
+            cells = " | ".join(
+                f"{mean:.3f}" for mean in (*means, transfer.line(vary), transfer.program(vary))
+            )
+            print(f"| {file}{', other robots' if vary else ''} | {cells} |", flush=True)
