@@ -1,8 +1,8 @@
 """From a genome to a Khepera IV: `python -m studies khepera4-transfer best4.npz`, files of networks.
 
 Each network drives in the playpen from random starts, and the columns have the mean `obstacle_avoidance` of
-rollouts in the plane and in MuJoCo, over `khep://`, and of its program in C under `exec`; a second row those on
-other robots of the model (`vary`). Run n has the same seed and start in all columns. Needs a C compiler.
+rollouts in the plane and in MuJoCo, over `khep://`, and of its program in C under `exec`. A second row has
+those on other robots of the model (`vary`). Run n has the same seed and start in all columns. Needs a C compiler.
 """
 
 import subprocess
@@ -110,8 +110,7 @@ def main() -> None:
         transfer = Transfer(network, playpen, many, few, options.seconds)
         for vary in (False, True):
             plane, mujoco = (transfer.rollouts(vary, planar) for planar in (True, False))
-            means = plane.mean(), mujoco.mean(), mujoco[:few].mean()
-            cells = " | ".join(
-                f"{mean:.3f}" for mean in (*means, transfer.line(vary), transfer.program(vary))
-            )
+            means = [plane.mean(), mujoco.mean(), mujoco[:few].mean()]
+            means += [transfer.line(vary), transfer.program(vary)]
+            cells = " | ".join(f"{mean:.3f}" for mean in means)
             print(f"| {file}{', other robots' if vary else ''} | {cells} |", flush=True)
