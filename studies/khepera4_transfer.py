@@ -2,7 +2,8 @@
 
 Each network drives in the playpen from random starts, and the columns have the mean `obstacle_avoidance` of
 rollouts in the plane and in MuJoCo, over `khep://`, and of its program in C under `exec`. A second row has
-those on other robots of the model (`vary`). Run n has the same seed and start in all columns. Needs a C compiler.
+those on other robots of the model (`vary`). Run n has the same seed and start in all columns. It needs a C
+compiler.
 """
 
 import subprocess
