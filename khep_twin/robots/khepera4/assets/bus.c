@@ -10,7 +10,7 @@ static int bus;
 static void transfer(unsigned char *request, int n_request, unsigned char *reply, int n_reply) {
     struct i2c_msg messages[] = {{0x30, 0, n_request, request}, {0x30, I2C_M_RD, n_reply, reply}};
     struct i2c_rdwr_ioctl_data data = {messages, n_reply ? 2 : 1};
-    if (ioctl(bus, I2C_RDWR, &data) < 0)
+    if (bus < 0 || ioctl(bus, I2C_RDWR, &data) < 0)
         perror("/dev/i2c-2"), exit(1);
 }
 
