@@ -181,3 +181,34 @@ def test_a_file_of_another_kind_is_only_replaced_on_request(tmp_path: Path) -> N
     assert other.read_bytes() == content
     Network().save(other, np.zeros(18), replace=True)
     assert Network.load(other).genes == (0.0,) * 18
+
+
+KHEPERA_4_NETWORK = Network(model="khepera4")
+WEIGHTS = np.linspace(-1, 1, KHEPERA_4_NETWORK.n_genes)
+
+
+def test_a_network_of_a_robot_that_runs_no_programs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ControllerError, match=r"^a program in C for model khepera1, which runs none; exp"):
+        Network().save(tmp_path / "best.c", WEIGHTS)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_program_replaces_only_another_one_of_a_network(tmp_path: Path) -> None:
+    path = tmp_path / "best.c"
+    for genes in WEIGHTS, 0 * WEIGHTS:
+        KHEPERA_4_NETWORK.save(path, genes)
+    assert "static const double GENES[] = {-0.0, -0.0" in path.read_text()
+    path.write_text("int main(void) { return 0; }")
+    with pytest.raises(ControllerError, match=r"is there, and no network; expected another name, or replace"):
+        KHEPERA_4_NETWORK.save(path, WEIGHTS)
+    with pytest.raises(ControllerError, match=r"ends in \.npz, or in \.c for a program$"):
+        KHEPERA_4_NETWORK.save(tmp_path / "best.h", WEIGHTS)
+
+
+def test_a_program_reads_neighbouring_registers_at_once(tmp_path: Path) -> None:
+    network = Network(ambient=True, terms=("ground", "ultrasonic", "gyroscope"), model="khepera4")
+    network.save(tmp_path / "best.c", np.zeros(network.n_genes))
+    text = (tmp_path / "best.c").read_text()
+    assert "READS[] = {88, 8, 64, 8, 104, 9, 232, 1};" in text
+    assert "    -INFINITY, INFINITY, 0.0, 1023.0, /* proximity back_left */\n" in text
+    assert "    -8000.0, 8000.0, 0.0, 8000.0, /* gyroscope turn */\n" in text

@@ -253,3 +253,14 @@ def test_a_network_of_a_khepera_iv_reads_its_terms_on_the_line() -> None:
     assert front is not None
     assert 0.25 < front < 2.5
     assert (left, right) == (pytest.approx(1000 * np.tanh(front / 2.5)), 0)
+
+
+def test_readings_of_one_reply_are_requested_once() -> None:
+    network = Network(terms=("ultrasonic", "ground"), model="khepera4")
+    controller, requests = NetworkController(replace(network, genes=np.zeros(network.n_genes))), list[str]()
+    with Khepera4("khep://arena4") as robot:
+        controller.start(robot)
+        robot.listen(lambda request, reply: requests.append(request))
+        controller.cycle(robot)
+        robot.listen(None)
+    assert requests == ["N", "G", "D,0,0"]
