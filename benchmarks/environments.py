@@ -15,13 +15,15 @@ from khep_twin.envs.task_setup import PERIOD_NS
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 
-NAME, PLAYPEN = "khep_twin/ObstacleAvoidance-v0", "obstacles"
+NAME, PLAYPEN, PLAYPEN_4 = "khep_twin/ObstacleAvoidance-v0", "obstacles", "arena4"
 EPISODES = 64
 """Environments that are stepped together, as many as a batch calls its policy with."""
 ABSENT = "without the environments: gymnasium, the extra [rl], is not installed"
 
 
-def environments_row(name: str, seconds: float, count: int, planar: bool, mode: str | None = None) -> Row:
+def environments_row(
+    name: str, seconds: float, count: int, planar: bool, mode: str | None = None, playpen: str = PLAYPEN
+) -> Row:
     """Return a row of some environments with one thread, with their creation and their start.
 
     Args:
@@ -30,6 +32,7 @@ def environments_row(name: str, seconds: float, count: int, planar: bool, mode: 
         count: Number of environments.
         planar: Whether they are in the plane.
         mode: Vectorization mode of Gymnasium; None for that of the environments.
+        playpen: Their playpen.
     """
     import gymnasium
 
@@ -43,6 +46,7 @@ def environments_row(name: str, seconds: float, count: int, planar: bool, mode: 
             NAME,
             num_envs=count,
             vectorization_mode=mode,
+            playpen=playpen,
             planar=planar,
             compiled=True,
             seconds=seconds,
@@ -74,6 +78,9 @@ def tables(part: float, rounds: int) -> list[Table]:
                 environments_row(f"make_vec, {EPISODES} environments", seconds, EPISODES, planar),
                 environments_row("make_vec, 8 environments", seconds, 8, planar),
                 environments_row('the same, "sync"', seconds, 8, planar, "sync"),
+                environments_row(
+                    f"Khepera IV, {EPISODES} environments", seconds, EPISODES, planar, playpen=PLAYPEN_4
+                ),
             ]
         where = "the plane" if planar else "MuJoCo"
         title = f"environments in {where}, 1 thread"

@@ -26,12 +26,13 @@ from khep_twin.lab.fit.placement import FittedValue, Misplacement, Placement, Re
 from khep_twin.lab.fit.robot_fit import fit_robot
 from khep_twin.lab.fit.session import CalibrationSession
 from khep_twin.lab.fit.session_people import SimulatedPerson
-from khep_twin.lab.fit.session_steps import LAMPS_MM, WALLS_MM, steps
+from khep_twin.lab.fit.session_steps import LAMPS_MM, steps
 from khep_twin.lab.fit.wheel_fit import Drive
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.randomness import stream
+from khep_twin.robots.registry import default_model
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import BULB_RADIUS, N_SENSORS, PULSES_PER_TURN, SENSOR_HEIGHT
@@ -112,7 +113,7 @@ class Person:
         """Return a whole session's tests."""
         return FitTests(
             wheels=tuple(self._drives()),
-            objects=tuple(self._turn(f"wall@{mm:g}mm", mm) for mm in WALLS_MM),
+            objects=tuple(self._turn(f"wall@{mm:g}mm", mm) for mm in default_model().fit_bench.walls_mm),
             lamps=tuple(self._turn(f"lamp@{mm:g}mm", mm, POWER_W) for mm in LAMPS_MM),
         )
 
@@ -197,7 +198,7 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
             session = CalibrationSession(Path(folder) / "session")
             with Khepera(Serial.of(twin, timeout=1.0)) as host:
                 person = SimulatedPerson(twin, Ruler(), lambda _: None)
-                todo = steps(WALLS_MM, None, POWER_W, FILAMENT * 1e3)
+                todo = steps(default_model().fit_bench.walls_mm, None, POWER_W, FILAMENT * 1e3)
                 session.run(todo, host, person, lambda _: None, lambda: False)
             fit = fit_robot(fit_inputs(session.words_with_folder), start, Ruler())
         yield [(value, value_in(robot, value)) for value in fit.values]

@@ -1,20 +1,21 @@
 """`khep-twin calibrate`: a guided calibration session."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli.completion import calibrations, ports
+from khep_twin.cli.completion import calibrations, models, ports
 from khep_twin.cli.fit import BearingDeg, RulerMm, check_outputs, fit_and_write
 from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, ask_line, notify
 from khep_twin.errors import FitError
 from khep_twin.process.invocation import command
 from khep_twin.process.signals import stopping
-from khep_twin.robots.registry import default_model
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import DEFAULT, find_family
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.placement import Ruler
@@ -28,7 +29,8 @@ def calibrate(
     output: Annotated[Path, typer.Option("--output", "-o")],
     picture: Path | None = None,
     folder: Path | None = None,
-    start: Annotated[str, typer.Option(autocompletion=calibrations)] = "khepera1",
+    model: Annotated[str, typer.Option(autocompletion=models)] = DEFAULT,
+    start: Annotated[str | None, typer.Option(autocompletion=calibrations)] = None,
     walls: Annotated[str | None, typer.Option(metavar="MM,MM,...")] = None,
     cylinder: Annotated[float | None, typer.Option(metavar="MM")] = None,
     lamp: Annotated[float | None, typer.Option(metavar="W")] = None,
@@ -49,7 +51,8 @@ def calibrate(
         picture: Draw the fit over the data in this PNG, SVG or PDF file.
         folder: Folder of the recordings, from which an interrupted session resumes; by default mine-session
             for mine.toml.
-        start: Calibration of all values that are not fitted.
+        model: Model of the robot, or its family.
+        start: Calibration of all values that are not fitted; by default that of the model.
         walls: Distances of the white wall from the robot's edge.
         cylinder: Radius of a white cylinder to measure as well.
         lamp: Power of a lamp, to fit the light receivers.
@@ -59,26 +62,30 @@ def calibrate(
     from khep_twin.lab.fit.fit_inputs import FitTests, fit_inputs
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.lab.fit.session import CalibrationSession
-    from khep_twin.lab.fit.session_steps import WALLS_MM, steps
+    from khep_twin.lab.fit.session_steps import steps
     from khep_twin.sensing import calibration
 
-    ruler, initial = Ruler(ruler_mm, bearing_deg), calibration.read_for(start, default_model())
+    ruler, robot_model = Ruler(ruler_mm, bearing_deg), find_family(model)
+    start = start or robot_model.calibration
+    initial = calibration.read_for(start, robot_model)
     check_outputs([], start, output, picture, force)
-    plan = steps(WALLS_MM if walls is None else _parse_distances(walls), cylinder, lamp, lamp_height)
+    distances = robot_model.fit_bench.walls_mm if walls is None else _parse_distances(walls)
+    plan = steps(distances, cylinder, lamp, lamp_height, robot_model)
     session = CalibrationSession(folder or output.with_name(f"{output.stem}-session"))
     if not all(session.find_word(step) for step in plan) and not _run_session(
-        session, plan, port, ruler, yes
+        session, plan, port, ruler, yes, robot_model
     ):
         notify(f"stopped before its end; the same command resumes from {session.folder}")
         raise typer.Exit(130)
     if not session.words:
         raise FitError("every step was skipped; expected at least one")
     tests = session.words_with_folder
-    typer.echo(f"again with    {command('fit', *tests, '-o', output)}")
-    fit_and_write(fit_inputs(tests), FitTests(), initial, ruler, output, picture, len(session.words), force)
+    typer.echo(f"again with    {command('fit', *tests, '--model', model, '-o', output)}")
+    data, n_tests = fit_inputs(tests, robot_model), len(session.words)
+    fit_and_write(data, FitTests(), initial, ruler, output, picture, n_tests, force)
 
 
-def _parse_distances(text: str) -> list[float]:
+def _parse_distances(text: str) -> Sequence[float]:
     try:
         return [float(distance) for distance in text.split(",")]
     except ValueError:
@@ -86,14 +93,14 @@ def _parse_distances(text: str) -> list[float]:
 
 
 def _run_session(
-    session: "CalibrationSession", plan: "list[Step]", port: str, ruler: "Ruler", yes: bool
+    session: "CalibrationSession", plan: "list[Step]", port: str, ruler: "Ruler", yes: bool, model: RobotModel
 ) -> bool:
     """Run the steps of a session; return False if it was stopped."""
-    from khep_twin.host import Khepera
+    from khep_twin.host.host_robot import open_robot
     from khep_twin.lab.fit.session_people import PersonAtTerminal, SimulatedPerson
     from khep_twin.ports.protocol_khep import Serial
 
-    with stopping() as stop, Khepera(port) as robot:
+    with stopping() as stop, open_robot(model, port) as robot:
         # The stubs of pyserial declare one kind of port.
         serial_port: object = robot.port
         if isinstance(serial_port, Serial):

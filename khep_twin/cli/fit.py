@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin import drawing
-from khep_twin.cli.completion import calibrations, logs, playpens
+from khep_twin.cli.completion import calibrations, logs, models, playpens
 from khep_twin.cli.option_groups import with_help
 from khep_twin.cli.options import Force, check_inputs, check_new, check_picture, check_writable, refuse, usage
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_atomic
 from khep_twin.files.text import escape_surrogates
-from khep_twin.robots.registry import default_model
+from khep_twin.robots.registry import DEFAULT, find_family
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.fit_inputs import FitTests
@@ -26,7 +26,7 @@ BearingDeg = Annotated[
 ]
 
 
-_TEST_OPTIONS = {"tests", "check", "start", "ruler_mm", "bearing_deg", "picture"}
+_TEST_OPTIONS = {"tests", "check", "model", "start", "ruler_mm", "bearing_deg", "picture"}
 """Parameters for recorded tests, which do not apply to a shadow's log."""
 
 _NO_TESTS = "nothing to fit; expected tests such as straight.mcap=998mm, or --from LOG with a shadow's log"
@@ -39,7 +39,8 @@ def fit(
     shadow_log: Annotated[Path | None, typer.Option("--from", metavar="LOG", autocompletion=logs)] = None,
     playpen: Annotated[str | None, typer.Option(autocompletion=playpens)] = None,
     check: list[str] | None = None,
-    start: Annotated[str, typer.Option(autocompletion=calibrations)] = "khepera1",
+    model: Annotated[str, typer.Option(autocompletion=models)] = DEFAULT,
+    start: Annotated[str | None, typer.Option(autocompletion=calibrations)] = None,
     ruler_mm: RulerMm = 0.5,
     bearing_deg: BearingDeg = 1.5,
     output: Annotated[Path | None, typer.Option("--output", "-o")] = None,
@@ -54,11 +55,13 @@ def fit(
         tests: Recorded tests, each with the measured value: straight.mcap=998mm, spin.mcap=5turns
             (counter-clockwise), steps.mcap=duty (steps of command P), and tests of `khep-twin sense` that
             start with an object straight ahead: run.csv=wall@22mm, run.csv=cylinder:27mm@15mm (radius),
-            run.csv=lamp:2W@150mm or, with height, lamp:2W:60mm@150mm.
+            run.csv=lamp:2W@150mm or, with height, lamp:2W:60mm@150mm, or on a floor,
+            run.csv=floor:white and run.csv=floor:black.
         shadow_log: Use the values learned by a shadow instead: its log, or a relay's log with --playpen.
         playpen: Playpen in which a shadow follows a relay's log.
         check: Print how well the fit predicts this test, which is not fitted; repeatable.
-        start: Calibration of all values that are not fitted.
+        model: Model of the robot, or its family.
+        start: Calibration of all values that are not fitted; by default that of the model.
         output: Calibration file to write.
         picture: Draw the fit over the data in this PNG, SVG or PDF file.
     """
@@ -72,14 +75,15 @@ def fit(
         return
     if not tests or playpen is not None:
         raise usage(_NO_TESTS)
-    ruler = Ruler(ruler_mm, bearing_deg)
+    ruler, robot_model = Ruler(ruler_mm, bearing_deg), find_family(model)
+    start = start or robot_model.calibration
     test_paths = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
     check_outputs(test_paths, start, output, picture, force)
-    data, check_data = fit_inputs(tests), fit_inputs(check or [])
+    data, check_data = fit_inputs(tests, robot_model), fit_inputs(check or [], robot_model)
     if picture is not None and not (data.objects or data.lamps or data.motors):
         expected = "expected also a sensor test or steps of duty"
         raise FitError(f"{picture}: measured drives give no picture; {expected}")
-    initial = calibration.read_for(start, default_model())
+    initial = calibration.read_for(start, robot_model)
     fit_and_write(data, check_data, initial, ruler, output, picture, len(tests), force)
 
 

@@ -50,7 +50,6 @@ class Feature(StrEnum):
     TURRETS = "turrets"
     LINE = "an episode with a line"
     TOOLBOX = "a controller in the toolbox's form"
-    FIT = "a fit"
     SHADOW = "the shadow"
     RECORDING_CHECKS = "the checks of a recording"
 
@@ -151,6 +150,28 @@ class Interface(NamedTuple):
         return self.ambient[1] - self.ambient[0]
 
 
+class Bench(NamedTuple):
+    """Tests by which a user calibrates a robot whose line is text.
+
+    Attributes:
+        walls_mm: Distances of a white wall from its edge at which its sensors read between both ends.
+        cylinders_mm: Those of a white cylinder.
+        height_mm: Height of these objects; a higher one gives the same readings.
+        duty: Command that sets the duties of both motors.
+        duties: Steps of duty.
+        duty_limit: Duty above which the tyres may slip and hide the motors' behaviour.
+        resets: Prefixes of requests that set the counters.
+    """
+
+    walls_mm: tuple[float, ...]
+    cylinders_mm: tuple[float, ...]
+    height_mm: float
+    duty: str
+    duties: tuple[int, ...]
+    duty_limit: int
+    resets: tuple[str, ...]
+
+
 class Term(NamedTuple):
     """Further readings that tasks observe and controllers of episodes read, by registers.
 
@@ -226,6 +247,7 @@ class RobotModel:
             proximity; None without a vehicle.
         commands: Further commands of `khep-twin`, functions for Typer as "module:function".
         template: First text of a controller for it: a file in assets, or a path; empty for a straight drive.
+        bench: Tests that calibrate it; None without a fit.
     """
 
     name: str
@@ -248,6 +270,7 @@ class RobotModel:
     vehicle: Callable[[Sequence[int]], tuple[int, int]] | None = None
     commands: Mapping[str, str] = field(default_factory=dict[str, str])
     template: str = ""
+    bench: Bench | None = None
 
     def load(self, part: str, kind: type[Base]) -> Base:
         """Return a part that is an instance of `kind`.
@@ -288,6 +311,13 @@ class RobotModel:
         if self.interface is None:
             raise RobotModelError(f"model = {self.name!r} gives no interface; expected one for an episode")
         return self.interface
+
+    @property
+    def fit_bench(self) -> Bench:
+        """Tests that calibrate it; a `RobotModelError` without them."""
+        if self.bench is None:
+            raise RobotModelError(f"model = {self.name!r} gives no bench; expected one for a fit")
+        return self.bench
 
     @property
     def sonar_unit(self) -> float:

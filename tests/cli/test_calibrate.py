@@ -46,7 +46,8 @@ def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(
     words = ["calibrate", "khep://bench.toml?seed=3", "-o", "mine.toml", "--walls", walls]
     lines = good(*words, "--picture", "fit.png", folder=tmp_path).splitlines()
     assert f"step 1 of {3 + len(walls_mm)}: straight" in lines
-    assert "Put the robot with its front 26 mm from a flat white wall, looking straight at it." in lines
+    near = "Put the robot with its front 26 mm from a flat white wall, 50 mm high or more"
+    assert f"{near}, looking straight at it." in lines
     calibrated = calibration.read(str(tmp_path / "mine.toml"))[0]
     assert calibrated.wheels.radius_mm == pytest.approx(robot.wheels.radius_mm, rel=0.004)
     assert calibrated.wheels.base_mm == pytest.approx(robot.wheels.base_mm, rel=0.005)
@@ -93,7 +94,7 @@ def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) 
     ("words", "message"),
     [
         (["--walls", "12,x"], "expected distances in mm"),
-        (["--walls", "500"], "wall = 500; expected 1 to 60"),
+        (["--walls", "500"], "wall = 500; expected 1 to 300"),
         (["--lamp", "-1"], "lamp = -1; expected"),
         (["--ruler-mm", "-1"], "ruler = -1; expected"),
         (["--picture", "mine.toml"], "expected a separate file"),

@@ -17,7 +17,6 @@ from khep_twin.lab.fit.motor_fit import DutyDrive, simulate
 from khep_twin.lab.fit.placement import IN_PLACE
 from khep_twin.lab.fit.robot_fit import RobotFit, simulate_readings
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import SENSOR_LABELS
 
 _COLOURS = ("#e4572e", "#4dabf7", "#5c9e3a", "#9775c9", "#b8860b", "#2aa198")
 _UNITS = {"linear": "distance driven [cm]", "rotational": "turned [degrees]"}
@@ -50,16 +49,17 @@ def draw_fit(tests: FitTests, fit: RobotFit) -> Figure | None:
 def _draw_sensors(
     subfigure: SubFigure, kind: str, motion: str, tests: Sequence[SensorData], fit: RobotFit
 ) -> None:
-    """Draw eight panels, one per sensor."""
-    panels: list[Axes] = list(subfigure.subplots(2, 4, sharex=True, sharey=True).ravel())
+    """Draw a panel per sensor."""
+    n_columns = (len(fit.calibration.heading_deg) + 1) // 2
+    panels: list[Axes] = list(subfigure.subplots(2, n_columns, sharex=True, sharey=True).ravel())
     for index, test in enumerate(tests):
         colour = _COLOURS[index % len(_COLOURS)]
         model = simulate_readings(test, fit.calibration, fit.misplacements.get(test.name, IN_PLACE))
         by_travel = np.argsort(test.run.travelled, kind="stable")
-        for axes, counts, line in zip(panels, test.counts.T, model.T, strict=True):
+        for axes, counts, line in zip(panels, test.counts.T, model.T, strict=False):
             axes.plot(test.run.travelled, counts, ".", ms=2.5, color=colour, alpha=0.55)
             axes.plot(test.run.travelled[by_travel], line[by_travel], color=colour, lw=1.3, label=test.name)
-    for axes, name in zip(panels, SENSOR_LABELS, strict=True):
+    for axes, name in zip(panels, tests[0].model.body.sensors, strict=False):
         axes.set_title(name, fontsize=9, color=INK)
     subfigure.supxlabel(_UNITS[motion], fontsize=9)
     subfigure.supylabel("ambient [counts]" if kind == "light" else "proximity [counts]", fontsize=9)

@@ -33,11 +33,13 @@ class View:
         bearings: Bearings of a wall's nearest point, or a cylinder's axis, off the sensor's axis (n,) [rad].
         distances: Distances of that point or axis from the sensor's face (n,) [m].
         radius: Radius of the cylinder [m]; 0 for a wall.
+        heights: Heights above the sensor of the object's top, and of its mirror image's in the floor [m].
     """
 
     bearings: Floats
     distances: Floats
     radius: float = 0.0
+    heights: tuple[float, float] = (OBJECT_HEIGHT - SENSOR_HEIGHT, -OBJECT_HEIGHT - SENSOR_HEIGHT)
 
     @classmethod
     def of(
@@ -76,8 +78,8 @@ class View:
         cosines = np.maximum(np.cos(azimuths), 0)
         integer_part = int(lobe_exponent)
         lobe = cosines**integer_part * (1 - (lobe_exponent - integer_part) * (1 - cosines)) * (cosines > 0)
-        top_height, mirror_height = OBJECT_HEIGHT - SENSOR_HEIGHT, -OBJECT_HEIGHT - SENSOR_HEIGHT
-        elevation_share = _share_below(top_height / lengths) - _share_below(mirror_height / lengths)
+        top, mirrored_top = self.heights
+        elevation_share = _share_below(top / lengths) - _share_below(mirrored_top / lengths)
         return (weights / lengths**2 * lobe * elevation_share).sum(axis=1) / lobes.norm(lobe_exponent)
 
     def _wall(self, offset: float) -> tuple[Floats, Floats, Floats]:

@@ -40,7 +40,6 @@ from khep_twin.lab.fit.placement import (
     misplacements,
 )
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import N_SENSORS, SENSOR_LABELS, SENSOR_POSITIONS
 
 HEADING_SPREAD_DEG, LOBE_SPREAD = 5.0, 0.5
 """Standard deviations of a sensor's heading and lobe exponent between robots (assumed: the sampled robot's
@@ -50,8 +49,6 @@ _MIN_READINGS = 10
 """Smallest number of unclipped readings to fit a sensor."""
 _MIN_NOISE_READINGS = 50
 """Smallest number of readings far from both ends that determine a sensor's noise."""
-
-_EXPECTED = "readings at several distances between 10 and 40 mm"
 
 _MODEL_ERROR = 8.0
 """Error of a reading in addition to its noise, by simplifications of the optics' model [counts] (assumed)."""
@@ -73,27 +70,29 @@ _PATHS = (
 
 
 def sensor_counts(
-    sensor: int, heading_deg: float, optics: Optics, position: tuple[Floats, Floats], radius: float
+    placement: Placement, sensor: int, heading_deg: float, optics: Optics, position: tuple[Floats, Floats]
 ) -> Floats:
     """Return the counts of a sensor in front of an object, without noise and clipping (n,).
 
     Args:
+        placement: Object and model of the robot.
         sensor: Number of the sensor.
         heading_deg: Heading of the sensor, counter-clockwise from ahead [deg].
         optics: Calibration of the sensor.
         position: Distances from the robot's edge [m] and bearings, counter-clockwise [rad], of the object.
-        radius: Radius of the cylinder, 0 for a wall [m].
     """
-    view = View.of(SENSOR_POSITIONS[sensor], math.radians(heading_deg), *position, radius)
-    return unclipped_counts(view, optics)
+    body, height = placement.model.body, placement.model.fit_bench.height_mm / 1e3
+    face, heading = body.sensor_positions[sensor], math.radians(heading_deg)
+    view = View.of(face, heading, *position, placement.radius, body.radius)
+    heights = height - body.sensor_height, -height - body.sensor_height
+    return unclipped_counts(replace(view, heights=heights), optics)
 
 
 def mean_counts(placement: Placement, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
-    """Return the proximity of a calibration without noise and clipping (n, 8)."""
+    """Return the proximity of a calibration without noise and clipping (n, n_sensors)."""
     object_position = placement.object_positions(misplacement)
-    optics = [Optics.of(robot.proximity, sensor) for sensor in range(N_SENSORS)]
     columns = [
-        sensor_counts(sensor, heading_deg, optics[sensor], object_position, placement.radius)
+        sensor_counts(placement, sensor, heading_deg, Optics.of(robot.proximity, sensor), object_position)
         for sensor, heading_deg in enumerate(robot.heading_deg)
     ]
     return np.column_stack(columns)
@@ -110,23 +109,26 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
     Raises:
         FitError: The readings do not determine a sensor's gain.
     """
-    proximity = start.proximity
+    proximity, model, n_sensors = start.proximity, tests[0].placement.model, len(start.heading_deg)
+    low_mm, *_, high_mm = model.fit_bench.walls_mm
+    data_text = f"readings at several distances between {low_mm:g} and {high_mm:g} mm"
     counts = np.concatenate([test.counts for test in tests])
-    _check_readings(counts, np.array(proximity.noise_counts), proximity.limit_counts)
-    initial = [Optics.of(proximity, sensor) for sensor in range(N_SENSORS)]
-    parameters = [*_sensor_parameters(initial, start.heading_deg), *error_parameters(tests, ruler or Ruler())]
+    _check_readings(counts, start, model.body.sensors, data_text)
+    initial = [Optics.of(proximity, sensor) for sensor in range(n_sensors)]
+    sensor_parameters = _sensor_parameters(initial, start.heading_deg, model.body.sensors)
+    parameters = [*sensor_parameters, *error_parameters(tests, ruler or Ruler())]
     sparsity = jacobian_sparsity(tests, _N_PARAMETERS)
-    n_values = _N_PARAMETERS * N_SENSORS
+    n_values = _N_PARAMETERS * n_sensors
 
     def model_levels(x: Floats) -> Floats:
-        rows = x[:n_values].reshape(N_SENSORS, -1)
+        rows = x[:n_values].reshape(n_sensors, -1)
         objects = [
-            (test.placement.object_positions(misplacement), test.placement.radius)
+            (test.placement, test.placement.object_positions(misplacement))
             for test, misplacement in zip(tests, misplacements(x[n_values:]), strict=True)
         ]
         pairs = [(row[2], _replace_values(old, row)) for row, old in zip(rows, initial, strict=True)]
         columns = [
-            np.concatenate([sensor_counts(sensor, heading, optics, *position) for position in objects])
+            np.concatenate([sensor_counts(place, sensor, heading, optics, spot) for place, spot in objects])
             for sensor, (heading, optics) in enumerate(pairs)
         ]
         return np.column_stack(columns)
@@ -139,18 +141,18 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
         return ((means - counts) * weights).ravel()
 
     # A robust loss limits the influence of outliers, for example of readings while someone walks by.
-    robust = least_squares(residuals, parameters, _EXPECTED, _OUTLIER, unit_variance=True, sparsity=sparsity)
+    robust = least_squares(residuals, parameters, data_text, _OUTLIER, unit_variance=True, sparsity=sparsity)
     robust_levels = model_levels(robust.values)
     differences = residuals(robust.values).reshape(counts.shape) / weights
     noise, n_used = _fit_noise(robust_levels, differences, noise, proximity.limit_counts)
     deviations = np.hypot(reading_deviations(robust_levels, noise, proximity.limit_counts), _MODEL_ERROR)
     weights = (1 + (differences / deviations / _OUTLIER) ** 2) ** -0.25 / deviations
-    estimate = least_squares(residuals, parameters, _EXPECTED, unit_variance=True, sparsity=sparsity)
-    weights = np.ones(N_SENSORS)  # residuals in counts
+    estimate = least_squares(residuals, parameters, data_text, unit_variance=True, sparsity=sparsity)
+    weights = np.ones(n_sensors)  # residuals in counts
     final_residuals = residuals(estimate.values).reshape(counts.shape)
     lag_deg = max(CONFIDENCE * math.degrees(test.placement.turn_rate * SCAN_LAG_S) for test in tests)
     arrays = estimate.values, estimate.intervals, estimate.fixed
-    values, widths, fixed = (x[:n_values].reshape(N_SENSORS, -1) for x in arrays)
+    values, widths, fixed = (x[:n_values].reshape(n_sensors, -1) for x in arrays)
     widths = np.where(fixed, np.nan, np.hypot(widths, [0, 0, lag_deg, 0]))
     noise_widths = CONFIDENCE * noise / np.sqrt(2 * n_used)
     rows = zip(np.column_stack([values, noise]), np.column_stack([widths, noise_widths]), strict=True)
@@ -177,21 +179,24 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
     return SensorsFit(calibration, fitted_values, rms, tuple(misplacements(estimate.values[n_values:])))
 
 
-def _check_readings(counts: Floats, noise: Floats, limit: float) -> None:
+def _check_readings(counts: Floats, start: Calibration, names: Sequence[str], data_text: str) -> None:
     """Raise a `FitError` for a sensor with too few readings between both ends."""
+    noise, limit = np.array(start.proximity.noise_counts), start.proximity.limit_counts
     n_unclipped = ((counts > noise) & (counts < limit - noise)).sum(axis=0)
-    for name, n_readings in zip(SENSOR_LABELS, n_unclipped.tolist(), strict=True):
+    for name, n_readings in zip(names, n_unclipped.tolist(), strict=False):
         if n_readings < _MIN_READINGS:
             raise FitError(
                 f"{name}: the gain cannot be determined: {n_readings} readings are neither 0 nor saturated; "
-                f"expected at least {_MIN_READINGS} such {_EXPECTED}"
+                f"expected at least {_MIN_READINGS} such {data_text}"
             )
 
 
-def _sensor_parameters(initial: Sequence[Optics], headings_deg: Sequence[float]) -> list[Parameter]:
+def _sensor_parameters(
+    initial: Sequence[Optics], headings_deg: Sequence[float], names: Sequence[str]
+) -> list[Parameter]:
     """Return gain, threshold, heading [deg] and lobe exponent of each sensor in turn."""
     parameters: list[Parameter] = []
-    for name, optics, heading_deg in zip(SENSOR_LABELS, initial, headings_deg, strict=True):
+    for name, optics, heading_deg in zip(names, initial, headings_deg, strict=False):
         gain, heading_sd, lobe_sd = optics.gain_counts_mm2, HEADING_SPREAD_DEG, LOBE_SPREAD
         parameters += [
             Parameter(f"{name}: gain", gain, gain / 4, gain * _MAX_INTERVAL, " counts mm2", gain / 20),

@@ -1,6 +1,6 @@
 """Fit of one robot's light receivers to readings of a lamp: heading, lobe width and gain of each.
 
-The model is that of `khep_twin.sensing.ambient`, vectorized over positions of a lamp. All eight receivers are
+The model is that of `khep_twin.sensing.ambient`, vectorized over positions of a lamp. All receivers are
 fitted together, as they share the dark level, the brightest level, the diffuse part, and the errors of the
 ruler in each test.
 """
@@ -27,7 +27,7 @@ from khep_twin.lab.fit.placement import (
     misplacements,
 )
 from khep_twin.sensing.calibration import AmbientCalibration, Calibration
-from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_LABELS, SENSOR_POSITIONS
+from khep_twin.units import COUNTS_LIMIT, SENSOR_POSITIONS
 
 _MIN_RANGE = 40.0
 """Smallest range of a receiver's readings to fit it [counts]."""
@@ -42,18 +42,21 @@ class LampPositions:
     Attributes:
         positions: Filament relative to the robot's centre: forward, left, above the sensors (n, 3) [m].
         power: Power of the lamp [W].
+        receivers: Positions of the receivers on the robot [m].
     """
 
     positions: Floats
     power: float
+    receivers: Sequence[tuple[float, float]] = SENSOR_POSITIONS
 
     @classmethod
     def of(cls, test: Readings, misplacement: Misplacement = IN_PLACE) -> Self:
         """Return the lamp of a test, with its bulb at the placement plus the misplacement."""
         distances, bearings = test.placement.object_positions(misplacement)
-        radii, height = BODY_RADIUS + distances + test.placement.radius, np.full(len(bearings), test.height)
+        body = test.placement.model.body
+        radii, height = body.radius + distances + test.placement.radius, np.full(len(bearings), test.height)
         positions = [radii * np.cos(bearings), radii * np.sin(bearings), height]
-        return cls(np.column_stack(positions), test.power or 0.0)
+        return cls(np.column_stack(positions), test.power or 0.0, body.sensor_positions)
 
 
 def ambient_counts(lamp: LampPositions, channel: int, calibration: AmbientCalibration) -> Floats:
@@ -61,7 +64,8 @@ def ambient_counts(lamp: LampPositions, channel: int, calibration: AmbientCalibr
     columns = (calibration.heading_deg, calibration.gain_counts_mm2_per_w, calibration.lobe_exponent)
     receiver = tuple(column[channel] for column in columns)
     levels = calibration.dark_counts, calibration.floor_counts, calibration.diffuse
-    return _counts(lamp, channel, receiver, levels, calibration.offset_mm)
+    counts = _counts(lamp, channel, receiver, levels, calibration.offset_mm)
+    return COUNTS_LIMIT - counts if calibration.rises_with_light else counts
 
 
 def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> SensorsFit:
@@ -75,23 +79,26 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
     Raises:
         FitError: The readings do not determine a receiver's heading, gain or lobe, or the shared values.
     """
-    initial = start.ambient
+    initial, n_sensors = start.ambient, len(start.heading_deg)
+    names = tests[0].placement.model.body.sensors[:n_sensors]
     counts = np.concatenate([test.counts for test in tests])
-    for name, readings in zip(SENSOR_LABELS, counts.T, strict=True):
+    if initial.rises_with_light:
+        counts = COUNTS_LIMIT - counts
+    for name, readings in zip(names, counts.T, strict=True):
         if np.ptp(readings) < _MIN_RANGE:
             raise FitError(
                 f"{name}: the gain for lamps cannot be determined: its readings differ by less than "
                 f"{_MIN_RANGE:.0f} counts; expected a turn of 360 degrees in a lamp's light"
             )
     # Without saturated readings, the level of the brightest light keeps its initial value.
-    is_saturated = bool((counts < initial.floor_counts + 4 * initial.noise_counts).sum() >= N_SENSORS)
+    is_saturated = bool((counts < initial.floor_counts + 4 * initial.noise_counts).sum() >= n_sensors)
     shared = _shared_parameters(initial, is_saturated)
     n_shared = len(shared)
-    n_levels = n_shared + _N_PARAMETERS * N_SENSORS
+    n_levels = n_shared + _N_PARAMETERS * n_sensors
 
     def split_values(x: Floats) -> tuple[tuple[float, float, float], Floats]:
         floor = float(x[2]) if is_saturated else initial.floor_counts
-        return (float(x[0]), floor, float(x[1])), x[n_shared:n_levels].reshape(N_SENSORS, _N_PARAMETERS)
+        return (float(x[0]), floor, float(x[1])), x[n_shared:n_levels].reshape(n_sensors, _N_PARAMETERS)
 
     noise = max(initial.noise_counts, 1.0)
 
@@ -106,7 +113,7 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
         means = expected_readings(np.column_stack(columns), initial.noise_counts, initial.ceiling_counts)
         return ((means - counts) / noise).ravel()
 
-    parameters = [*shared, *_receiver_parameters(initial), *error_parameters(tests, ruler or Ruler())]
+    parameters = [*shared, *_receiver_parameters(initial, names), *error_parameters(tests, ruler or Ruler())]
     expected_data = "readings of a lamp in turns of 360 degrees, at two distances and more"
     sparsity = jacobian_sparsity(tests, _N_PARAMETERS, n_shared)
     # The residuals determine the noise, which weighs them against the errors of the ruler.
@@ -152,10 +159,10 @@ def _shared_parameters(initial: AmbientCalibration, is_saturated: bool) -> list[
     ]
 
 
-def _receiver_parameters(initial: AmbientCalibration) -> list[Parameter]:
+def _receiver_parameters(initial: AmbientCalibration, names: Sequence[str]) -> list[Parameter]:
     """Return the parameters of each receiver in turn."""
     parameters: list[Parameter] = []
-    for sensor, name in enumerate(SENSOR_LABELS):
+    for sensor, name in enumerate(names):
         gain = initial.gain_counts_mm2_per_w[sensor]
         parameters += [
             Parameter(f"{name}: heading to lamps", initial.heading_deg[sensor], 10, 10, " deg"),
@@ -174,7 +181,7 @@ def _counts(
 ) -> Floats:
     """Return clipped counts; a receiver is heading [deg], gain, exponent; levels: dark, floor, diffuse."""
     (heading_deg, gain, exponent), (dark, floor, diffuse) = receiver, levels
-    offsets = lamp.positions - np.array([*SENSOR_POSITIONS[channel], 0.0])
+    offsets = lamp.positions - np.array([*lamp.receivers[channel], 0.0])
     distances = np.sqrt((offsets**2).sum(axis=1))
     heading = np.radians(heading_deg)
     cosines = (offsets[:, 0] * np.cos(heading) + offsets[:, 1] * np.sin(heading)) / distances

@@ -1,8 +1,8 @@
-"""Fit of one robot's motors to recorded drives with fixed duties (command P), by simulating them.
+"""Fit of one robot's motors to recorded drives with fixed duties (a Khepera's command P), by simulating them.
 
-A twin receives the host's lines of a log at their times; its replies to E (speeds) and H (counters) are
-compared with the robot's. Steady speeds at two duties determine no-load speed and gear friction; the rise
-time determines the stall torque. The speed and position controllers (commands D and C) hide these parameters.
+A twin receives the host's lines of a log at their times; its speeds and counters are compared with the
+robot's replies. Steady speeds at two duties determine no-load speed and gear friction; the rise time
+determines the stall torque. The speed and position controllers hide these parameters.
 The phase of the controller's 10 ms ticks is not in the log; the one with the smallest residuals is used.
 """
 
@@ -23,16 +23,13 @@ from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.lab.experiment.measures import parse_values
 from khep_twin.lab.fit.least_squares import Floats, Parameter, least_squares
-from khep_twin.lab.fit.placement import FittedValue
+from khep_twin.lab.fit.placement import KHEPERA, FittedValue
 from khep_twin.lab.fit.wheel_fit import read_transcript
-from khep_twin.robots.framing import LINES
+from khep_twin.robots.model import RobotModel
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
-from khep_twin.units import PULSES_PER_TURN, TICK_NS
+from khep_twin.units import TICK_NS
 from khep_twin.world import World
 
-_EXPECTED_DATA = "steps of duty (P) of up to 50 and of half a second and more, while polling E or H"
-_MAX_DUTY = 50
-"""Largest duty; above it the tyres slip and hide the motors' behaviour (measured on the twin)."""
 _PHASES_NS, _FINE_STEPS_NS = range(0, TICK_NS, TICK_NS // 10), (TICK_NS // 20, TICK_NS // 40, TICK_NS // 80)
 """Times of a log's first line after a tick, and steps of their refinement around the best one [ns]."""
 
@@ -56,9 +53,10 @@ class DutyDrive:
     Attributes:
         name: Name in messages.
         requests: Time at which the robot received each line of the host [ns], and the line.
-        times_ns: Times of the requests E and H (n,) [ns].
-        is_position: True for replies to H (n,).
-        values: Replies to E and H, left and right (n, 2).
+        times_ns: Times of the requests of speeds and positions (n,) [ns].
+        is_position: True for positions (n,).
+        values: Speeds and positions, left and right (n, 2).
+        model: Model of the robot.
     """
 
     name: str
@@ -66,9 +64,10 @@ class DutyDrive:
     times_ns: NDArray[np.int64]
     is_position: NDArray[np.bool_]
     values: NDArray[np.int64]
+    model: RobotModel = KHEPERA
 
     def speeds(self, values: NDArray[np.int64] | Floats) -> Floats:
-        """Return speeds from the replies: those to E unchanged, then the rates of those to H (m, 2)."""
+        """Return speeds from the replies: speeds unchanged, then the rates of positions (m, 2)."""
         ticks = np.diff(self.times_ns[self.is_position]) / TICK_NS
         rates = np.diff(values[self.is_position], axis=0) / ticks[:, None]
         return np.concatenate([values[~self.is_position], rates], dtype=np.float64)
@@ -84,59 +83,57 @@ class DutyDrive:
         return np.concatenate([self.times_ns[~self.is_position], self.times_ns[self.is_position][1:]]) / 1e9
 
 
-@dataclass(frozen=True, slots=True)
-class MotorFit:
-    """Fit of the motors.
-
-    Attributes:
-        motors: Fitted calibration.
-        values: Fitted values: no-load speed [rad/s], stall torque and friction torque [N m].
-        drives: Drives in phase with the controller.
-    """
-
-    motors: MotorCalibration
-    values: tuple[FittedValue, ...]
-    drives: tuple[DutyDrive, ...]
+MotorFit = tuple[MotorCalibration, tuple[FittedValue, ...], Sequence[DutyDrive]]
+"""Fitted calibration; no-load speed [rad/s], stall and friction torque [N m]; drives in the ticks' phase."""
 
 
-def read_drive(log: Path) -> DutyDrive:
-    """Read the drive of a log with one robot.
+def _expected_data(model: RobotModel) -> str:
+    bench, reads = model.fit_bench, model.dialect.reads
+    steps = f"steps of duty ({bench.duty}) of up to {bench.duty_limit} and of half a second and more"
+    return f"{steps}, while polling {reads['speed'].request} or {reads['position'].request}"
+
+
+def read_drive(log: Path, model: RobotModel = KHEPERA) -> DutyDrive:
+    """Read the drive of a log with one robot of a model.
 
     Raises:
         LogError: There is no log.
         FitError: The log has no steps of duty, or too few replies.
     """
-    lines = read_transcript(log)
+    lines, framing = read_transcript(log, model), model.dialect.framing
+    bench, requirement = model.fit_bench, _expected_data(model)
     requests = tuple((line.time_ns, line.text) for line in lines if line.name == "host")
-    queries = [(time_ns, text) for time_ns, text in requests if text in ("E", "H")]
+    reads = {read.request: read for read in map(model.dialect.reads.get, ("speed", "position")) if read}
+    queries = [(time_ns, text) for time_ns, text in requests if text in reads]
     replies = [
-        (letter, *values)
+        (read.request, *values[:2])
         for line in lines
-        for letter in "eh"
+        for read in reads.values()
         if line.name == "robot"
-        and line.text[:1] == letter
-        and len(values := parse_values(LINES, line.text)) == 2
+        and framing.answers(read.request, line.text)
+        and len(values := parse_values(framing, line.text)) == read.n_values
     ]
-    duties = [text for _, text in requests if text.startswith("P,")]
+    duties = [text for _, text in requests if text.startswith(f"{bench.duty},")]
     if not duties:
         raise FitError(
-            f"{log}: the motors cannot be determined: no drive with a fixed duty; expected {_EXPECTED_DATA}"
+            f"{log}: the motors cannot be determined: no drive with a fixed duty; expected {requirement}"
         )
-    if too_high := next((text for text in duties if _largest_duty(text) > _MAX_DUTY), ""):
-        raise FitError(f"{log}: {too_high}: the tyres slip at this duty; expected {_EXPECTED_DATA}")
+    if too_high := next((text for text in duties if _largest_duty(text) > bench.duty_limit), ""):
+        raise FitError(f"{log}: {too_high}: the tyres may slip at this duty; expected {requirement}")
     if len(replies) < _MIN_REPLIES:
         raise FitError(
-            f"{log}: the motors cannot be determined: {len(replies)} answers to E and H; expected "
-            f"at least {_MIN_REPLIES}, from {_EXPECTED_DATA}"
+            f"{log}: the motors cannot be determined: {len(replies)} answers to {' and '.join(reads)}; "
+            f"expected at least {_MIN_REPLIES}, from {requirement}"
         )
-    if [text.lower() for _, text in queries] != [letter for letter, *_ in replies]:
-        raise FitError(f"{log}: some E or H were not answered; expected a drive with none lost")
+    if [text for _, text in queries] != [request for request, *_ in replies]:
+        raise FitError(f"{log}: some {' or '.join(reads)} were not answered; expected a drive with none lost")
     return DutyDrive(
         str(log),
         requests,
         np.array([time_ns for time_ns, _ in queries]),
-        np.array([text == "H" for _, text in queries]),
+        np.array([text == model.dialect.reads["position"].request for _, text in queries]),
         np.array([values for _, *values in replies]),
+        model,
     )
 
 
@@ -150,7 +147,7 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
     fit = _fit_aligned_drives(drives, start)
     for _ in range(_MAX_ROUNDS):
         previous_starts_ns = [drive.requests[0][0] for drive in drives]
-        drives = [align(drive, start.model_copy(update={"motors": fit.motors})) for drive in drives]
+        drives = [align(drive, start.model_copy(update={"motors": fit[0]})) for drive in drives]
         if [drive.requests[0][0] for drive in drives] == previous_starts_ns:
             break
         fit = _fit_aligned_drives(drives, start)
@@ -184,18 +181,18 @@ def _fit_aligned_drives(drives: Sequence[DutyDrive], start: Calibration) -> Moto
     ]
 
     def residuals(x: Floats) -> Floats:
-        robot = start.model_copy(update={"motors": _motor_calibration(x.tolist())})
+        robot = start.model_copy(update={"motors": _motor_calibration(initial, x.tolist())})
         twin_speeds = np.concatenate([simulate(drive, robot) for drive in drives])
         return (twin_speeds - measured_speeds).ravel()
 
-    estimate = least_squares(residuals, parameters, _EXPECTED_DATA, step=_DERIVATIVE_STEP)
-    motors = _motor_calibration(estimate.values.tolist())
+    estimate = least_squares(residuals, parameters, _expected_data(drives[0].model), step=_DERIVATIVE_STEP)
+    motors = _motor_calibration(initial, estimate.values.tolist())
     intervals = (estimate.intervals / [1, 1e3, 1e3]).tolist()
     values = [
         FittedValue(("motors", key), getattr(motors, key), interval)
         for key, interval in zip(_KEYS, intervals, strict=True)
     ]
-    return MotorFit(motors, tuple(values), tuple(drives))
+    return motors, tuple(values), drives
 
 
 def simulate(drive: DutyDrive, robot: Calibration) -> Floats:
@@ -204,6 +201,7 @@ def simulate(drive: DutyDrive, robot: Calibration) -> Floats:
         path = Path(folder) / "robot.toml"
         path.write_text(dump(robot), encoding="utf-8")
         robot_text = f"[[robot]]\nx_mm = 5000\ny_mm = 5000\nheading_deg = 0\ncalibration = '{path}'\n"
+        robot_text += f"model = '{drive.model.name}'\n"
         world = World(playpen.parse(_OPEN_FLOOR_TEXT + robot_text, "field"), noise=False, unpaced=True)
     # Proximity is not needed and would take half of the time.
     world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
@@ -219,17 +217,17 @@ def simulate(drive: DutyDrive, robot: Calibration) -> Floats:
             world.robots[0].send(text.encode("latin-1") + b"\n")
         world.advance_to((tick + 1) * TICK_NS)
     # The board reads the counters of the last tick, in whole pulses; the fit needs a smooth function.
-    pulses = np.array(angles) * (PULSES_PER_TURN / (2 * np.pi))
+    pulses = np.array(angles) * (drive.model.body.pulses_per_turn / (2 * np.pi))
     ticks = drive.times_ns // TICK_NS
     changes = pulses[ticks] - pulses[np.maximum(ticks - 1, 0)]
     return drive.speeds(np.where(drive.is_position[:, None], pulses[ticks], changes))
 
 
-def _motor_calibration(values: Sequence[float]) -> MotorCalibration:
+def _motor_calibration(initial: MotorCalibration, values: Sequence[float]) -> MotorCalibration:
     """Return motors with a no-load speed [rad/s], stall torque and friction torque [mN m]."""
     speed, stall, friction = values
     rounded_values = round(speed, 2), round(stall / 1e3, 6), round(friction / 1e3, 6)
-    return MotorCalibration(**dict(zip(_KEYS, rounded_values, strict=True)))
+    return initial.model_copy(update=dict(zip(_KEYS, rounded_values, strict=True)))
 
 
 def _largest_duty(command: str) -> int:

@@ -13,8 +13,13 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import Floats, Parameter
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import default_model
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import BODY_RADIUS, N_SENSORS, SCAN_NS
+from khep_twin.units import SCAN_NS
+
+KHEPERA = default_model()
+"""Model of a robot that is not named."""
 
 SCAN_LAG_S = SCAN_NS * 1e-9 / math.sqrt(12)
 """Standard deviation of a reading's age [s], which is uniform between the scan's start and end."""
@@ -69,25 +74,27 @@ class Placement:
             for each pose (n,).
         radius: Radius of the cylinder or the bulb, 0 for a wall [m].
         turn_rate: Fastest turn of the robot [rad/s].
+        model: Model of the robot.
     """
 
     poses: Floats
     distance: float | Floats
     radius: float = 0.0
     turn_rate: float = 0.0
+    model: RobotModel = KHEPERA
 
     def object_positions(self, misplacement: Misplacement = IN_PLACE) -> tuple[Floats, Floats]:
         """Return distances from the robot's edge [m] and bearings, counter-clockwise [rad], per pose (n,)."""
-        x, y, heading = self.poses.T
+        (x, y, heading), body_radius = self.poses.T, self.model.body.radius
         heading = heading * (1 + misplacement.turn_error)
-        distances = BODY_RADIUS + self.distance + misplacement.distance + self.radius
+        distances = body_radius + self.distance + misplacement.distance + self.radius
         east, north = math.cos(misplacement.bearing), math.sin(misplacement.bearing)
         if self.radius == 0:
             # A wall's nearest point lies in the direction of its normal.
-            return distances - x * east - y * north - BODY_RADIUS, misplacement.bearing - heading
+            return distances - x * east - y * north - body_radius, misplacement.bearing - heading
         forward, left = distances * east - x, distances * north - y
         bearings = np.angle(np.exp(1j * (np.arctan2(left, forward) - heading)))
-        return np.hypot(forward, left) - self.radius - BODY_RADIUS, bearings
+        return np.hypot(forward, left) - self.radius - body_radius, bearings
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +104,7 @@ class Readings:
     Attributes:
         name: Name in messages.
         placement: Position of the object, and poses of the robot.
-        counts: Readings of the sensors at these poses (n, 8) [counts].
+        counts: Readings of the sensors around at these poses (n, n_sensors) [counts].
         power: Power of the lamp [W]; None for a wall or a cylinder.
         height: Height of the lamp's filament above the sensors [m].
     """
@@ -162,8 +169,9 @@ def jacobian_sparsity(tests: Sequence[Readings], n_per_sensor: int, n_shared: in
     The parameters are `n_shared` of all residuals, `n_per_sensor` of each sensor, and `error_parameters`.
     """
     test_of_reading = np.repeat(np.arange(len(tests)), [len(test.counts) for test in tests])
-    test, sensor = np.repeat(test_of_reading, N_SENSORS), np.tile(np.arange(N_SENSORS), len(test_of_reading))
-    first_error = n_shared + n_per_sensor * N_SENSORS
+    n_sensors: int = tests[0].counts.shape[1]
+    test, sensor = np.repeat(test_of_reading, n_sensors), np.tile(np.arange(n_sensors), len(test_of_reading))
+    first_error = n_shared + n_per_sensor * n_sensors
     turn_error = np.full_like(test, first_error + 2 * len(tests))
     columns = [np.full_like(test, number) for number in range(n_shared)]
     columns += [n_shared + n_per_sensor * sensor + number for number in range(n_per_sensor)]

@@ -2,11 +2,12 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from khep_twin.errors import FitError
 from khep_twin.lab.fit.fit_inputs import FitTests, SensorData
 from khep_twin.lab.fit.infrared_fit import fit_infrared, mean_counts
 from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
@@ -16,7 +17,6 @@ from khep_twin.lab.fit.placement import IN_PLACE, FittedValue, Misplacement, Rul
 from khep_twin.lab.fit.wheel_fit import drive_residual, fit_wheels
 from khep_twin.renamed import renamed_attribute
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 _MAX_MISPLACEMENT = 4.0
 """Smallest misplacement of an object to be reported, in the ruler's standard deviations."""
@@ -57,8 +57,9 @@ def fit_robot(tests: FitTests, start: Calibration, ruler: Ruler | None = None) -
     misplacements: dict[str, Misplacement] = {}
     drives: dict[str, DutyDrive] = {}
     if tests.wheels:
-        wheels, (radius, base) = fit_wheels(tests.wheels, ruler)
-        robot = robot.model_copy(update={"wheels": wheels})
+        wheels, (radius, base) = fit_wheels(tests.wheels, ruler, tests.model)
+        sizes = {"radius_mm": wheels.radius_mm, "base_mm": wheels.base_mm}
+        robot = robot.model_copy(update={"wheels": start.wheels.model_copy(update=sizes)})
         values += radius, base
         lines += [
             f"wheel radius   {radius.value:.3f} mm +- {radius.interval:.3f} (95 %)",
@@ -66,11 +67,13 @@ def fit_robot(tests: FitTests, start: Calibration, ruler: Ruler | None = None) -
         ]
         ruler = replace(ruler, base=base.interval / CONFIDENCE / base.value)
     if tests.motors:
-        motors = fit_motors(tests.motors, robot)
-        drives = {drive.name: drive for drive in motors.drives}
-        robot = robot.model_copy(update={"motors": motors.motors})
-        values += motors.values
-        speed, torque, friction = motors.values
+        motors, (speed, *torques), aligned_drives = fit_motors(tests.motors, robot)
+        drives = {drive.name: drive for drive in aligned_drives}
+        robot = robot.model_copy(update={"motors": motors})
+        # A torque is as the wheels' radius squared.
+        part = 2 * values[0].interval / values[0].value if tests.wheels else 0.0
+        torque, friction = (replace(t, interval=max(t.interval, part * t.value)) for t in torques)
+        values += speed, torque, friction
         lines += [
             f"no-load speed  {speed.value:.1f} rad/s +- {speed.interval:.1f} (95 %)",
             f"stall torque   {torque.value * 1e3:.2f} mN m +- {torque.interval * 1e3:.2f} (95 %)",
@@ -86,15 +89,37 @@ def fit_robot(tests: FitTests, start: Calibration, ruler: Ruler | None = None) -
             fit = fit_sensors([test.readings(robot.wheels) for test in sensor_tests], robot, ruler)
             robot = fit.calibration
             values += fit.values
-            lines += describe(fit)
+            lines += describe(fit, tests.model.body.sensors)
             misplacements |= zip((test.name for test in sensor_tests), fit.misplacements, strict=True)
+    if tests.floors:
+        robot, floor_values = _fit_floors(tests.floors, robot)
+        values += floor_values
+        *whites, nothing = [f"{value.value:.1f} +- {value.interval:.1f}" for value in floor_values]
+        lines.append(f"floor          white {', '.join(whites)}, nothing {nothing} (95 %)")
     return RobotFit(robot, tuple(values), tuple(lines), misplacements, drives)
 
 
-def _infrared_lines(infrared: SensorsFit) -> Iterator[str]:
+def _fit_floors(tests: Sequence[SensorData], start: Calibration) -> tuple[Calibration, list[FittedValue]]:
+    """Fit lines of counts over reflectance; return also the values: white of each sensor, nothing."""
+    reflectances = np.array([test.reflectance or 0.0 for test in tests])
+    if (ground := start.ground) is None or np.ptp(reflectances) == 0:
+        raise FitError("the sensors of the floor cannot be determined; expected floor:white and floor:black")
+    slopes, nothings = np.polyfit(reflectances, np.array([test.counts.mean(axis=0) for test in tests]), 1)
+    *whites, nothing = np.clip([*(slopes + nothings), nothings.mean()], 0, None).round(1).tolist()
+    variance = float(np.mean([test.counts.var(axis=0) for test in tests]))
+    # The converter rounds to whole counts.
+    width = CONFIDENCE * math.sqrt(variance / min(len(test.counts) for test in tests) + 1 / 12)
+    values = [FittedValue(("ground", "white_counts", i), white, width) for i, white in enumerate(whites)]
+    values.append(FittedValue(("ground", "nothing_counts"), nothing, width))
+    noise = round(math.sqrt(variance), 1)
+    update = {"white_counts": tuple(whites), "nothing_counts": nothing, "noise_counts": noise}
+    return start.model_copy(update={"ground": ground.model_copy(update=update)}), values
+
+
+def _infrared_lines(infrared: SensorsFit, names: Sequence[str]) -> Iterator[str]:
     values = {value.path[1:]: value for value in infrared.values}
     undetermined: list[str] = []
-    for sensor, (name, rms) in enumerate(zip(SENSOR_LABELS, infrared.rms, strict=True)):
+    for sensor, (name, rms) in enumerate(zip(names, infrared.rms, strict=False)):
         gain = values["gain_counts_mm2", sensor]
         texts = [f"gain {gain.value:.4g} +- {gain.interval / gain.value:.1%}"]
         for quantity, key, digits in (
@@ -112,9 +137,9 @@ def _infrared_lines(infrared: SensorsFit) -> Iterator[str]:
         yield f"as in --start  not determined by these tests: {', '.join(undetermined)}"
 
 
-def _lamp_lines(lamps: SensorsFit) -> Iterator[str]:
+def _lamp_lines(lamps: SensorsFit, names: Sequence[str]) -> Iterator[str]:
     values = {value.path[1:]: value for value in lamps.values}
-    for sensor, name in enumerate(SENSOR_LABELS):
+    for sensor, name in enumerate(names[: len(lamps.calibration.heading_deg)]):
         heading, gain = values["heading_deg", sensor], values["gain_counts_mm2_per_w", sensor]
         lobe = values["lobe_exponent", sensor]
         yield (
@@ -134,7 +159,8 @@ def describe_residuals(tests: FitTests, fit: RobotFit, ruler: Ruler | None = Non
     """Yield a line of text with the residuals of each test; the tests may be others than those of the fit."""
     robot = fit.calibration
     for drive in tests.wheels:
-        error = drive_residual(drive, robot.wheels.radius_mm / 1e3, robot.wheels.base_mm / 1e3)
+        sizes = robot.wheels.radius_mm / 1e3, robot.wheels.base_mm / 1e3
+        error = drive_residual(drive, *sizes, tests.model.body.pulses_per_turn)
         text = f"{np.degrees(error):+.2f} degrees" if drive.distance is None else f"{error * 1e3:+.2f} mm"
         yield f"{drive.name}: {text}"
     for drive in tests.motors:
@@ -167,7 +193,7 @@ def _rms(values: Floats) -> float:
 
 
 def _noise_deviations(test: SensorData, robot: Calibration, misplacement: Misplacement) -> Floats:
-    """Return the standard deviation of each reading (n, 8), or a common one."""
+    """Return the standard deviation of each reading (n, n_sensors), or a common one."""
     if test.power is not None:
         return np.array(robot.ambient.noise_counts)
     means = mean_counts(test.readings(robot.wheels).placement, robot, misplacement)
@@ -175,11 +201,12 @@ def _noise_deviations(test: SensorData, robot: Calibration, misplacement: Mispla
 
 
 def simulate_readings(test: SensorData, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
-    """Return the mean readings of a robot with a calibration in a sensor test (n, 8)."""
+    """Return the mean readings of a robot with a calibration in a sensor test (n, n_sensors)."""
     readings, proximity = test.readings(robot.wheels), robot.proximity
     if test.power is not None:
         lamp = LampPositions.of(readings, misplacement)
-        return np.column_stack([ambient_counts(lamp, channel, robot.ambient) for channel in range(N_SENSORS)])
+        channels = range(len(robot.heading_deg))
+        return np.column_stack([ambient_counts(lamp, channel, robot.ambient) for channel in channels])
     means = mean_counts(readings.placement, robot, misplacement)
     return expected_readings(means, np.array(proximity.noise_counts), proximity.limit_counts)
 

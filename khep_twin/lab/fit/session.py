@@ -11,7 +11,7 @@ from pathlib import Path
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import read_regular, write_atomic
 from khep_twin.files.text import decode
-from khep_twin.host import Khepera
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.fit.fit_inputs import fit_inputs
 from khep_twin.lab.fit.session_people import Person
 from khep_twin.lab.fit.session_steps import Step, record
@@ -73,7 +73,7 @@ class CalibrationSession:
     def run(
         self,
         steps: Sequence[Step],
-        robot: Khepera,
+        robot: HostRobot,
         person: Person,
         show: Callable[[str], None],
         stop: Callable[[], bool],
@@ -110,7 +110,7 @@ class CalibrationSession:
                     continue  # the person requests another drive
                 word = step.make_word(measured)
                 # An unusable recording is refused while the robot still stands there.
-                fit_inputs([str(self.folder / word)])
+                fit_inputs([str(self.folder / word)], robot.model)
                 self.words.append(word)
                 self._write_words()
                 show(f"{title}: {word}")

@@ -85,19 +85,22 @@ class SimulatedPerson:
         self._rng = stream(twin.options.seed, "calibrate", "person")
         arena, playpen = twin.world.playpen.arena, twin.world.playpen
         n_objects = sum(map(len, playpen.obstacles.values())) + len(playpen.robots) - 1
-        self._model = playpen.robots[twin.robot.index].model
+        self._model = find_model(playpen.robots[twin.robot.index].model)
+        least_mm = self._model.fit_bench.height_mm
         self._width_mm, self._height_mm = arena.width_mm, arena.height_mm
         problems = {
             "no rectangle": bool(arena.outline_mm),
             f"{arena.width_mm:g} x {arena.height_mm:g} mm": min(arena.width_mm, arena.height_mm)
             < _MIN_ARENA_MM,
+            f"walls {arena.wall_height_mm:g} mm high": arena.wall_height_mm < least_mm,
             f"walls of {arena.surface}": arena.surface != "white",
             f"{n_objects} objects and other robots": n_objects > 0,
         }
         if problem := next((text for text, is_present in problems.items() if is_present), ""):
             raise FitError(
                 f"{playpen.name}: {problem}; expected an empty arena of {_MIN_ARENA_MM:g} x "
-                f"{_MIN_ARENA_MM:g} mm and more with white walls, or a served twin to place by hand"
+                f"{_MIN_ARENA_MM:g} mm and more with white walls of {least_mm:g} mm and more, "
+                "or a served twin to place by hand"
             )
 
     def place(self, step: Step) -> float | None:
@@ -106,7 +109,7 @@ class SimulatedPerson:
         if step.kind == "cylinder":
             self._show("A twin's playpen has no cylinder to be moved; skipped.")
             return None
-        radius_mm = find_model(self._model).body.radius * 1e3
+        radius_mm = self._model.body.radius * 1e3
         distance_mm = step.distance_mm + self._ruler.distance_mm * float(self._rng.standard_normal())
         heading_deg = self._ruler.bearing_deg * float(self._rng.standard_normal())
         x_mm, y_mm = _MARGIN_MM, self._height_mm / 2

@@ -1,8 +1,8 @@
 """Steps of a calibration session: the instruction to the person, and the recording of the robot.
 
-    straight                 command C over 60 cm, measured with a ruler     straight.mcap
-    turns                    command C, five turns on the spot, counted      turns.mcap
-    duty                     steps of command P on open floor                duty.mcap
+    straight                 60 cm, measured with a ruler                    straight.mcap
+    turns                    five turns on the spot, counted                 turns.mcap
+    duty                     steps of duty on open floor                     duty.mcap
     wall, cylinder, lamp     a sensor test, one turn on the spot             wall-12.csv
 
 A word is a recording's name and a measurement, such as straight.mcap=598mm, in the form of `fit_inputs`.
@@ -17,26 +17,25 @@ from typing import Literal
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import FitError
-from khep_twin.host import Khepera
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.fit.fit_inputs import FILAMENT_MM
+from khep_twin.lab.fit.placement import KHEPERA
 from khep_twin.lab.sensor_test.sensor_files import save
-from khep_twin.lab.sensor_test.sensor_test import SensorTest, drive_to, reset_motors, sense
+from khep_twin.lab.sensor_test.sensor_test import SensorTest, prepare_drive, reset_motors, sense
 from khep_twin.log.line_recorder import LineRecorder
-from khep_twin.units import BITS_PER_BYTE, PULSE_LENGTH, WHEEL_BASE
+from khep_twin.robots.model import RobotModel
+from khep_twin.units import BITS_PER_BYTE
 
 STRAIGHT_MM, TURNS = 600, 5
 """Nominal length of the straight drive [mm], and number of turns on the spot."""
 
-WALLS_MM = (6.0, 12.0, 17.0, 21.0, 25.0, 29.0)
-CYLINDERS_MM = (6.0, 12.0, 18.0)
 LAMPS_MM = (60.0, 150.0)
-"""Distances of objects from the robot's edge [mm], at which its readings are not clipped."""
+"""Distances of lamps from the robot's edge [mm], at which its readings are not clipped."""
 
-DUTIES = (40, 0, -40, 0, 30, -10, 0)
-_DUTY_S = 0.75
-"""Steps of duty, and the duration of each [s]."""
+_DUTY_S, _POLL_S = 0.75, 0.009
+"""Duration of a step of duty; least time between two requests of the speeds, which change every 10 ms [s]."""
 _SPEED, _ACCELERATION = 10, 32
-"""Values of command J on measured drives [pulses/10 ms, 3.125 mm/s^2]: slow, so that no tyre slips."""
+"""Values of command J on measured drives [8 mm/s, 3.125 mm/s^2]: slow, so that no tyre slips."""
 
 _SETTLE_S = 0.5
 """Settling time after a drive [s]."""
@@ -51,7 +50,7 @@ class Step:
         distance_mm: Distance from the robot's edge to the object [mm].
         radius_mm: Radius of the cylinder [mm].
         power_w: Power of the lamp [W].
-        height_mm: Height of the lamp's filament above the floor [mm].
+        height_mm: Height of the lamp's filament, or least height of the wall, above the floor [mm].
         sign: Direction of the turn, 1 for counter-clockwise.
     """
 
@@ -82,7 +81,8 @@ class Step:
             "turns": "Put the robot where it can turn, and mark the floor straight ahead of it. It will make "
             f"about {TURNS} turns counter-clockwise; count them.",
             "duty": "Put the robot on open floor with 300 mm free before and behind. It drives to and fro.",
-            "wall": f"Put the robot with {near} a flat white wall, looking straight at it.",
+            "wall": f"Put the robot with {near} a flat white wall, {self.height_mm:g} mm high or more, "
+            "looking straight at it.",
             "cylinder": f"Put the robot with {near} a white cylinder of {self.radius_mm:g} mm radius, "
             "looking straight at it.",
             "lamp": f"Darken the room. Put the robot with {near} the glass of a bulb of {self.power_w:g} W, "
@@ -108,15 +108,20 @@ class Step:
 
 
 def steps(
-    walls_mm: Sequence[float], cylinder_mm: float | None, lamp_w: float | None, lamp_height_mm: float
+    walls_mm: Sequence[float],
+    cylinder_mm: float | None,
+    lamp_w: float | None,
+    lamp_height_mm: float,
+    model: RobotModel = KHEPERA,
 ) -> list[Step]:
     """Return the steps of a session, with a cylinder and a lamp unless they are None.
 
     Raises:
         FitError: A value is out of range, or a distance is given twice.
     """
+    bench = model.fit_bench
     for name, values, low, high in (
-        ("wall", walls_mm, 1, 60),
+        ("wall", walls_mm, 1, 300),
         ("cylinder", [] if cylinder_mm is None else [cylinder_mm], 2, 1000),
         ("lamp", [] if lamp_w is None else [lamp_w], 0.01, 1000),
         ("lamp height", [lamp_height_mm], 1, 1000),
@@ -126,16 +131,16 @@ def steps(
     if len({f"{distance:g}" for distance in walls_mm}) < len(walls_mm):
         raise FitError("wall: a distance is given twice; expected different ones")
     session_steps = [Step("straight"), Step("turns"), Step("duty")]
-    session_steps += [Step("wall", distance) for distance in walls_mm]
+    session_steps += [Step("wall", near, height_mm=bench.height_mm) for near in walls_mm]
     if cylinder_mm is not None:
-        session_steps += [Step("cylinder", distance, radius_mm=cylinder_mm) for distance in CYLINDERS_MM]
+        session_steps += [Step("cylinder", near, radius_mm=cylinder_mm) for near in bench.cylinders_mm]
     if lamp_w is not None:
         session_steps += [Step("lamp", near, power_w=lamp_w, height_mm=lamp_height_mm) for near in LAMPS_MM]
     # With turns to both sides, the lag of readings behind the counters averages out.
     return [replace(step, sign=1 - 2 * (number % 2)) for number, step in enumerate(session_steps)]
 
 
-def record(robot: Khepera, step: Step, path: Path, stop: Callable[[], bool]) -> bool:
+def record(robot: HostRobot, step: Step, path: Path, stop: Callable[[], bool]) -> bool:
     """Drive a step and write its recording; return False, without a recording, if `stop` returns True.
 
     Raises:
@@ -144,7 +149,8 @@ def record(robot: Khepera, step: Step, path: Path, stop: Callable[[], bool]) -> 
     """
     if step.has_object:
         kind = "light" if step.kind == "lamp" else "proximity"
-        run = sense(robot, SensorTest(kind, rotate_deg=360.0 * step.sign, speed=1), stop=stop)
+        test = SensorTest(kind, rotate_deg=360.0 * step.sign, speed=1, model=robot.model.family)
+        run = sense(robot, test, stop=stop)
         if not stop():
             save(path, run)
         return not stop()
@@ -159,29 +165,32 @@ def record(robot: Khepera, step: Step, path: Path, stop: Callable[[], bool]) -> 
     return not stop()
 
 
-def _drive_measured(robot: Khepera, step: Step, stop: Callable[[], bool]) -> None:
-    """Drive straight or turn on the spot, by command C, and read the counters before and after."""
-    length = STRAIGHT_MM / 1e3 if step.kind == "straight" else TURNS * math.pi * WHEEL_BASE
-    pulses = round(length / PULSE_LENGTH)
-    robot.set_position(0, 0)
-    robot.configure_profile(_SPEED, _ACCELERATION, _SPEED, _ACCELERATION)
-    robot.position()
-    drive_to(robot, (pulses if step.kind == "straight" else -pulses, pulses), None, stop)
+def _drive_measured(robot: HostRobot, step: Step, stop: Callable[[], bool]) -> None:
+    """Drive straight or turn on the spot, and read the counters before and after."""
+    body = robot.model.body
+    length = STRAIGHT_MM / 1e3 if step.kind == "straight" else TURNS * math.pi * body.wheel_base
+    pulses = round(length / body.pulse_length)
+    drive = prepare_drive(robot, _SPEED, _ACCELERATION)
+    robot.read_channels("position")
+    drive((pulses if step.kind == "straight" else -pulses, pulses), None, stop)
     robot.sleep(_SETTLE_S)
-    robot.position()
+    robot.read_channels("position")
 
 
-def _drive_duties(robot: Khepera, stop: Callable[[], bool]) -> None:
-    """Drive with each duty of `DUTIES` by command P, and request the speeds repeatedly."""
-    for duty in DUTIES:
-        robot.set_duty(duty, duty)
+def _drive_duties(robot: HostRobot, stop: Callable[[], bool]) -> None:
+    """Drive with each duty, and request the speeds repeatedly."""
+    bench = robot.model.fit_bench
+    for duty in bench.duties:
+        robot.ask(f"{bench.duty},{duty},{duty}")
         end = robot.time + _DUTY_S
         while robot.time < end and not stop():
-            robot.speed()
+            start = robot.time
+            robot.read_channels("speed")
+            robot.sleep(max(start + _POLL_S - robot.time, 0))
 
 
 @contextmanager
-def _record_exchanges(robot: Khepera, path: Path, stop: Callable[[], bool]) -> Generator[None]:
+def _record_exchanges(robot: HostRobot, path: Path, stop: Callable[[], bool]) -> Generator[None]:
     """Record the exchanges with a robot in a log; write none after an error, or if `stop` returns True."""
     start, byte_ns = robot.time, BITS_PER_BYTE * NS_PER_S // robot.port.baudrate
     now_ns, is_kept = 0, False

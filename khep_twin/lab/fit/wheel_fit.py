@@ -22,12 +22,12 @@ from scipy.optimize import least_squares
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import CONFIDENCE
-from khep_twin.lab.fit.placement import FittedValue, Ruler
+from khep_twin.lab.fit.placement import KHEPERA, FittedValue, Ruler
 from khep_twin.log.channels import TextLine
-from khep_twin.log.reader import read_label, read_log, require_feature_in
-from khep_twin.robots.model import Feature
+from khep_twin.log.reader import read_log
+from khep_twin.robots.model import RobotModel
 from khep_twin.sensing.calibration import WheelCalibration
-from khep_twin.units import PULSES_PER_TURN, WHEEL_BASE, WHEEL_RADIUS
+from khep_twin.units import PULSES_PER_TURN
 
 _MAX_RELATIVE_INTERVAL = 0.1
 """Largest accepted half width of a confidence interval, relative."""
@@ -55,13 +55,14 @@ class Drive:
 
 
 def fit_wheels(
-    drives: Sequence[Drive], ruler: Ruler | None = None
+    drives: Sequence[Drive], ruler: Ruler | None = None, model: RobotModel = KHEPERA
 ) -> tuple[WheelCalibration, tuple[FittedValue, FittedValue]]:
     """Fit radius and base of the wheels to the drives; return them rounded, and with their intervals.
 
     Args:
         drives: Measured drives.
         ruler: Precision of their measurement; None for the default.
+        model: Model of the robot.
 
     Raises:
         FitError: The drives do not determine the radius or the base, or contradict each other.
@@ -75,12 +76,14 @@ def fit_wheels(
     if not any(abs(drive.turn or 0) >= _MIN_TURN for drive in drives):
         raise FitError("the wheel base cannot be determined: no half turn and more; expected LOG=5turns")
 
+    body = model.body
     deviations = np.array([_standard_deviation(drive, ruler or Ruler()) for drive in drives])
 
     def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([drive_residual(drive, *x) for drive in drives]) / deviations
+        values = [drive_residual(drive, x[0], x[1], body.pulses_per_turn) for drive in drives]
+        return np.array(values) / deviations
 
-    solution = least_squares(residuals, [WHEEL_RADIUS, WHEEL_BASE], x_scale=[1e-3, 1e-2])
+    solution = least_squares(residuals, [body.wheel_radius, body.wheel_base], x_scale=[1e-3, 1e-2])
     radius, base = (float(value) for value in solution.x)
     # The noise is that of the ruler, or more if the residuals are larger.
     variance_factor = max(1.0, 2 * float(solution.cost) / max(len(drives) - 2, 1))
@@ -89,8 +92,9 @@ def fit_wheels(
         wheels = WheelCalibration(radius_mm=round(radius * 1e3, 4), base_mm=round(base * 1e3, 3))
     except ValueError:
         raise FitError(
-            f"a wheel radius of {radius * 1e3:.2f} mm and a base of {base * 1e3:.1f} mm are not a Khepera's; "
-            "expected distances in mm and whole turns as counted, counter-clockwise positive"
+            f"a wheel radius of {radius * 1e3:.2f} mm and a base of {base * 1e3:.1f} mm are not "
+            f"{model.dialect.robot_name}'s; expected distances in mm and whole turns as counted, "
+            "counter-clockwise positive"
         ) from None
     intervals_mm = (CONFIDENCE * 1e3 * standard_errors).tolist()
     fitted_radius = FittedValue(("wheels", "radius_mm"), radius * 1e3, intervals_mm[0])
@@ -104,42 +108,52 @@ def fit_wheels(
     return wheels, (fitted_radius, fitted_base)
 
 
-def read_pulses(log: Path) -> tuple[int, int]:
-    """Return the changes of both counters, left and right, between a log's first and last replies to H.
+def read_pulses(log: Path, model: RobotModel = KHEPERA) -> tuple[int, int]:
+    """Return the changes of both counters, left and right, between a log's first and last replies with them.
 
     Raises:
         LogError: There is no log.
-        FitError: The host did not send H twice, or set the counters in between.
+        FitError: The host did not read them twice, or set the counters in between.
     """
-    lines = [line.text for line in read_transcript(log)]
-    reply_rows = [row for row, text in enumerate(lines) if text.startswith("h,")]
-    if len(reply_rows) < 2:
-        raise FitError(f"{log}: the counters were not read twice; expected H before and after the drive")
-    drive_lines = lines[reply_rows[0] : reply_rows[-1]]
-    if any(text.startswith("G") or text == "restart" for text in drive_lines):
-        raise FitError(f"{log}: the counters were set during the drive; expected G only before the first H")
-    start_fields, end_fields = (lines[row].split(",") for row in (reply_rows[0], reply_rows[-1]))
-    return int(end_fields[1]) - int(start_fields[1]), int(end_fields[2]) - int(start_fields[2])
+    read, framing, resets = model.dialect.reads["position"], model.dialect.framing, model.fit_bench.resets
+    lines = [line.text for line in read_transcript(log, model)]
+    rows = [row for row, text in enumerate(lines) if framing.answers(read.request, text)]
+    if len(rows) < 2:
+        raise FitError(
+            f"{log}: the counters were not read twice; expected {read.request} before and after the drive"
+        )
+    if any(text.startswith(resets) for text in lines[rows[0] : rows[-1]]):
+        expected = f"expected {resets[0]} only before the first {read.request}"
+        raise FitError(f"{log}: the counters were set during the drive; {expected}")
+    (left, right, *_), (end_left, end_right, *_) = (framing.values(lines[row]) for row in (rows[0], rows[-1]))
+    return end_left - left, end_right - right
 
 
-def read_transcript(log: Path) -> Sequence[TextLine]:
-    """Return the serial transcript of a log's only robot.
+def read_transcript(log: Path, model: RobotModel) -> Sequence[TextLine]:
+    """Return the serial transcript of a log's only robot, which is of a model.
 
     Raises:
         LogError: There is no log.
-        FitError: The log has several robots, or none.
+        FitError: The log has several robots, or none, or one of another model.
     """
-    require_feature_in(read_label(log), log, Feature.FIT)
-    robots = read_log(log).robots
-    if len(robots) != 1:
-        raise FitError(f"{log}: {len(robots)} robots; expected a log of one")
-    (track,) = robots.values()
+    run = read_log(log)
+    if len(run.robots) != 1:
+        raise FitError(f"{log}: {len(run.robots)} robots; expected a log of one")
+    (track,) = run.robots.values()
+    if "playpen.toml" in run.attachments:  # no recording of a line, which names no model
+        check_family(str(log), track.model.family, model)
     return track.serial
 
 
-def drive_residual(drive: Drive, radius: float, base: float) -> float:
+def check_family(name: str, family: str, model: RobotModel) -> None:
+    """Raise a `FitError` for a recording of a robot of another family than a model."""
+    if family != model.family:
+        raise FitError(f"{name}: of a {family}; expected a {model.family}, or --model {family}")
+
+
+def drive_residual(drive: Drive, radius: float, base: float, pulses_per_turn: int = PULSES_PER_TURN) -> float:
     """Return the residual of a drive: measurement less odometry [m or rad]."""
-    pulse_length = 2 * math.pi * radius / PULSES_PER_TURN
+    pulse_length = 2 * math.pi * radius / pulses_per_turn
     if drive.distance is not None:
         return drive.distance - pulse_length * (drive.left + drive.right) / 2
     return (drive.turn or 0.0) - pulse_length * (drive.right - drive.left) / base

@@ -166,8 +166,6 @@ class SensorTest:
     @property
     def pulses_per_unit(self) -> float:
         """Pulses of a wheel per centimetre or degree, by the kind of motion."""
-        if self.model == default_model().family:
-            return PULSES_PER_DEGREE if self.linear_cm is None else PULSES_PER_CM
         body = find_family(self.model).body
         distance = math.radians(1) * body.wheel_base / 2 if self.linear_cm is None else 0.01
         return distance / body.pulse_length
@@ -302,13 +300,7 @@ def sense(
     recorder.run()
     should_stop = stop or (lambda: False)
     try:
-        if isinstance(robot, Khepera):
-            robot.set_position(0, 0)
-            profile = test.speed or DEFAULT_SPEED, test.acceleration or DEFAULT_ACCELERATION
-            robot.configure_profile(*profile, *profile)
-            drive = partial(drive_to, robot)
-        else:
-            drive = SpeedDrive(robot, test.speed or DEFAULT_SPEED)
+        drive = prepare_drive(robot, test.speed or DEFAULT_SPEED, test.acceleration or DEFAULT_ACCELERATION)
         if drive(test.target, recorder.add_row, should_stop) and test.return_to_zero:
             _drive_back(robot, drive, should_stop)
         reset_motors(robot)
@@ -360,6 +352,15 @@ class _RowRecorder:
         """Description of the progress of the test."""
         travelled = self.run().travelled[-1] if self.rows else 0.0
         return f"the test broke off after {travelled:.1f} of {self.test.amount:g} {self.test.unit}"
+
+
+def prepare_drive(robot: HostRobot, speed: int, acceleration: int) -> Callable[..., bool]:
+    """Return the function that drives a robot to a target, which counts from here, as `drive_to` does."""
+    if not isinstance(robot, Khepera):
+        return SpeedDrive(robot, speed)
+    robot.set_position(0, 0)
+    robot.configure_profile(speed, acceleration, speed, acceleration)
+    return partial(drive_to, robot)
 
 
 def drive_to(

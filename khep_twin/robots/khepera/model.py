@@ -23,7 +23,7 @@ from khep_twin.board.kernel import (
 from khep_twin.board.protocol import MOTION_COMMANDS
 from khep_twin.board.rom import ROMS
 from khep_twin.robots.body import Body
-from khep_twin.robots.model import Columns, Dialect, Feature, Interface, Read, RobotModel, bars_of
+from khep_twin.robots.model import Bench, Columns, Dialect, Feature, Interface, Read, RobotModel, bars_of
 from khep_twin.units import (
     BODY_HEIGHT,
     BODY_RADIUS,
@@ -144,6 +144,9 @@ KHEPERA_1 = RobotModel(
     speed_modes={first + Wheel.MODE: Mode.SPEED for first in (LEFT, RIGHT)},
     vehicle=_vehicle_speeds,
     template="controller_template.py",
+    bench=Bench(
+        (6, 12, 17, 21, 25, 29), (6, 12, 18), 50, "P", (40, 0, -40, 0, 30, -10, 0), 50, ("G", "restart")
+    ),
 )
 
 KHEPERA_2 = replace(
