@@ -55,13 +55,13 @@ def true_value(robot: Calibration, path: tuple[str, str] | tuple[str, str, int])
 
 def test_a_wall_determines_the_gains_of_a_khepera_iv_s_eight_sensors_around() -> None:
     rng, tests = np.random.default_rng(1), list[Readings]()
-    headings = np.linspace(0, 2 * math.pi, 36, endpoint=False)
-    poses = np.column_stack([np.zeros((36, 2)), headings])
-    for distance_mm in MODEL.fit_bench.walls_mm:
+    headings = np.linspace(0, 2 * math.pi, 24, endpoint=False)
+    poses = np.column_stack([np.zeros((24, 2)), headings])
+    for distance_mm in (35, 45, 60):
         place = Placement(poses, distance_mm / 1e3, model=MODEL)
         moved = Misplacement(5e-4 * rng.standard_normal(), 0.02 * rng.standard_normal())
-        counts = mean_counts(place, HIDDEN, moved) + 3 * rng.standard_normal((36, 8))
-        tests.append(Readings(f"{distance_mm} mm", place, np.rint(np.clip(counts, 0, 1004))))
+        counts = mean_counts(place, HIDDEN, moved) + 3 * rng.standard_normal((24, 8))
+        tests.append(Readings(f"{distance_mm} mm", place, np.rint(np.clip(counts, 0, 1004)).astype(np.float64)))
     fit = fit_infrared(tests, START)
     gains = [value for value in fit.values if value.path[1] == "gain_counts_mm2"]
     errors = [(gain.value - true_value(HIDDEN, gain.path)) / gain.interval for gain in gains]
@@ -105,7 +105,10 @@ def test_white_and_black_paper_determine_the_sensors_of_the_floor() -> None:
         fit_robot(FitTests(floors=(white, white), model=MODEL), START)
 
 
-def test_a_session_records_a_khepera_iv_s_drives_and_a_fit_of_a_khepera_refuses_them(tmp_path: Path) -> None:
+def test_a_session_records_a_khepera_iv_s_drives_and_a_fit_of_a_khepera_refuses_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("khep_twin.lab.fit.session_steps.STRAIGHT_MM", 150)
     log, path = tmp_path / "twin.mcap", tmp_path / "straight.mcap"
     robot, twin = hosted(log=str(log))
     with robot:
@@ -113,8 +116,8 @@ def test_a_session_records_a_khepera_iv_s_drives_and_a_fit_of_a_khepera_refuses_
         person.place(Step("straight"))
         assert record(robot, Step("straight"), path, never)
         length_mm = person.measure(Step("straight"))
-    assert read_pulses(path, MODEL) == pytest.approx((88_469, 88_469), abs=300)
-    assert length_mm == pytest.approx(600, abs=3)
+    assert read_pulses(path, MODEL) == pytest.approx((22_118, 22_118), abs=300)
+    assert length_mm == pytest.approx(150, abs=3)
     assert "of a khepera4; expected a khepera, or --model khepera4" in refusal("fit", f"{log}={length_mm}mm")
     with pytest.raises(FitError, match="the counters were not read twice; expected H before and after"):
         read_pulses(path)
