@@ -61,7 +61,8 @@ def test_a_wall_determines_the_gains_of_a_khepera_iv_s_eight_sensors_around() ->
         place = Placement(poses, distance_mm / 1e3, model=MODEL)
         moved = Misplacement(5e-4 * rng.standard_normal(), 0.02 * rng.standard_normal())
         counts = mean_counts(place, HIDDEN, moved) + 3 * rng.standard_normal((24, 8))
-        tests.append(Readings(f"{distance_mm} mm", place, np.rint(np.clip(counts, 0, 1004)).astype(np.float64)))
+        counts = np.rint(np.clip(counts, 0, 1004)).astype(np.float64)
+        tests.append(Readings(f"{distance_mm} mm", place, counts))
     fit = fit_infrared(tests, START)
     gains = [value for value in fit.values if value.path[1] == "gain_counts_mm2"]
     errors = [(gain.value - true_value(HIDDEN, gain.path)) / gain.interval for gain in gains]
