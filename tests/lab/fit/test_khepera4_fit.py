@@ -61,8 +61,7 @@ def test_a_wall_determines_the_gains_of_a_khepera_iv_s_eight_sensors_around() ->
         place = Placement(poses, distance_mm / 1e3, model=MODEL)
         moved = Misplacement(5e-4 * rng.standard_normal(), 0.02 * rng.standard_normal())
         counts = mean_counts(place, HIDDEN, moved) + 3 * rng.standard_normal((24, 8))
-        counts = np.rint(np.clip(counts, 0, 1004)).astype(np.float64)
-        tests.append(Readings(f"{distance_mm} mm", place, counts))
+        tests.append(Readings(f"{distance_mm} mm", place, np.rint(np.clip(counts, 0, 1004))))
     fit = fit_infrared(tests, START)
     gains = [value for value in fit.values if value.path[1] == "gain_counts_mm2"]
     errors = [(gain.value - true_value(HIDDEN, gain.path)) / gain.interval for gain in gains]
@@ -91,7 +90,7 @@ def test_other_values_of_wheels_and_motors_keep_those_of_the_start() -> None:
 
 def floor_test(reflectance: float, counts: list[int]) -> SensorData:
     dv = np.tile([0, 0, *[100] * 8, *counts], (20, 1))
-    run = SensorRun(SensorTest(rotate_deg=15, model="khepera4"), dv, np.arange(20) * 0.1)
+    run = SensorRun(SensorTest(rotate_deg=15, model="khepera4"), dv, np.linspace(0, 2, 20))
     return SensorData("paper", run, 0.0, model=MODEL, reflectance=reflectance)
 
 
