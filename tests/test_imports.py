@@ -65,7 +65,7 @@ NAMES_OF_PACKAGES = {PACKAGE / folder / "__init__.py" for folder in ("", "envs",
 
 def modules() -> list[Path]:
     """Return all modules of the package, without the templates in assets, which are programs of users."""
-    paths = (path for path in PACKAGE.rglob("*.py") if PACKAGE / "assets" not in path.parents)
+    paths = (path for path in PACKAGE.rglob("*.py") if "assets" not in path.relative_to(PACKAGE).parts)
     return sorted(path for path in paths if path not in NAMES_OF_PACKAGES)
 
 
