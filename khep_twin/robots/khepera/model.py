@@ -145,7 +145,13 @@ KHEPERA_1 = RobotModel(
     vehicle=_vehicle_speeds,
     template="controller_template.py",
     bench=Bench(
-        (6, 12, 17, 21, 25, 29), (6, 12, 18), 50, "P", (40, 0, -40, 0, 30, -10, 0), 50, ("G", "restart")
+        walls_mm=(6, 12, 17, 21, 25, 29),
+        cylinders_mm=(6, 12, 18),
+        height_mm=50,
+        duty="P",
+        duties=(40, 0, -40, 0, 30, -10, 0),
+        duty_limit=50,
+        resets=("G", "restart"),
     ),
 )
 

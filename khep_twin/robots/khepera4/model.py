@@ -138,7 +138,13 @@ KHEPERA_4 = RobotModel(
     template=str(Path(__file__).parent / "assets" / "template.py"),
     # At full duty the twin's tyres slip by 0.05 %; paper of A4 is 210 mm wide.
     bench=Bench(
-        (35, 45, 60, 80, 110), (30, 40, 55), 200, "L", (800, 0, -800, 0, 600, -200, 0), 2940, ("I", "Z")
+        walls_mm=(35, 45, 60, 80, 110),
+        cylinders_mm=(30, 40, 55),
+        height_mm=200,
+        duty="L",
+        duties=(800, 0, -800, 0, 600, -200, 0),
+        duty_limit=2940,
+        resets=("I", "Z"),
     ),
     tasks={
         "KheperaIVObstacleAvoidance": "khep_twin.robots.khepera4.tasks:OBSTACLE_AVOIDANCE",
