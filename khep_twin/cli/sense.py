@@ -148,7 +148,8 @@ def sense(
     for path, run in zip(overlay, earlier_runs, strict=True):
         if sensors is not None and run.test.what != sensors.value:
             raise SensorTestError(f"{path}: a run of {run.test.what}; expected {sensors.value}, as in --what")
-    picture_options.check(earlier_runs, tests)
+    if port is None:
+        picture_options.check(earlier_runs, [])
 
     runs: list[SensorRun] = []
     failure: BrokenOffError | None = None
@@ -161,7 +162,8 @@ def sense(
                 tests,
                 drive.text or "",
                 lambda run: _save_run(runs, run, paths, force),
-                [*mat_files, *pictures],
+                lambda tests: picture_options.check(earlier_runs, tests),
+                mat_files,
             )
         except BrokenOffError as error:
             _save_run(runs, error.run, paths, force)
@@ -214,20 +216,21 @@ def _drive(
     tests: "list[SensorTest]",
     text: str,
     save_run: "Callable[[SensorRun], None]",
-    only_kheperas: list[Path],
+    check: "Callable[[list[SensorTest]], None]",
+    mat_files: list[Path],
 ) -> bool:
-    """Drive the tests and save each run; return whether the user stopped them.
-
-    Pictures and MAT files, `only_kheperas`, have the eight sensors of a Khepera.
-    """
+    """Check the tests, drive them and save each run; return whether the user stopped them."""
     from khep_twin.host.connection import connect
     from khep_twin.lab.sensor_test.sensor_test import sense as drive
 
     with stopping() as stop, connect(port) as robot, progress_bar() as show:
         tests = [replace(test, model=robot.model.family) for test in tests]
-        if robot.model.family != default_model().family and (names := [*only_kheperas]):
+        if robot.model.family != default_model().family and mat_files:
             kind = robot.dialect.robot_name
-            raise SensorTestError(f"{names[0]}: has a Khepera's sensors; expected .csv or .mcap for {kind}")
+            raise SensorTestError(
+                f"{mat_files[0]}: has a Khepera's sensors; expected .csv or .mcap for {kind}"
+            )
+        check(tests)
         for number, test in enumerate(tests):
             show_part = part_bar(show, number, len(tests))
             save_run(drive(robot, test, text=text, progress=show_part, stop=stop))

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from khep_twin import drawing
+from khep_twin.cli.completion import models
 from khep_twin.cli.options import Force, check_new, check_picture, usage
 from khep_twin.errors import ControllerError
 from khep_twin.process.invocation import command
@@ -60,14 +61,27 @@ def series(
 def new(
     kind: Annotated[Kind, typer.Argument(help="Kind: a controller, or one in the Khepera Toolbox's form.")],
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="File to write.")],
+    model: Annotated[
+        str | None, typer.Option(help="Model of the robot, or its family.", autocompletion=models)
+    ] = None,
     force: Force = False,
 ) -> None:
     """Write a commented controller template."""
     from khep_twin.lab.experiment.controllers import write_template
+    from khep_twin.playpen import Playpen
+    from khep_twin.playpen.model import names
+    from khep_twin.robots.registry import DEFAULT, find_family
 
+    if kind is Kind.TOOLBOX and model is not None:
+        raise usage(
+            f"--model {model}: is for a controller; expected none for the toolbox's form, of a Khepera"
+        )
+    robot_model = find_family(model or DEFAULT)
     if file.suffix != ".py":
         raise usage(f"{file}: expected a name that ends in .py")
     check_new(force, file)
-    write_template(kind.value, file, force)
+    write_template(robot_model if kind is Kind.CONTROLLER else None, file, force)
     length = ("--seconds", 20) if kind is Kind.CONTROLLER else ("--cycles", 500)
-    typer.echo(f"{kind}  {file}      run it: {command('run', file, '--playpen', 'obstacles', *length)}")
+    families = {name: Playpen.load(name).robots[0].robot_model.family for name in ("obstacles", *names())}
+    playpen = next((name for name in families if families[name] == robot_model.family), "PLAYPEN")
+    typer.echo(f"{kind}  {file}      run it: {command('run', file, '--playpen', playpen, *length)}")

@@ -162,7 +162,7 @@ def template(file: StrPath) -> Path:
         raise ControllerError(f"template: {file}: expected a name that ends in .py")
     if Path(file).exists():
         raise ControllerError(f"template: {file}: is there already; expected another name")
-    write_template("toolbox", Path(file))
+    write_template(None, Path(file))
     return Path(file)
 
 

@@ -370,6 +370,14 @@ def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:
     assert complaint("new", "controller", "mine.txt", folder=tmp_path).startswith("mine.txt: expected a name")
 
 
+def test_a_new_controller_of_a_model_runs_in_the_playpen_of_its_message(tmp_path: Path) -> None:
+    line = good("new", "controller", "mine.py", "--model", "khepera4", folder=tmp_path)
+    assert "khep-twin run mine.py --playpen arena4" in line
+    good("run", "mine.py", "--playpen", "arena4", "--seconds", "1", folder=tmp_path)
+    refused = complaint("new", "toolbox", "it.py", "--model", "khepera4", folder=tmp_path)
+    assert refused.startswith("--model khepera4: is for a controller")
+
+
 @pytest.mark.parametrize("kind", [("run",), ("rollout", "--planar", "--period", "20")])
 def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Sequence[str]) -> None:
     second = khep_twin(*kind, "--model", "khepera2", "--seconds", "0.2", folder=tmp_path)

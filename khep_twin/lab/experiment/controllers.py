@@ -9,10 +9,9 @@ import math
 import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
-from typing import Any, ClassVar, Literal, ParamSpec, TypeAlias, TypeVar
+from typing import Any, ClassVar, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,8 @@ from khep_twin.robots.registry import installed_models, titles_with
 
 Params = ParamSpec("Params")
 ReturnType = TypeVar("ReturnType")
+
+_ASSETS = Path(__file__).parents[2] / "assets"
 
 AnyRobot: TypeAlias = Any
 """Robot of any model: an object of its host class, such as a `Khepera`."""
@@ -247,15 +248,16 @@ def copy_variables(controller: Controller) -> dict[str, object]:
     return copies
 
 
-def write_template(kind: Literal["controller", "toolbox"], file: Path, replace: bool = False) -> None:
-    """Write a commented controller template: a class, or a function in the Khepera Toolbox's form."""
-    write_atomic(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes(), replace)
+def write_template(model: RobotModel | None, file: Path, replace: bool = False) -> None:
+    """Write a commented controller template for a model, or one in the Khepera Toolbox's form."""
+    text = template_of(model) if model else (_ASSETS / "toolbox_template.py").read_text("utf-8")
+    write_atomic(file, text.encode(), replace)
 
 
 def template_of(model: RobotModel) -> str:
     """Return the first text of a controller of a model; without a template, it drives straight ahead."""
     if model.template:
-        return (Path(__file__).parents[2] / "assets" / model.template).read_text("utf-8")
+        return (_ASSETS / model.template).read_text("utf-8")
     speed, unit = model.bars["speed"].full // 4, model.channels["speed"][0][1]
     return f"def controller(robot):\n    robot.set_setpoints({speed}, {speed})  # left, right [{unit}]\n"
 
