@@ -11,6 +11,7 @@ FOLDER = Path(__file__).parents[1] / "examples" / "classics"
 
 SHORTER = {
     "garbage": "--trials 1 --seconds 3",
+    "garbage_evolved": "--generations 2 --population 4 --episodes 1 --seconds 1 --check-starts 1",
     "homing": "--generations 2 --population 4 --check-lives 1",
     "phototaxis": "--generations 2 --population 4 --episodes 1 --seconds 0.4 --check-starts 1",
     "vehicles": "--starts 2 --seconds 0.4",
@@ -18,10 +19,10 @@ SHORTER = {
 }
 """Options that make an experiment short; each also draws."""
 
-NEEDS_CMAES = {"phototaxis", "wall_or_cylinder"}
+NEEDS_CMAES = {"garbage_evolved", "phototaxis", "wall_or_cylinder"}
 
 
-LONG = {"garbage", "homing", "phototaxis", "wall_or_cylinder"}
+LONG = {"garbage", "garbage_evolved", "homing", "phototaxis", "wall_or_cylinder"}
 
 
 @pytest.mark.parametrize(

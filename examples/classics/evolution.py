@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import Network
 from khep_twin.errors import pip_install
 from khep_twin.files import unusable
 
@@ -42,12 +41,12 @@ def parse_options(
 
 
 def evolve(
-    network: Network, sigma: float, options: argparse.Namespace, judge: Callable[[Floats, int], Floats]
+    mean: Floats, sigma: float, options: argparse.Namespace, judge: Callable[[Floats, int], Floats]
 ) -> tuple[Floats, list[Floats]]:
-    """Search the genes of a network, from weights of 0, and print the course.
+    """Search the genes of a network, and print the course.
 
     Args:
-        network: Network.
+        mean: Genes from which the search starts (n_genes,).
         sigma: Standard deviation of the first generation's weights.
         options: Options of the command line.
         judge: Function that returns the fitness of a generation's genomes from them and its number.
@@ -56,9 +55,7 @@ def evolve(
         Final mean of the search (n_genes,), and the fitness of each generation's genomes.
     """
     began, curve = time.monotonic(), []
-    search = CMA(
-        mean=np.zeros(network.n_genes), sigma=sigma, population_size=options.population, seed=options.seed
-    )
+    search = CMA(mean=mean, sigma=sigma, population_size=options.population, seed=options.seed)
     for generation in range(options.generations):
         genomes = np.array([search.ask() for _ in range(options.population)])
         fitness = judge(genomes, generation)

@@ -83,7 +83,7 @@ def judge(genomes: np.ndarray, generation: int) -> np.ndarray:
 
 plane = EpisodeSetup(ARENA, planar=True)
 pool, rng = random_starts(1000, 400), stream(options.seed, "phototaxis")
-evolved, curve = evolve(NETWORK, 0.8, options, judge)
+evolved, curve = evolve(np.zeros(NETWORK.n_genes), 0.8, options, judge)
 
 mujoco = EpisodeSetup(ARENA)
 starts = random_starts(0, options.check_starts)

@@ -59,7 +59,7 @@ def judge(genomes: np.ndarray, generation: int) -> np.ndarray:
 
 
 plane = EpisodeSetup(ARENA, planar=True, period_ns=ACTION_NS)
-evolved, curve = evolve(NETWORK, 1.0, options, judge)
+evolved, curve = evolve(np.zeros(NETWORK.n_genes), 1.0, options, judge)
 
 mujoco = EpisodeSetup(ARENA, period_ns=ACTION_NS)
 starts = random_starts(options.check_starts)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from khep_twin.board.protocol import parse_turret_order as parse_turret_order
     from khep_twin.board.protocol import turret_reply as turret_reply
     from khep_twin.board.rom import ROMS as ROMS
+    from khep_twin.board.terms import Term as Term
     from khep_twin.board.turrets import Turret as Turret
     from khep_twin.board.turrets import TurretBody as TurretBody
     from khep_twin.board.turrets import TurretContext as TurretContext

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.gripper import FRACTION, RANGES, REVISION, VERSION, GripperElectronics, Register
+from khep_twin.board.terms import Term
 from khep_twin.board.turrets import TurretContext, TurretKind
-from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
+from khep_twin.units import ARM_DOWN, ARM_UP, FINGERS_OPEN, GRIPPER_NUMBER
 
 ARM_DEGREES_PER_UNIT = 200 / 255
 """Angle per position of the arm: elevation = 190 - 200 position / 255 [deg] (a simulator's model)."""
@@ -82,7 +83,8 @@ class GripperBody:
     def _conductance(self) -> float:
         """Return the conductance of the object that both fingers touch [S]; 0 without one."""
         pairs: NDArray[np.int32] = self._data.contact.geom
-        if not len(pairs):
+        touching = pairs.ravel().tolist()
+        if not all(pad in touching for pad in self._pads):
             return 0.0
         left_geoms, right_geoms = (
             {int(geom) for geom in pairs[(pairs == pad).any(axis=1)].ravel()} - {pad} for pad in self._pads
@@ -93,6 +95,15 @@ class GripperBody:
 def resistivity(conductance: float) -> int:
     """Return the reading for a conductance [S]: R / (R + series resistance), scaled to 0 to 255."""
     return round(255 / (1 + SERIES_RESISTANCE * conductance))
+
+
+_BUS = "1", "gripper"
+_ARM, _FINGERS = (ARM_UP, ARM_DOWN, *_BUS), (0, FINGERS_OPEN, *_BUS)
+"""Lowest and highest position, unit and turret of the terms."""
+
+
+def _move_fingers(position: int) -> str:
+    return f"D,{int(position < FINGERS_OPEN / 2)}"
 
 
 GRIPPER = TurretKind(
@@ -108,5 +119,11 @@ GRIPPER = TurretKind(
     is_lowest=True,
     names=tuple(register.name.lower() for register in Register),
     ranges=RANGES,
+    terms=(
+        Term("gripper_barrier", Register.BARRIER, ("barrier",), 0, 255, *_BUS, "G"),
+        Term("gripper_resistivity", Register.RESISTIVITY, ("resistivity",), 0, 255, *_BUS, "F"),
+        Term("gripper_fingers", Register.FINGER_POSITION, ("fingers",), *_FINGERS, "H,0", _move_fingers),
+        Term("gripper_arm", Register.ARM_POSITION, ("arm",), *_ARM, "H,1", "E,{}".format),
+    ),
 )
 """The gripper, as registered under the entry point "khep_twin.turrets"."""

@@ -17,15 +17,15 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from khep_twin.board.terms import Term
 from khep_twin.errors import TurretError, choices
 from khep_twin.files.paths import StrPath
 from khep_twin.lazy import load_plugins
 
 if TYPE_CHECKING:
     import mujoco
+    import numpy as np
+    from numpy.typing import NDArray
 
 GROUP = "khep_twin.turrets"
 """Entry point under which packages register their turrets."""
@@ -37,7 +37,7 @@ NUMBERS = range(32)
 class Turret(Protocol):
     """Electronics of a turret, which map received bytes to replies, without clock, file or thread."""
 
-    registers: NDArray[np.int64]
+    registers: "NDArray[np.int64]"
     """Whole state, shared with the body (n,)."""
 
     def receive(self, message: bytes) -> bytes:
@@ -63,7 +63,7 @@ class TurretContext(Protocol):
     prefix: str
     """Prefix of the turret's names in the scene, e.g. "khepera0/gripper/"."""
 
-    registers: NDArray[np.int64]
+    registers: "NDArray[np.int64]"
     """Registers of the turret's electronics (n,)."""
 
     robot: int
@@ -140,6 +140,7 @@ class TurretKind:
             registers without a range.
         height: Height by which it raises turrets on top of it [m]; None if no turret fits there.
         is_lowest: True if it fits only directly on the robot, such as an arm that reaches the floor.
+        terms: Registers that controllers of episodes may read and set, by names that start with its name.
     """
 
     name: str
@@ -155,6 +156,7 @@ class TurretKind:
     ranges: Mapping[int, tuple[int, int]] = field(default_factory=dict[int, tuple[int, int]], hash=False)
     height: float | None = 0.0
     is_lowest: bool = False
+    terms: tuple[Term, ...] = field(default=(), hash=False)
 
 
 @cache

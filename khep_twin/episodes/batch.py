@@ -379,8 +379,8 @@ def _run_group(
 def _decide_speeds(
     policy: Policy, setup: EpisodeSetup, batch: EpisodeBatch, slots: NDArray[np.int64], group: range
 ) -> Floats:
-    """Return the speeds that a policy decides on for some slots (n_slots, n_robots, 2)."""
-    boards = batch.registers[slots].reshape(-1, setup.interface.n_registers)
+    """Return the speeds and commands that a policy decides on for some slots (n_slots, n_robots, n)."""
+    boards, n_outputs = batch.registers[slots].reshape(-1, batch.registers.shape[2]), batch.speeds.shape[2]
     indices = np.repeat(slots + group.start, batch.registers.shape[1])
     proximity, ambient, *terms = (boards[:, slice(*reading)] for reading in readings_of(policy, setup))
     output = policy.decide(proximity, ambient, indices, *terms)
@@ -388,8 +388,8 @@ def _decide_speeds(
         speeds = np.asarray(output, np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"the policy returned no speeds: {error}; expected an array ({len(indices)}, 2)"
+            f"the policy returned no speeds: {error}; expected an array ({len(indices)}, {n_outputs})"
         ) from error
-    if speeds.shape != (len(indices), 2):
-        raise ValueError(f"the policy returned speeds of shape {speeds.shape}; expected ({len(indices)}, 2)")
-    return speeds.reshape(len(slots), -1, 2)
+    if speeds.shape != (shape := (len(indices), n_outputs)):
+        raise ValueError(f"the policy returned speeds of shape {speeds.shape}; expected {shape}")
+    return speeds.reshape(len(slots), -1, n_outputs)

@@ -58,7 +58,7 @@ def run_of(model: str) -> Callable[..., int]:
 
 
 @implements(stepping.call_function)
-def _call_function(function, registers, memory, genes, speeds):
+def _call_function(function, registers, memory, genes, outputs):
     call_controller(
         function,
         address_of(registers),
@@ -66,21 +66,22 @@ def _call_function(function, registers, memory, genes, speeds):
         len(memory),
         address_of(genes),
         len(genes),
-        address_of(speeds),
+        address_of(outputs),
     )
 
 
 @cache
 def compile_controller(
-    function: Callable[..., tuple[float, float]], n_registers: int, readings: tuple[tuple[int, int], ...]
+    function: Callable[..., Any], n_registers: int, readings: tuple[tuple[int, int], ...], n_outputs: int
 ) -> int:
     """Compile a controller; return its address for compiled code.
 
     Args:
         function: Function of proximity (n,), ambient (n,), memory, genes and terms (n,), plain or by
-            `numba.njit`; it returns left and right speed [register].
-        n_registers: Number of registers of the robot.
+            `numba.njit`; it returns left and right speed [register], and values of commands.
+        n_registers: Number of registers of the robot, and of readings of turrets.
         readings: First register of proximity, ambient light and each term, and the end of them.
+        n_outputs: Number of numbers that it returns.
 
     Raises:
         ControllerError: numba cannot compile it.
@@ -88,21 +89,23 @@ def compile_controller(
     read = _reader_of(readings)
     int_pointer, float_pointer = types.CPointer(types.int64), types.CPointer(types.float64)
 
-    def call(registers, memory, n_memory, genes, n_genes, speeds):
-        board, speed_pair = carray(registers, (n_registers,)), carray(speeds, (2,))
-        speed_pair[:] = np.nan
+    def call(registers, memory, n_memory, genes, n_genes, outputs):
+        board, results = carray(registers, (n_registers,)), carray(outputs, (n_outputs,))
+        results[:] = np.nan
         try:
             values = read(board)
             state = carray(memory, (n_memory,)), carray(genes, (n_genes,))
-            left, right = decide(*(values[:2] + state + values[2:]))
-            speed_pair[0], speed_pair[1] = left, right
-        except Exception:  # exceptions cannot pass through compiled code: NaN speeds report them
+            results[:] = np.array(decide(*(values[:2] + state + values[2:])))
+        except Exception:  # exceptions cannot pass through compiled code: NaN reports them
             pass
 
     signature = types.void(int_pointer, float_pointer, types.int64, float_pointer, types.int64, float_pointer)
     try:
         decide = _compile_checked(function)
         callback = cfunc(signature)(call)
+        returned = decide.nopython_signatures[-1].return_type
+        if not isinstance(returned, types.BaseTuple) or len(returned) != n_outputs:
+            raise TypeError(f"it returns {returned}")
     # Python, not numba, reports an argument that is no function, or a missing attribute of a module.
     except (NumbaError, UnsupportedBytecodeError, TypeError, AttributeError) as error:
         name = getattr(function, "__name__", "controller")
@@ -114,7 +117,7 @@ def compile_controller(
         reason = lines[0].rstrip(":.") if lines else type(error).__name__
         raise ControllerError(
             f"{name}: numba cannot compile it: {reason}; expected a function of proximity, ambient, memory, "
-            "genes and terms that returns two numbers"
+            f"genes and terms that returns {'two' if n_outputs == 2 else n_outputs} numbers"
         ) from error
     _CALLBACKS.append(callback)
     return int(callback.address or 0)

@@ -69,6 +69,7 @@ class Network:
         ambient: Whether ambient light (0 dark to 1 bright) is an input behind proximity (0 to 1).
         terms: Names of further readings (`robots.model.Term`) that are inputs behind these, 0 to 1, or -1 to
             1 for those with a sign.
+        commands: Names of terms of turrets that are outputs behind the speeds, from lowest to highest value.
         top_speed: Speed for an output of 1 [register], of a Khepera [pulses/10 ms]; 0 for that of metrics.
         model: Model of the robot, or its family, e.g. "khepera4".
         genes: Genome (n_genes,) for episodes whose options have none; empty for none.
@@ -83,6 +84,7 @@ class Network:
     ambient: bool = False
     top_speed: float = 0.0
     terms: tuple[str, ...] = field(default=(), kw_only=True)
+    commands: tuple[str, ...] = field(default=(), kw_only=True)
     model: str = field(default=default_model().family, kw_only=True)
     genes: Sequence[float] | Floats = field(default=(), repr=False, kw_only=True)
     period_ns: int = field(default=SCAN_NS, kw_only=True)
@@ -97,6 +99,8 @@ class Network:
             object.__setattr__(self, "top_speed", model.episode_interface.top_speed)
         object.__setattr__(self, "model", model.family)
         object.__setattr__(self, "terms", tuple(term.name for term in model.find_terms(self.terms)))
+        commands = model.find_terms(self.commands, commanded=True)
+        object.__setattr__(self, "commands", tuple(term.name for term in commands))
         object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
 
     @classmethod
@@ -150,8 +154,8 @@ class Network:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Numbers of inputs, neurons of each layer and outputs (left and right)."""
-        return len(self.inputs), *self.hidden, 2
+        """Numbers of inputs, neurons of each layer and outputs (left, right, commands)."""
+        return len(self.inputs), *self.hidden, 2 + len(self.commands)
 
     @property
     def requests(self) -> str:
@@ -168,20 +172,22 @@ class Network:
 class Function:
     """A function of a robot's proximity (n,), ambient (n,), memory, genes and readings of each term (n,).
 
-    It returns left and right speed [register], which are rounded and clipped as by command D. It may change
-    only its memory. The decorator `numba.njit` is optional: compiled episodes compile it.
+    It returns left and right speed [register] and the values of its commands, which are rounded and clipped.
+    It may change only its memory. The decorator `numba.njit` is optional: compiled episodes compile it.
 
     Attributes:
         decide: The function.
         n_memory: Length of its memory, which starts with zeros.
         requests: Requests of a cycle; "N" for a function that needs no light saves time on a line.
         terms: Names of further readings (`robots.model.Term`) that are its last arguments [register].
+        commands: Names of terms of turrets whose values it returns behind the speeds.
     """
 
-    decide: Callable[..., tuple[float, float]]
+    decide: Callable[..., tuple[float, ...]]
     n_memory: int = 0
     requests: str = "NO"
     terms: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
 
 
 def _no_function(*readings: object) -> NoReturn:
@@ -194,16 +200,18 @@ class Policy:
 
     Attributes:
         decide: Function of proximity (n, n_sensors), ambient (n, n_sensors), indices of the episodes (n,) and
-            readings of each term (n, n_readings), with a row for each robot. It returns speeds (n, 2)
-            [register]; a row must not depend on other episodes. By default there is none: the caller of the
-            `Episode` sets the speeds.
+            readings of each term (n, n_readings), with a row for each robot. It returns speeds [register] and
+            values of its commands (n, 2 + n_commands); a row must not depend on other episodes. By default
+            there is none: the caller of the `Episode` sets the speeds.
         requests: Requests of a cycle; "N" for a policy that needs no light saves time on a line.
         terms: Names of further readings (`robots.model.Term`) that are its last arguments [register].
+        commands: Names of terms of turrets whose values it returns behind the speeds.
     """
 
     decide: Callable[..., ArrayLike] = _no_function
     requests: str = "NO"
     terms: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
 
 
 Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
@@ -225,11 +233,16 @@ def terms_of(driver: Driver) -> tuple[str, ...]:
     return driver.terms if isinstance(driver, Network | Function | Policy) else ()
 
 
+def commands_of(driver: Driver) -> tuple[str, ...]:
+    """Return the names of the terms of turrets that a controller sets."""
+    return driver.commands if isinstance(driver, Network | Function | Policy) else ()
+
+
 _EXPECTED_DRIVER = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
 
 
 def find_terms(driver: Driver, model: RobotModel) -> list[Term]:
-    """Return the further readings that a controller asks for.
+    """Return the further readings that a controller asks for, those of turrets behind the robot's registers.
 
     Raises:
         ControllerError: It does not control robots of the model.
@@ -239,7 +252,7 @@ def find_terms(driver: Driver, model: RobotModel) -> list[Term]:
         raise ControllerError(f"Braitenberg: a robot of model {model.name}; expected a Khepera")
     if isinstance(driver, Network) and driver.model != model.family:
         raise ControllerError(f"network of model {driver.model!r}; expected model = {model.family!r}")
-    return model.find_terms(terms_of(driver))
+    return model.place_terms(terms_of(driver))
 
 
 def readings_of(driver: Driver, setup: EpisodeSetup) -> tuple[tuple[int, int], ...]:
@@ -281,6 +294,7 @@ def make_controllers(
     if genes.ndim == 2 and len(genes) != n_robots:
         raise ControllerError(f"genes for {len(genes)} robots; expected {n_robots}")
     readings = readings_of(driver, setup)
+    n_registers, n_outputs = max(interface.n_registers, *map(max, readings)), 2 + len(commands_of(driver))
     weights = np.array(np.broadcast_to(genes, (n_robots, genes.shape[-1])), np.float64)
     match driver:
         case Braitenberg():
@@ -297,7 +311,7 @@ def make_controllers(
             if compiled:
                 from khep_twin.episodes.compiled import compile_controller
 
-                function = compile_controller(driver.decide, interface.n_registers, readings)
+                function = compile_controller(driver.decide, n_registers, readings, n_outputs)
             else:
                 function = partial(_call_plain, driver.decide, readings)
         case Policy():
@@ -317,23 +331,23 @@ def make_controllers(
         weights,
         np.zeros((n_robots, n_memory)),
         np.zeros(sum(sizes)),
-        np.zeros(2),
+        np.full((n_robots, n_outputs), np.nan),
         home,
         initial_sums(n_robots, home),
         times,
         initial_events(n_robots, times),
-        np.zeros((n_robots, interface.n_registers), np.int64),
+        np.zeros((n_robots, n_registers), np.int64),
     )
     return controllers if compiled else _to_python(controllers)
 
 
 def _call_plain(
-    function: Callable[..., tuple[float, float]],
+    function: Callable[..., tuple[float, ...]],
     readings: Sequence[tuple[int, int]],
     registers: Registers,
     memory: Floats,
     genes: Floats,
-) -> tuple[float, float]:
+) -> tuple[float, ...]:
     """Call a function with the sensors in the registers."""
     values: NDArray[np.int64] = np.asarray(registers)
     proximity, ambient, *terms = (values[slice(*reading)] for reading in readings)

@@ -70,7 +70,8 @@ def find_unsupported(
 ) -> str:
     """Return why a GPU does not support these episodes, and the remedy; empty if it does."""
     if setup.planar_scene is None:
-        return "episodes in MuJoCo; expected episodes in the plane (planar)"
+        turrets = "".join(f" with a {name}" for name in setup.entry.turrets)
+        return f"episodes in MuJoCo{turrets}; expected episodes in the plane (planar)"
     if isinstance(driver, Function):
         return "a Function; expected a Network, Braitenberg, ConstantSpeed or Policy"
     if isinstance(driver, Policy) and line is not None:

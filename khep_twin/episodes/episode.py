@@ -28,6 +28,7 @@ from khep_twin.episodes.controllers import (
     ConstantSpeed,
     Driver,
     Floats,
+    commands_of,
     make_controllers,
     readings_of,
     terms_of,
@@ -37,6 +38,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import NEVER
 from khep_twin.episodes.metrics import compute_metrics
 from khep_twin.episodes.planar.planar_world import PlanarWorld
+from khep_twin.episodes.turret_link import TurretLink
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.checks import require_feature
@@ -82,6 +84,7 @@ class Episode(NotCopied):
     Attributes:
         boards: Registers of each robot (n_robots, n_registers); some models update them when they are read.
         registers: Registers of the first robot (n_registers,).
+        shape: Numbers of robots, of their registers with readings of turrets, and of speeds with commands.
         guard: Lock of its methods, shared with its world.
     """
 
@@ -121,6 +124,8 @@ class Episode(NotCopied):
         self.boards: NDArray[np.int64] = self._simulation.robots.records[0]["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
         self._has_started = False
+        n_registers = max(self.boards.shape[1], *map(max, readings_of(self._driver, setup)))
+        self.shape = len(self.boards), n_registers, 2 + len(commands_of(self._driver))
         self._lamps = DEFAULT_OPTIONS.lamps
 
     @one_thread
@@ -144,6 +149,7 @@ class Episode(NotCopied):
         if self._check_step is not None:
             self._use_compiled_if_ready()
         self._controllers = self._new_controllers()
+        self._turrets = TurretLink(self._driver, self._line, self._setup)
         starts = None if options.start is None else _check_starts(options.start, len(self.boards))
         self._simulation.terms = terms_of(self._driver)
         self._simulation.title = f"episode of seed {seed}"
@@ -214,7 +220,9 @@ class Episode(NotCopied):
 
     def readings(self, robot: int = 0) -> tuple[list[int], ...]:
         """Return proximity, ambient counts and the driver's terms of a robot, or at a line as last read."""
-        registers = self.read_registers(robot)
+        self._turrets.read(self._world, self._controllers.host_registers)
+        turret_readings = self._controllers.host_registers[robot][self.boards.shape[1] :]
+        registers = np.append(self.read_registers(robot), turret_readings)
         ranges = readings_of(self._driver, self._setup)
         return tuple(registers[slice(*pair)].tolist() for pair in ranges)
 
@@ -246,8 +254,8 @@ class Episode(NotCopied):
         self._world.advance_to((self.steps + steps) * self._setup.step_ns)
 
     @one_thread
-    def drive(self, left: float, right: float, robot: int = 0) -> None:
-        """Set both speeds of a robot [register] like a controller, at a line with its delay.
+    def drive(self, left: float, right: float, robot: int = 0, commands: Sequence[float] = ()) -> None:
+        """Set speeds [register] and commands of a robot like a controller, at a line with its delay.
 
         Raises:
             DivergedError: A speed is not finite.
@@ -262,6 +270,9 @@ class Episode(NotCopied):
                 f"{self._simulation.title} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: "
                 f"robot {robot} was given the speeds {left}, {right}; expected finite numbers"
             )
+        if commands:
+            self._controllers.outputs[robot][2:] = commands
+        self._turrets.give_orders(self._world, self._controllers.outputs)
 
     @one_thread
     def next_reading(self, end_step: int = NEVER) -> None:
@@ -315,6 +326,7 @@ class Episode(NotCopied):
     def observe(self, slots: stepping.SlotArrays, slot: int) -> None:
         """Copy the robots' registers and poses into the arrays of a batch at a slot."""
         simulation = self._simulation
+        self._turrets.read(self._world, self._controllers.host_registers)
         stepping.observe(simulation.plain, simulation.inputs, self._controllers, slots, slot)
 
     def touches(self, robot: int = 0) -> bool:
@@ -339,9 +351,13 @@ class Episode(NotCopied):
         return self._controllers.kind == stepping.CALLER
 
     def _advance(self, *arguments: Any) -> int:
+        self._turrets.read(self._world, self._controllers.host_registers)
         if self._compiled:
-            return self._run((self._controllers, *arguments[:-2]), *arguments[-2:], stepping.NO_SLOTS)
-        return self._run(self._controllers, *arguments)
+            reason = self._run((self._controllers, *arguments[:-2]), *arguments[-2:], stepping.NO_SLOTS)
+        else:
+            reason = self._run(self._controllers, *arguments)
+        self._turrets.give_orders(self._world, self._controllers.outputs)
+        return reason
 
     def _use_compiled_if_ready(self) -> bool:
         """Switch to compiled code if it is ready; return whether it is."""

@@ -44,8 +44,9 @@ class EpisodeBatch(NotCopied):
         threads: Number of threads.
 
     Attributes:
-        speeds: Speeds of the wheels, set at the start of each step (n, n_robots, 2) [register].
-        registers: Registers of the robots (n, n_robots, n_registers).
+        speeds: Speeds of the wheels, set at the start of each step [register], and values of commands to
+            turrets (n, n_robots, 2 + n_commands).
+        registers: Registers of the robots, and readings of turrets (n, n_robots, n_registers or more).
         poses: True x, y [m] and heading [rad] of the robots (n, n_robots, 3).
         steps: Number of physics steps of each episode (n,).
         last_step: Step at which episodes at a line stop.
@@ -57,7 +58,7 @@ class EpisodeBatch(NotCopied):
     def __init__(self, episodes: Sequence[Episode], threads: int) -> None:
         self.guard = RLock()
         self._episodes = list(episodes)
-        self._arrays = arrays = SlotArrays.of(len(episodes), *episodes[0].boards.shape)
+        self._arrays = arrays = SlotArrays.of(len(episodes), *episodes[0].shape)
         n_slots = len(episodes)
         self.speeds, self.registers, self.poses = arrays.speeds, arrays.registers, arrays.poses
         self.steps: NDArray[np.int64] = arrays.end_steps
@@ -187,8 +188,8 @@ class EpisodeBatch(NotCopied):
             self._episodes[index].step(steps)
 
     def _drive(self, index: int) -> None:
-        for robot, (left, right) in enumerate(self.speeds[index].tolist()):
-            self._episodes[index].drive(left, right, robot)
+        for robot, (left, right, *values) in enumerate(self.speeds[index].tolist()):
+            self._episodes[index].drive(left, right, robot, values)
 
     def _update_slot(self, index: int) -> None:
         """Copy the results of an episode, and register its arrays for compiled code."""

@@ -144,7 +144,7 @@ def answer_request(
     stage, baud = event[STAGE], times[BAUD]
     request = times[FIRST_REQUEST + stage]
     if stage == 0:
-        for register in range(len(host_registers)):
+        for register in range(interface.n_registers):
             host_registers[register] = registers[register]
     elif request == 1:
         for register in range(interface.ambient[0], interface.ambient[1]):

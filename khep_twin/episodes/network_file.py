@@ -9,6 +9,7 @@ Arrays of an archive, which are checked after reading and before writing:
     top_speed   speed for an output of 1, in units of the robot's register
     genes       weights, in the order of `networks` (n_genes,)
     inputs      names of the inputs in their order (n_inputs,), such as "proximity left_90"
+    commands    terms of turrets that are outputs behind the speeds (n_commands,); left out without any
     model       family of the robot; left out for a Khepera
     zero, one   readings that are inputs of 0 and 1 (n_inputs,)
     period_ns   control period of training [ns]
@@ -58,6 +59,7 @@ _ARRAY_KINDS = {
     "top_speed": ("fiu", 0),
     "genes": ("fiu", 1),
     "inputs": (_TEXT, 1),
+    "commands": (_TEXT, 1),
     "model": (_TEXT, 0),
     "zero": ("fiu", 1),
     "one": ("fiu", 1),
@@ -67,7 +69,7 @@ _ARRAY_KINDS = {
 }
 """Kinds and dimensions of the arrays, by name."""
 
-_OPTIONAL = "model", "seed"
+_OPTIONAL = "commands", "model", "seed"
 
 _KIND_NAMES = {"U": "text", "b": "true or false", "iu": "integers", "fiu": "numbers"}
 
@@ -86,6 +88,7 @@ class NetworkContent(NamedTuple):
     playpen: str
     seed: int | None
     model: str
+    commands: tuple[str, ...] = ()
 
 
 class Input(NamedTuple):
@@ -152,6 +155,7 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
         "period_ns": content.period_ns,
         "playpen": content.playpen,
         **({} if content.seed is None else {"seed": content.seed}),
+        **({"commands": content.commands} if content.commands else {}),
         **({} if content.model == default_model().family else {"model": content.model}),
     }
     _check_arrays(path, {name: np.asarray(value) for name, value in arrays.items()})
@@ -203,7 +207,7 @@ def describe_inputs(
     parts = [("proximity", interface.proximity, cameras, (*none, 0.0, float(interface.counts[1])))]
     if ambient:
         parts.append(("light", interface.ambient, cameras, (*none, *light)))
-    for term in model.find_terms(terms):
+    for term in model.place_terms(terms):
         parts.append((term.name, term.registers, term.names, (term.low, term.high, term.zero, term.high)))
     return [
         Input(f"{part} {name}", register, *map(float, scale))
@@ -244,8 +248,10 @@ def _content(
     top_speed, period_ns = float(arrays["top_speed"]), int(arrays["period_ns"])
     seed = int(arrays["seed"]) if "seed" in arrays else None
     family = str(arrays["model"]) if "model" in arrays else default_model().family
+    commands = tuple(arrays["commands"].tolist()) if "commands" in arrays else ()
     try:
         model = find_family(family)
+        model.find_terms(commands, commanded=True)
         interface = model.episode_interface
     except RobotModelError as error:
         raise ControllerError(str(error), file=path) from error
@@ -257,8 +263,8 @@ def _content(
         raise refusal(f"period_ns = {period_ns}", f"whole ticks of {units.TICK_NS} ns")
     if seed is not None and not 0 <= seed < SEED_LIMIT:
         raise refusal(f"seed = {seed}", "an integer from 0 to 2**63-1")
-    known_terms = {term.name for term in model.terms}
-    terms = tuple(name for name in dict.fromkeys(map(_part_of, inputs)) if name in known_terms)
+    parts = dict.fromkeys(input_name.partition(" ")[0] for input_name in inputs)
+    terms = tuple(name for name in parts if name in model.known_terms)
     n_readings = sum(len(term.names) for term in model.find_terms(terms))
     ambient = len(inputs) > interface.n_proximity + n_readings
     light, index = LIGHT, interface.n_proximity
@@ -280,7 +286,7 @@ def _content(
             expected += f"; {', '.join(terms)} from {expected_scale[0][-n_readings:]}"
             expected += f" to {expected_scale[1][-n_readings:]}"
         raise refusal(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", expected)
-    layers = len(names), *hidden, 2
+    layers = len(names), *hidden, 2 + len(commands)
     if len(genes) != (count := networks.n_genes(layers, recurrent)):
         feedback = ", recurrent" if recurrent else ""
         raise refusal(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")
@@ -289,13 +295,8 @@ def _content(
     if not (playpen := str(arrays["playpen"])).isprintable() or len(playpen) > 200:
         raise refusal(f"playpen = {playpen[:40]!r}", "a name of at most 200 characters")
     return NetworkContent(
-        hidden, recurrent, ambient, terms, top_speed, genes, period_ns, light, playpen, seed, family
+        hidden, recurrent, ambient, terms, top_speed, genes, period_ns, light, playpen, seed, family, commands
     )
-
-
-def _part_of(input_name: str) -> str:
-    """Return the part of the inputs to which one belongs: "proximity", "light", or the name of a term."""
-    return input_name.partition(" ")[0]
 
 
 def _n_inputs_text(interface: Interface, n_readings: int) -> str:

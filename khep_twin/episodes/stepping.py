@@ -69,12 +69,12 @@ class Controllers(NamedTuple):
         genes: Weights of the networks, or parameters of the functions (n_robots, n_genes).
         memory: Memories between control periods (n_robots, n_memory).
         neurons: Buffer for the values of a network's neurons.
-        speeds: Buffer for the speeds of a function (2,) [register].
+        outputs: Speeds of a function [register], and values of commands to turrets (n_robots, n_outputs).
         home: Home x, y and radius [m], and time for which a full battery lasts [s] (4,); radius 0 for none.
         sums: Sums over the episode, see `metrics` (n_robots, N_SUMS).
         line: Times of the line, see `line.line_times`.
         events: Events of the robots' lines (n_robots, N_EVENT).
-        host_registers: Registers of the robots as read by the controllers (n_robots, n_registers).
+        host_registers: Registers as read by the controllers, then readings of turrets (n_robots, n).
     """
 
     kind: int
@@ -86,7 +86,7 @@ class Controllers(NamedTuple):
     genes: Any
     memory: Any
     neurons: Vector[float]
-    speeds: Vector[float]
+    outputs: Any
     home: Vector[float]
     sums: Any
     line: Vector[int]
@@ -116,7 +116,7 @@ class SlotArrays(NamedTuple):
         addresses: Addresses of the arrays of each slot's `EpisodeArguments` (n, n_arrays).
         indices: Indices of the slots to run (n_slots,).
         end_steps: Number of steps since the start at which each episode stops (n,).
-        speeds: Speeds of the wheels to set first (n, n_robots, 2) [register]; (0, n_robots, 2) for none.
+        speeds: Speeds to set first [register], and commands (n, n_robots, n_outputs); (0, …) for none.
         reasons: `Reason` of each return, filled in (n,).
         registers: Final registers of the robots, filled in (n, n_robots, n_registers).
         poses: Final true x, y [m] and heading [rad], filled in (n, n_robots, 3).
@@ -131,13 +131,13 @@ class SlotArrays(NamedTuple):
     poses: NDArray[np.float64]
 
     @classmethod
-    def of(cls, count: int, n_robots: int, n_registers: int) -> Self:
+    def of(cls, count: int, n_robots: int, n_registers: int, n_outputs: int = 2) -> Self:
         """Return arrays for `count` slots, filled with zeros."""
         return cls(
             np.zeros((count, 0), np.int64),
             np.arange(count),
             np.zeros(count, np.int64),
-            np.zeros((count, n_robots, 2)),
+            np.zeros((count, n_robots, n_outputs)),
             np.zeros(count, np.int64),
             np.zeros((count, n_robots, n_registers), np.int64),
             np.zeros((count, n_robots, 3)),
@@ -220,8 +220,8 @@ def observe(
         state = simulated.groups[0][robot]
         if controllers.kind != CALLER:
             update_registers(state, simulated, inputs)
-        for index in range(interface_of(state).n_registers):
-            if controllers.kind == CALLER:
+        for index in range(slots.registers.shape[2]):
+            if controllers.kind == CALLER or index >= interface_of(state).n_registers:
                 slots.registers[slot, robot, index] = controllers.host_registers[robot][index]
             else:
                 slots.registers[slot, robot, index] = state.registers[index]
@@ -337,20 +337,22 @@ def _decide(robot: RobotState, registers: Registers, controllers: Controllers, i
         genes, memory = controllers.genes[index], controllers.memory[index]
         output = networks.forward(controllers.sizes, controllers.recurrent, genes, memory, neurons)
         top_speed = controllers.top_speed
+        for command in range(2, controllers.sizes[len(controllers.sizes) - 1]):
+            controllers.outputs[index][command] = neurons[output + command]
         return _set_setpoints(robot, registers, top_speed * neurons[output], top_speed * neurons[output + 1])
     elif controllers.kind == FUNCTION:
-        genes, memory, speeds = controllers.genes[index], controllers.memory[index], controllers.speeds
-        call_function(controllers.function, registers, memory, genes, speeds)
-        return _set_setpoints(robot, registers, speeds[0], speeds[1])
+        memory, outputs = controllers.memory[index], controllers.outputs[index]
+        call_function(controllers.function, registers, memory, controllers.genes[index], outputs)
+        return _set_setpoints(robot, registers, outputs[0], outputs[1])
     return True
 
 
 def call_function(
-    function: Callable[..., tuple[float, float]],
+    function: Callable[..., tuple[float, ...]],
     registers: Registers,
     memory: Vector[float],
     genes: Vector[float],
-    speeds: Vector[float],
+    outputs: Any,
 ) -> None:
     """Call a controller; compiled code calls it by address.
 
@@ -359,10 +361,10 @@ def call_function(
         registers: Registers of the robot (n_registers,).
         memory: State of the controller.
         genes: Parameters of the controller, read-only.
-        speeds: Buffer for the returned speeds, left and right (2,); NaN after an arithmetic error such as a
+        outputs: Buffer for the returned numbers (n_outputs,); NaN after an arithmetic error such as a
             division by 0.
     """
     try:
-        speeds[0], speeds[1] = function(registers, memory, genes)
+        outputs[:] = function(registers, memory, genes)
     except ArithmeticError:
-        speeds[0] = speeds[1] = math.nan
+        outputs[:] = math.nan

@@ -29,15 +29,15 @@ class Gripper(HostTurret):
 
     def open(self) -> None:
         """Open the fingers (command D)."""
-        self._values("D,0", 0)
+        self.ask("D,0", 0)
 
     def close(self) -> None:
         """Close the fingers (command D)."""
-        self._values("D,1", 0)
+        self.ask("D,1", 0)
 
     def move_arm(self, position: int) -> None:
         """Move the arm to a position, 152 (up) to 255 (down) (command E)."""
-        self._values(f"E,{position}", 0)
+        self.ask(f"E,{position}", 0)
 
     def lower(self) -> None:
         """Move the arm down, the fingers to the floor (command E)."""
@@ -49,19 +49,19 @@ class Gripper(HostTurret):
 
     def resistivity(self) -> int:
         """Return the resistivity between the fingers, 255 insulator or empty, 0 short (command F)."""
-        return self._values("F", 1)[0]
+        return self.ask("F", 1)[0]
 
     def barrier(self) -> int:
         """Return the light barrier between the fingers, 0 free to 255 dark (command G)."""
-        return self._values("G", 1)[0]
+        return self.ask("G", 1)[0]
 
     def fingers(self) -> int:
         """Return the position of the fingers, 0 closed to 200 open (command H)."""
-        return self._values("H,0", 1)[0]
+        return self.ask("H,0", 1)[0]
 
     def arm(self) -> int:
         """Return the position of the arm, 152 up to 255 down (command H)."""
-        return self._values("H,1", 1)[0]
+        return self.ask("H,1", 1)[0]
 
     def wait(self, timeout: float = 5.0) -> None:
         """Wait until neither arm nor fingers move.

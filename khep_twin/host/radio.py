@@ -37,7 +37,7 @@ class Radio(HostTurret):
 
     def status(self) -> RadioStatus:
         """Return the status bits (command F)."""
-        return RadioStatus(self._values("F", 1)[0])
+        return RadioStatus(self.ask("F", 1)[0])
 
     def send(self, to: int, data: bytes) -> None:
         """Send a message of up to 16 bytes to the radio with this number (command S).
@@ -49,7 +49,7 @@ class Radio(HostTurret):
         if len(data) > RADIO_BYTES:
             raise ValueError(f"a message of {len(data)} bytes; expected at most {RADIO_BYTES}")
         padded = data + bytes(RADIO_BYTES - len(data))
-        self._values(f"S,{to},{len(data)}," + ",".join(map(str, padded)), 0)
+        self.ask(f"S,{to},{len(data)}," + ",".join(map(str, padded)), 0)
 
     def broadcast(self, data: bytes) -> None:
         """Send a message of up to 16 bytes to all radios, which do not acknowledge it (command S).
@@ -66,7 +66,7 @@ class Radio(HostTurret):
         Raises:
             ProtocolError: The reply is malformed, as on a disturbed line.
         """
-        sender, length, *data = self._values("R", 2 + RADIO_BYTES)
+        sender, length, *data = self.ask("R", 2 + RADIO_BYTES)
         if length > RADIO_BYTES or max(data) > 255:
             content = f"{length} bytes, {data}"
             expected = f"at most {RADIO_BYTES}, of 0 to 255"

@@ -1,8 +1,8 @@
 """`HostTurret`: common part of the turrets of a robot at the other end of a serial port."""
 
 import re
-from typing import ClassVar
 
+from khep_twin.board.turrets import TurretKind
 from khep_twin.errors import ProtocolError
 from khep_twin.host.khepera import Khepera
 
@@ -15,6 +15,7 @@ class HostTurret:
 
     Args:
         robot: Robot that carries it.
+        kind: Kind of the turret; None for that of the class.
 
     Attributes:
         number: Number on the T bus.
@@ -24,10 +25,12 @@ class HostTurret:
         ProtocolError: The robot does not have this turret.
     """
 
-    number: ClassVar[int]
-    name: ClassVar[str]
+    number: int
+    name: str
 
-    def __init__(self, robot: Khepera) -> None:
+    def __init__(self, robot: Khepera, kind: TurretKind | None = None) -> None:
+        if kind is not None:
+            self.number, self.name = kind.number, kind.name
         self._robot = robot
         self.versions()
 
@@ -38,8 +41,8 @@ class HostTurret:
             raise ProtocolError(f"{self._robot.name}: the {self.name} reported its versions as {fields}")
         return fields[1], fields[2]
 
-    def _values(self, message: str, count: int) -> list[int]:
-        """Return the numbers of the answer to a message."""
+    def ask(self, message: str, count: int) -> list[int]:
+        """Return the numbers of the answer to a message; raise a `ProtocolError` for another answer."""
         answer = self._robot.turret(self.number, message)
         head, *fields = answer.split(",")
         if head != message[0].lower() or len(fields) != count or not all(map(_NUMBER.fullmatch, fields)):

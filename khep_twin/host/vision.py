@@ -106,7 +106,7 @@ class Vision(HostTurret):
         """
         if not 0 <= period < len(K213_PERIODS_MS):
             raise ValueError(f"period {period}; expected 0 to {len(K213_PERIODS_MS) - 1}")
-        self._values(f"U,{period}", 0)
+        self.ask(f"U,{period}", 0)
 
 
 def _greys(letter: str, count: int, arguments: str = "") -> HostCommand[Greys]:

@@ -23,6 +23,8 @@ from itertools import accumulate, pairwise
 from typing import NamedTuple, TypeVar, cast
 
 from khep_twin.board.rom import Rom
+from khep_twin.board.terms import Term as Term
+from khep_twin.board.turrets import installed_turrets
 from khep_twin.errors import RobotModelError, choices
 from khep_twin.lazy import load_entry
 from khep_twin.robots.body import PER_METRE, Body
@@ -172,36 +174,6 @@ class Bench(NamedTuple):
     resets: tuple[str, ...]
 
 
-class Term(NamedTuple):
-    """Further readings that tasks observe and controllers of episodes read, by registers.
-
-    Attributes:
-        name: Name.
-        register: Register of the first reading; the others follow.
-        names: Names of the readings.
-        low: Lowest value that counts.
-        high: Highest value that counts.
-        unit: Unit of the readings.
-    """
-
-    name: str
-    register: int
-    names: tuple[str, ...]
-    low: float
-    high: float
-    unit: str
-
-    @property
-    def registers(self) -> tuple[int, int]:
-        """First register of the readings, and the end of them."""
-        return self.register, self.register + len(self.names)
-
-    @property
-    def zero(self) -> float:
-        """Value that is the input 0 of a network; `high` is 1, and values are clipped to `low` and `high`."""
-        return max(self.low, 0.0)
-
-
 @dataclass(frozen=True, slots=True)
 class Bar:
     """Kind of bar of a panel.
@@ -325,20 +297,35 @@ class RobotModel:
         columns = self.channels.get("ultrasonic", ())
         return 1 / PER_METRE[columns[0][1]] if columns else 0.0
 
-    def find_terms(self, names: Sequence[str]) -> list[Term]:
-        """Return terms by their names.
+    @property
+    def known_terms(self) -> Mapping[str, Term]:
+        """Terms of the model and of its turrets by their names."""
+        turrets = installed_turrets().values() if Feature.TURRETS in self.features else ()
+        return {term.name: term for term in (*self.terms, *(term for kind in turrets for term in kind.terms))}
+
+    def find_terms(self, names: Sequence[str], commanded: bool = False) -> list[Term]:
+        """Return terms by their names; `commanded` for those that controllers set.
 
         Raises:
             RobotModelError: It lacks a term, or a name is there twice.
         """
-        terms = {term.name: term for term in self.terms}
+        terms = {name: term for name, term in self.known_terms.items() if term.order or not commanded}
+        kind, default = ("command", "two speeds") if commanded else ("term", "proximity and ambient light")
         for name in names:
             if name not in terms:
-                expected = choices(name, terms) if terms else "expected proximity and ambient light alone"
-                raise RobotModelError(f"model {self.name}: term {name!r}: unknown; {expected}")
+                expected = choices(name, terms) if terms else f"expected {default} alone"
+                raise RobotModelError(f"model {self.name}: {kind} {name!r}: unknown; {expected}")
         if len({*names}) < len(names):
-            raise RobotModelError(f"terms = {[*names]}: a name is there twice; expected it once")
+            raise RobotModelError(f"{kind}s = {[*names]}: a name is there twice; expected it once")
         return [terms[name] for name in names]
+
+    def place_terms(self, names: Sequence[str]) -> list[Term]:
+        """Return terms by their names, with the registers of turrets behind those of the robot."""
+        terms, end = list[Term](), self.episode_interface.n_registers
+        for term in self.find_terms(names):
+            terms.append(term._replace(register=end) if term.turret else term)
+            end += len(term.names) if term.turret else 0
+        return terms
 
     def load_task(self, name: str) -> object:
         """Return a task.

@@ -168,6 +168,7 @@ def make_run(capacity: int) -> Any:
             fixed_by_distance = array_at(local, offsets.fixed_by_distance, templates.fixed_by_distance)
             obstacle_state = array_at(local, offsets.obstacles, templates.obstacles)
             neurons = array_at(local, offsets.neurons, templates.neurons)
+            memory = array_at(local, offsets.memory, templates.memory)
             controllers = stepping.Controllers(
                 constants.kind,
                 0,
@@ -176,9 +177,9 @@ def make_run(capacity: int) -> Any:
                 constants.top_speed,
                 constants.terms,
                 constant_of(constants.genes, slot),
-                array_at(local, offsets.memory, templates.memory),
+                memory,
                 neurons,
-                neurons,
+                memory,  # no outputs besides the speeds
                 constant_of(constants.home, slot),
                 state.sums,
                 constants.line,

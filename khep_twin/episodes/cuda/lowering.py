@@ -156,8 +156,8 @@ def _duty_chooser(duty):
     return choose
 
 
-def _keep_speeds(function, registers, memory, genes, speeds):
-    """Leave the speeds unchanged: functions are not supported on a GPU."""
+def _keep_outputs(function, registers, memory, genes, outputs):
+    """Leave the outputs unchanged: functions are not supported on a GPU."""
 
 
 for _plain in FUNCTIONS:
@@ -175,7 +175,7 @@ for _query, _function in (
     (views.record_at, lambda local, offset, template: _record_at(local, offset, template)),
     (views.constant_of, lambda table, slot: table[min(slot, len(table) - 1)]),
     (views.scene_of, lambda plane: plane),
-    (stepping.call_function, _keep_speeds),
+    (stepping.call_function, _keep_outputs),
     (unroll, lambda groups: groups),
     (literal_unroll, lambda groups: groups),  # what `unroll` is after compilations
     (fitness.square_root, lambda number: math.sqrt(number)),

@@ -11,12 +11,16 @@ rollout with a serial line (`khep_twin.episodes.line`).
 """
 
 import math
+from typing import cast
 
+from khep_twin.board.turrets import installed_turrets
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.episodes import networks
 from khep_twin.episodes.controllers import Network
 from khep_twin.errors import ControllerError
 from khep_twin.host.host_robot import HostRobot
+from khep_twin.host.khepera import Khepera
+from khep_twin.host.turret import HostTurret
 from khep_twin.lab.experiment.controllers import AnyRobot, Controller
 
 
@@ -55,8 +59,8 @@ class PeriodicController(Controller):
 class NetworkController(PeriodicController):
     """Network that drives a robot on a serial line, as in a rollout.
 
-    Each cycle asks for proximity (N), and for light if that is an input (O), evaluates the network, and sends
-    the speeds (D).
+    Each cycle asks for proximity (N), for light if that is an input (O), and for terms, evaluates the
+    network, gives orders to turrets whose values have changed, and sends the speeds (D).
 
     Args:
         network: Network with genes.
@@ -77,6 +81,8 @@ class NetworkController(PeriodicController):
         self._memory: list[float] = []
         self._sizes = list(network.sizes)
         self._values = [0.0] * sum(network.sizes)
+        self._turrets: dict[str, HostTurret] = {}
+        self._orders: dict[str, str] = {}
 
     @property
     def family(self) -> str:
@@ -89,18 +95,29 @@ class NetworkController(PeriodicController):
         return self.file or "network"
 
     def start(self, robot: HostRobot) -> None:
-        """Reset the recurrent memory."""
-        self._memory = [0.0] * self.network.sizes[1]
+        """Reset the recurrent memory, and check that the robot has the turrets."""
+        self._memory, self._orders = [0.0] * self.network.sizes[1], {}
+        terms = robot.model.find_terms(list({*self.network.terms, *self.network.commands}))
+        kinds = {installed_turrets()[term.turret] for term in terms if term.turret}
+        self._turrets = {kind.name: HostTurret(cast(Khepera, robot), kind) for kind in kinds}
 
     def decide(self, robot: HostRobot) -> tuple[float, float]:
-        """Read the robot's sensors and evaluate the network."""
+        """Read the robot's sensors, evaluate the network, and give its orders to turrets."""
         network, values, inputs = self.network, self._values, self._inputs
-        readings = robot.read_registers([entry.register for entry in inputs])
-        values[: len(inputs)] = [
-            entry.scale(reading) for entry, reading in zip(inputs, readings, strict=True)
-        ]
+        n_registers = robot.model.episode_interface.n_registers
+        registers = [entry.register for entry in inputs if entry.register < n_registers]
+        readings = dict(zip(registers, robot.read_registers(registers), strict=True))
+        for term in robot.model.place_terms(network.terms):
+            if term.turret:
+                answer = self._turrets[term.turret].ask(term.message, len(term.names))
+                readings |= zip(range(*term.registers), answer, strict=True)
+        values[: len(inputs)] = [entry.scale(readings[entry.register]) for entry in inputs]
         output_start = networks.forward(self._sizes, network.recurrent, self._genes, self._memory, values)
         left, right = (network.top_speed * value for value in values[output_start : output_start + 2])
         if not (math.isfinite(left) and math.isfinite(right)):
             raise ControllerError(f"{self.subject}: speeds {left}, {right}; expected finite numbers")
+        for index, term in enumerate(robot.model.find_terms(network.commands), output_start + 2):
+            if (order := term.order_for(term.unscale(values[index]))) != self._orders.get(term.name):
+                self._turrets[term.turret].ask(order, 0)
+                self._orders[term.name] = order
         return left, right
