@@ -4,7 +4,7 @@
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -72,7 +72,10 @@ def _call_function(function, registers, memory, genes, outputs):
 
 @cache
 def compile_controller(
-    function: Callable[..., Any], n_registers: int, readings: tuple[tuple[int, int], ...], n_outputs: int
+    function: Callable[..., Sequence[float]],
+    n_registers: int,
+    readings: tuple[tuple[int, int], ...],
+    n_outputs: int,
 ) -> int:
     """Compile a controller; return its address for compiled code.
 

@@ -86,7 +86,7 @@ class Controllers(NamedTuple):
     genes: Any
     memory: Any
     neurons: Vector[float]
-    outputs: Any
+    outputs: NDArray[np.float64]
     home: Vector[float]
     sums: Any
     line: Vector[int]
@@ -352,7 +352,7 @@ def call_function(
     registers: Registers,
     memory: Vector[float],
     genes: Vector[float],
-    outputs: Any,
+    outputs: NDArray[np.float64],
 ) -> None:
     """Call a controller; compiled code calls it by address.
 

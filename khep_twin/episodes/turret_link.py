@@ -1,13 +1,20 @@
 """Terms of turrets for the controllers of an episode, between calls of the stepping core."""
 
+from collections.abc import Sequence
 from math import isnan
-from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin.board.turrets import installed_turrets
 from khep_twin.episodes.controllers import Driver, Network, commands_of, terms_of
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes
+from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import ControllerError
+from khep_twin.robots.robot import Robot
+from khep_twin.sensing.buffers import Vector
+from khep_twin.world import World
 
 
 class TurretLink:
@@ -37,16 +44,17 @@ class TurretLink:
         self._is_network = isinstance(driver, Network)
         self._orders = [[""] * len(commands) for _ in robots]
 
-    def read(self, world: Any, registers: Any) -> None:
+    def read(self, world: World | PlanarWorld, registers: Sequence[Vector[int]]) -> None:
         """Copy the readings to the end of the registers that controllers read (n_robots, n)."""
-        for robot, values in zip(world.robots, registers, strict=True) if self._readings else ():
+        robots = zip(_robots(world), registers, strict=True) if self._readings else ()
+        for robot, values in robots:
             for index, (kind, register) in enumerate(self._readings, len(values) - len(self._readings)):
                 values[index] = int(robot.firmware.turrets[kind].registers[register])
 
-    def give_orders(self, world: Any, outputs: Any) -> None:
+    def give_orders(self, world: World | PlanarWorld, outputs: NDArray[np.float64]) -> None:
         """Give the orders for outputs (n_robots, 2 + n_commands) that have changed; NaN is none."""
         for index, (kind, term) in enumerate(self._commands):
-            for robot, values, orders in zip(world.robots, outputs, self._orders, strict=True):
+            for robot, values, orders in zip(_robots(world), outputs, self._orders, strict=True):
                 value = float(values[2 + index])
                 if isnan(value) or not robot.firmware.powered:
                     continue
@@ -54,3 +62,8 @@ class TurretLink:
                 if order != orders[index]:
                     robot.firmware.turrets[kind].receive(order.encode())
                     orders[index] = order
+
+
+def _robots(world: World | PlanarWorld) -> Sequence[Robot]:
+    """Return the robots of a world; a plane has none with turrets."""
+    return world.robots if isinstance(world, World) else ()
