@@ -15,6 +15,10 @@ from khep_twin.sensing.light import Bulb, HiddenSector
 from khep_twin.shadow.planar_bodies import TICK_NS, Booleans, Floats, PlanarBodies
 from khep_twin.units import N_SENSORS
 
+REACH = 1.5
+"""Reach of the twins' sensors, as a multiple of the calibration's (assumed): that of a robot with a ratio of
+gain to threshold that is larger by 2.9 standard deviations."""
+
 
 class SensorLaw(NamedTuple):
     """Constants of the likelihood of all sensors' readings; see `sensor_model`.
@@ -60,6 +64,8 @@ class Twins(PlanarBodies):
         super().__init__(setup, forms, count)
         sensors = forms.robot_states()[0].sensors
         self._sensors: Any = as_records([sensors], sensors)
+        self._sensors["proximity"]["reach"] *= REACH
+        self.robots["sensor_range"] *= REACH
         self.lamps = Lamps(setup.playpen, partial(stream, 0, "lamps"))
         light = forms.light(self.lamps, setup.playpen.lighting)
         self._light = (

@@ -15,8 +15,10 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.errors import MissingNumbaError
 from khep_twin.playpen import Playpen
+from khep_twin.randomness import stream
+from khep_twin.sensing.calibration import vary
 from khep_twin.shadow.planar_bodies import AWAY
-from khep_twin.shadow.planes import Twins
+from khep_twin.shadow.planes import REACH, Twins
 from khep_twin.shadow.thing_faults import obstacle_rows
 from khep_twin.shadow.wheel_commands import SPEED
 
@@ -43,6 +45,7 @@ def test_a_standing_twin_sees_as_an_episode_in_the_plane(start: Pose) -> None:
     episode.run(0.4)
     proximity, ambient = episode.readings()
     planes = planes_at(start)
+    planes.proximity["reach"] /= REACH
     planes.advance(1)
     lamps = planes.lamplight(0.0)[0].sum(axis=1)
     dark, floor = float(planes.ambient["dark"]), float(planes.ambient["floor"])
@@ -52,6 +55,28 @@ def test_a_standing_twin_sees_as_an_episode_in_the_plane(start: Pose) -> None:
     clear = counts > 30
     assert np.array(proximity)[clear] == pytest.approx(counts[clear], abs=1.01)
     assert max(np.array(proximity)[~clear], default=0) <= 30
+
+
+def test_a_twin_sees_as_far_as_a_robot_of_twice_the_gain() -> None:
+    setup, seed = setup_of("workshop"), 70022
+    robot, known = vary(setup.calibration, stream(seed, "robot", 0, "spread")), setup.calibration
+    gains = np.divide(robot.proximity.gain_counts_mm2, known.proximity.gain_counts_mm2)
+    turns = np.radians(np.subtract(robot.heading_deg, known.heading_deg))[None]
+    assert gains.min() > 1.8
+    episode = Episode(setup, ConstantSpeed(), compiled=True)
+    n_beyond = 0
+    for distance_mm in range(36, 84, 4):
+        start = (350.0, 1e3 * units.BODY_RADIUS + distance_mm, -90.0)
+        episode.begin(seed, EpisodeOptions(noise=False, vary=True, start=start))
+        episode.run(0.4)
+        planes = planes_at(start)
+        planes.advance(1)
+        counts = gains * planes.illuminate(turns)[0][0] - robot.proximity.threshold_counts
+        reading = np.array(episode.readings()[0])
+        assert reading == pytest.approx(counts.clip(0, 1023), abs=30)
+        n_beyond += int(((reading > 60) & (readings(planes) == 0)).sum())
+    # The robot of the calibration does not see the wall there.
+    assert n_beyond > 5
 
 
 def test_twins_beside_each_other_are_as_each_alone() -> None:

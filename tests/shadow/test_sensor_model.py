@@ -94,7 +94,7 @@ def test_traits_are_learned_by_the_sensors_that_see_something() -> None:
     variances = np.einsum("stt->st", particles.covariances[0])
     assert (variances[sees, 0] < 0.7 * np.einsum("stt->st", before[0])[sees, 0]).all()
     assert (variances > 0).all()
-    assert particles.traits[0, nothing] == pytest.approx(np.zeros((nothing.sum(), 3)), abs=0.01)
+    assert (np.abs(particles.traits[0, nothing]) < (0.01, 0.01, 5.0)).all()
 
 
 def test_a_sensors_gain_heading_and_threshold_are_told_apart_by_many_views() -> None:
