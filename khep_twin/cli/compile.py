@@ -49,7 +49,6 @@ def _compile_part(part: str) -> None:
     from khep_twin.episodes.episode_setup import EpisodeSetup
     from khep_twin.shadow.sensor_model import SensorModel
     from khep_twin.shadow.start import PUBLISHED, draw_particles
-    from khep_twin.shadow.wheel_commands import SPEED
     from khep_twin.vision.camera import take_test_image
     from khep_twin.world import World
 
@@ -63,10 +62,12 @@ def _compile_part(part: str) -> None:
         world.advance_to(world.timing.step_ns)
     elif part == "vision":
         take_test_image()
-    elif part == "shadow":
-        setup, rng = EpisodeSetup(playpens.Playpen.load("two-lamps"), planar=True), np.random.default_rng(0)
+    elif kind == "shadow":
+        lamps = playpens.Playpen.load("two-lamps").lamps
+        playpen = playpen.model_copy(update={"lamps": lamps})
+        setup, rng = EpisodeSetup(playpen, planar=True), np.random.default_rng(0)
         particles = draw_particles(setup, None, PUBLISHED, 1, rng)
-        particles.twins.command(SPEED, 0, 0)
+        particles.twins.command("D", 0, 0)
         particles.twins.advance(1)
         SensorModel(particles.twins).observe(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
     else:

@@ -16,7 +16,8 @@ class SonarRing:
         headings_deg: Heading of each sensor.
         radius: Distance of the sensors from the centre [m].
         height: Height of the sensors above the ground [m].
-        codes: Readings without a distance.
+        codes: Readings without a distance: too near, no echo, disabled.
+        lag: Mean age of a distance when it is read [s].
     """
 
     names: tuple[str, ...]
@@ -24,6 +25,7 @@ class SonarRing:
     radius: float
     height: float
     codes: tuple[int, ...]
+    lag: float = 0.0
 
     @property
     def places(self) -> list[tuple[float, float, float, float]]:

@@ -5,11 +5,13 @@ choose them by the class of the robot's state: in plain code by a table, in comp
 `simulation.compiled` registers. So a scene compiles the functions of its models alone.
 """
 
+import math
 from collections.abc import Callable, Collection, Container
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from khep_twin.compilable import compilable
 from khep_twin.errors import RobotModelError
+from khep_twin.playpen import RobotEntry
 from khep_twin.robots.model import Interface, RobotModel
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.simulated import Simulated, StepInputs
@@ -52,6 +54,18 @@ def _set_setpoints(robot: RobotState, left: int, right: int) -> None:
 
 
 @compilable
+def _command_speeds(robot: RobotState, letter: int, left: int, right: int) -> None:
+    """Set the speeds, by the one letter of `commands`."""
+    set_speeds(robot, left, right)
+
+
+@compilable
+def _hear_nothing(robot: RobotState, scene: Any, sensor: int) -> float:
+    """Return infinity, as there is no ultrasonic sensor."""
+    return math.inf
+
+
+@compilable
 def _is_always_powered(robot: RobotState) -> bool:
     """Return True, as the supply always suffices."""
     return True
@@ -64,6 +78,18 @@ def wander_nowhere(robot: RobotState, registers: Registers) -> None:
 
 def _measure_all(record: Any, names: Collection[str]) -> None:
     """Do nothing, as all terms are measured."""
+
+
+class LineProgram(Protocol):
+    """Program on a robot's line, which changes the robot's state."""
+
+    def receive(self, data: bytes) -> bytes:
+        """Execute the requests that bytes complete; return the replies."""
+        ...
+
+    def reset(self) -> bytes:
+        """Reset the robot as a restart does; return the banner."""
+        ...
 
 
 class Core(NamedTuple):
@@ -94,6 +120,12 @@ class Core(NamedTuple):
         set_speeds: Sets the speeds; by default the setpoints in the registers.
         is_powered: Returns whether the processor runs; by default always.
         wander: Sets the setpoints of a Braitenberg vehicle in registers; by default there is none.
+        commands: Letters of the requests with two numbers, for the left and the right wheel.
+        command: Executes them; by default it sets the speeds.
+        counter_commands: Letters of the requests that set the counters.
+        echo: Returns the distance by an ultrasonic sensor, without noise.
+        program: Function that returns the program on its line, for its entry and its state, whose arrays it
+            changes; a model with the feature SHADOW needs it.
     """
 
     name: str
@@ -114,6 +146,11 @@ class Core(NamedTuple):
     set_speeds: Callable[..., None] = _set_setpoints
     is_powered: Callable[..., bool] = _is_always_powered
     wander: Callable[..., None] = wander_nowhere
+    commands: str = "D"
+    command: Callable[..., None] = _command_speeds
+    counter_commands: str = ""
+    echo: Callable[..., float] = _hear_nothing
+    program: Callable[[RobotEntry, Any], LineProgram] | None = None
 
     @property
     def interface_of(self) -> Callable[[Any], Interface | None]:
@@ -216,6 +253,16 @@ def wander(robot: RobotState, registers: Registers) -> None:
     CORES[type(robot)].wander(robot, registers)
 
 
+def command(robot: RobotState, letter: int, left: int, right: int) -> None:
+    """Execute a request of `Core.commands`, by the code of its letter, with any numbers."""
+    CORES[type(robot)].command(robot, letter, left, right)
+
+
+def echo(robot: RobotState, scene: Any, sensor: int) -> float:
+    """Return the distance by an ultrasonic sensor now, without noise [m]; 0 too near, infinity for no echo."""
+    return CORES[type(robot)].echo(robot, scene, sensor)
+
+
 def marker_of(core: Core) -> str:
     """Return the name of the field that marks the records of a core's states in compiled code."""
     return f"is_{core.name}"
@@ -228,6 +275,6 @@ def core_of_fields(names: Container[str]) -> Core | None:
 
 DUTIES = (
     *(sense, tick, measure_supply, start, evaluate),
-    *(interface_of, update_registers, set_speeds, is_powered, wander),
+    *(interface_of, update_registers, set_speeds, is_powered, wander, command, echo),
 )
 """Functions that choose a model's function of the same name."""

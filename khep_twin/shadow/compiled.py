@@ -1,4 +1,4 @@
-"""Functions of many planar twins, compiled by numba: motion, light at the sensors, commands.
+"""Functions of many planar twins, compiled by numba: commands, motion, echoes, light at the sensors.
 
 Imported only where numba is installed.
 """
@@ -7,14 +7,16 @@ Imported only where numba is installed.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false, reportArgumentType=false
 
 import math
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from khep_twin import units
-from khep_twin.board import kernel
 from khep_twin.compilable import compilable, compilable_once
 from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pushing, shadows
 from khep_twin.episodes.planar import compiled as planar_compiled
 from khep_twin.episodes.planar.plane import Plane
+from khep_twin.robots import core
 from khep_twin.sensing import light, optics, reflection, robot_sensors, seen_surfaces
 from khep_twin.sensing.light import Light, light_counts, light_per_watt
 from khep_twin.sensing.optics import NEGLIGIBLE
@@ -22,16 +24,14 @@ from khep_twin.sensing.reflection import reflected_light, remove_faint
 from khep_twin.sensing.robot_sensors import sensor_lobe
 from khep_twin.sensing.scene import chip, position, surfaces
 from khep_twin.sensing.seen_surfaces import Chip
-from khep_twin.shadow.wheel_commands import DUTY, SPEED, TARGET
-from khep_twin.simulation.compiled import compiled
+from khep_twin.sensing.simulated import Simulated, StepInputs
+from khep_twin.simulation.compiled import compiled, named, sources_of
 
 assert planar_compiled.run_of  # Its import registers the queries of a plane for numba.
 
 _SENSING = seen_surfaces, reflection, robot_sensors, light, optics
-_SOURCES = units, kernel, *_SENSING, casting, contact_solver, motion, plane, pushing, shadows
-
-_RIGHT = kernel.RIGHT
-_LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
+_PLANE = casting, contact_solver, motion, plane, pushing, shadows
+_SOURCES = units, *_SENSING, *_PLANE
 
 _TURN = math.radians(1)
 """Turn of a sensor by which the slope of its light is computed [rad]."""
@@ -40,18 +40,38 @@ _BRAKING = 6.0
 """Brake of a blocked wheel, as a multiple of that of a motor without voltage."""
 
 
-def _advance(obstacles, order, near, empty, robots, registers, processor, strength, constant, voltage, ticks):
-    for twin in range(len(robots)):
+def _run(scene_arrays, boards, states, strength, rows, command, ticks, end_ns, limit, lag, distances):
+    obstacles, order, near, empty, robots = scene_arrays
+    robot, memory, columns, tables = boards
+    (letter, left, right), state = command, robot[0]
+    for twin in range(rows[0], len(robots), rows[1]):
+        for word in range(len(columns)):
+            memory[columns[word]] = states[twin, word]
         scene = Plane(obstacles[twin], order[twin], near, empty, empty, empty, robots[twin])
-        board = registers[twin]
+        simulated, inputs = Simulated(scene, empty, empty, empty, empty), StepInputs(empty, tables)
+        if letter:
+            core.command(state, letter, left, right)
+        if ticks:
+            core.measure_supply(state, simulated, end_ns)
+        joints, last = scene.robot.joints, scene.robot.last_step
         for _ in range(ticks):
             motion.step(scene)
-            left, right = scene.robot.joints[plane.LEFT_ANGLE], scene.robot.joints[plane.RIGHT_ANGLE]
-            kernel.run(board, processor[twin], units.wheel_pulses(left), units.wheel_pulses(right))
-            for side, joint, duty in ((0, plane.LEFT_ANGLE, _LEFT_DUTY), (1, plane.RIGHT_ANGLE, _RIGHT_DUTY)):
-                back_emf = constant * scene.robot.speeds[joint]
-                applied = units.duty_voltage(board[duty], voltage)
-                scene.robot.ctrl[side] = _motor_voltage(strength[twin, side], back_emf, applied, voltage)
+            core.tick(state, simulated, inputs, end_ns)
+            for side, joint in ((0, plane.LEFT_ANGLE), (1, plane.RIGHT_ANGLE)):
+                back_emf, applied = state.motor_constant * scene.robot.speeds[joint], scene.robot.ctrl[side]
+                scene.robot.ctrl[side] = _motor_voltage(strength[twin, side], back_emf, applied, limit)
+        for word in range(len(columns)):
+            states[twin, word] = memory[columns[word]]
+        if distances.shape[1]:
+            x, y, heading, cosine, sine = joints[0], joints[1], joints[2], last[plane.HEADING_COSINE], last[plane.HEADING_SINE]
+            speeds = scene.robot.speeds
+            joints[0] = x - lag * (cosine * speeds[0] - sine * speeds[1])
+            joints[1] = y - lag * (sine * speeds[0] + cosine * speeds[1])
+            last[plane.HEADING_COSINE] = math.cos(heading - lag * speeds[2])
+            last[plane.HEADING_SINE] = math.sin(heading - lag * speeds[2])
+            for sensor in range(distances.shape[1]):
+                distances[twin, sensor] = core.echo(state, scene, sensor)
+            joints[0], joints[1], last[plane.HEADING_COSINE], last[plane.HEADING_SINE] = x, y, cosine, sine
 
 
 @compilable
@@ -157,19 +177,6 @@ def _lamplight(obstacles, order, near, empty, robots, sensors, law, bulbs, hidde
                 light[twin, channel, lamp], _ = light_counts(scene, sensors[0], lamp_light, power, channel)
 
 
-def _command(registers, command, left, right):
-    for twin in range(len(registers)):
-        for side, value in ((0, left), (_RIGHT, right)):
-            if command == SPEED:
-                kernel.set_speed(registers[twin], side, value)
-            elif command == DUTY:
-                kernel.set_duty(registers[twin], side, value)
-            elif command == TARGET:
-                kernel.set_target(registers[twin], side, value)
-            else:
-                kernel.set_position(registers[twin], side, value)
-
-
 def _clear(obstacles, robots, poses, is_clear):
     for twin in range(len(robots)):
         is_clear[twin] = True
@@ -185,8 +192,16 @@ def _measure(obstacles, order, near, empty, robots):
         motion.measure_distances(Plane(obstacles[twin], order[twin], near, empty, empty, empty, robots[twin]))
 
 
-advance: Any = compiled(_advance, _SOURCES)
-"""Advance twins by control ticks of 10 ms: motion, encoders, controllers and voltages."""
+@cache
+def run_of(family: str) -> Callable[..., None]:
+    """Return the function that runs twins of a family of models, compiled.
+
+    It executes a command, unless its letter is 0; advances the twins by control ticks of 10 ms: motion,
+    controllers and voltages; and computes the distances by ultrasonic sensors some time ago, unless there is
+    no room for them (n, 0). A twin's state is copied to that of `boards` for this.
+    """
+    return compiled(named(_run, "run", family), (*sources_of(family), *_SOURCES))
+
 
 illuminate: Any = compiled(_illuminate, _SOURCES)
 """Compute the light at each sensor, at the calibration's gains, and its slope (n, 8) [counts, counts/rad]."""
@@ -199,9 +214,6 @@ variance of the normal tail beyond the limit replace it."""
 lamplight: Any = compiled(_lamplight, _SOURCES)
 """Compute the light of each lamp at each receiver, below its dark level (n, 8, n_lamps) [counts]; light that
 cannot reach `min_count`, even without obstacles, is 0."""
-
-command: Any = compiled(_command, _SOURCES)
-"""Execute a command on all boards."""
 
 clear: Any = compiled(_clear, _SOURCES)
 """Compute whether each twin is clear of obstacles (n,)."""

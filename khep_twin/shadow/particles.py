@@ -7,14 +7,11 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board import kernel
 from khep_twin.shadow.planes import Floats, Twins
 from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 FORGETTING_S = 60.0
 """Time constant of the decay of learned values, which contain model errors, to the prior (assumed) [s]."""
-
-_POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
 
 
 class Prior(NamedTuple):
@@ -111,7 +108,7 @@ class Particles:
 
     def follow_counters(self, counters: NDArray[np.int64]) -> Floats:
         """Move the particles by counters (2,); return the residuals beyond commands (n, 2) [pulses]."""
-        offsets = counters - self.twins.registers[:, _POSITIONS].astype(np.float64)
+        offsets = counters - self.twins.counters
         residuals = offsets - np.where(np.isnan(self.counter_offsets), offsets, self.counter_offsets)
         self.twins.roll_wheels(residuals)
         self.counter_offsets[:] = offsets

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.board import battery, kernel
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.planar_world import PlanarForms
-from khep_twin.errors import PlaypenError
+from khep_twin.errors import PlaypenError, RobotModelError
+from khep_twin.robots.core import LineProgram, marker_of
+from khep_twin.sensing.buffers import as_plain, as_records
+from khep_twin.sensing.noise import compiled_tables
+from khep_twin.sensing.scene import Beams
 from khep_twin.simulation.ready import module_of
 
 Floats = NDArray[np.float64]
@@ -27,7 +30,7 @@ N_SPARE = 1
 _EMPTY = np.zeros((0, 0))
 """Table without rows."""
 
-_ROWS = "obstacles", "_order", "robots", "registers", "processor", "strength"
+_ROWS = "obstacles", "_order", "robots", "states", "strength"
 """Arrays that have a row for each twin."""
 
 AWAY = 1e3
@@ -45,14 +48,14 @@ class PlanarBodies:
     Attributes:
         obstacles: Obstacles (n, n_obstacles + N_SPARE, planar.N_COLUMNS).
         robots: Records of `PlanarRobot` (n,).
-        registers: States of the boards (n, N_REGISTERS).
-        processor: States of the processors (n, N_PROCESSOR).
+        states: States that change in the robots' cores, as words of 64 bits (n, n_words).
         strength: Shares of the motors' torque, left and right (n, 2); negative for a blocked wheel.
     """
 
     def __init__(self, setup: EpisodeSetup, forms: PlanarForms, count: int) -> None:
         self._compiled: Any = module_of("shadow")
-        state = forms.robot_states()[0]
+        self._run = self._compiled.run_of(setup.entry.robot_model.family)
+        self.entry, core, state = setup.entry, setup.core, forms.robot_states()[0]
         obstacles, order, _, bodies, *_, robot = forms.compiled()
         if len(bodies):
             problem = f"{setup.playpen.name}: {len(bodies)} movable objects"
@@ -64,14 +67,22 @@ class PlanarBodies:
         self._order = np.repeat(np.concatenate([order, len(order) + np.arange(N_SPARE)])[None], count, axis=0)
         self._near = np.zeros_like(self._scene)
         self.robots: Any = np.repeat(robot, count)
-        self.registers: NDArray[np.int64] = np.zeros((count, kernel.N_REGISTERS), np.int64)
-        kernel.reset(self.registers[0].data)
-        self.registers[:] = self.registers[0]
-        self.processor: NDArray[np.int64] = np.zeros((count, kernel.N_PROCESSOR), np.int64)
-        self.processor[:, kernel.POWERED] = 1
+        # All twins share one state; the words of it that change are those of the twin that runs.
+        record = as_records([state], state, marker_of(core))
+        self._memory: NDArray[np.int64] = record.view(np.int64)
+        if core.program is None:
+            raise RobotModelError(f"model {self.entry.model}: its core gives no program; expected one for a shadow")
+        self._program: LineProgram = core.program(self.entry, as_plain(state, record[0]))
+        fields: Any = record.dtype.fields
+        names = [name for name in core.changing if not isinstance(getattr(state, name), Beams)]
+        columns = {name: fields[name][1] // 8 + np.arange(fields[name][0].itemsize // 8) for name in names}
+        self._columns = np.concatenate(list(columns.values()))
+        self.states: NDArray[np.int64] = np.repeat(self._memory[None, self._columns], count, axis=0)
+        self._boards = record, self._memory, self._columns, compiled_tables(0.0)
         self.strength: Floats = np.ones((count, 2))
-        self._motor_constant = state.motor_constant
-        self._used_min = state.used_min
+        self._supply = setup.calibration.motors.supply_v
+        self._pulses_per_rad = self.entry.body.pulses_per_turn / math.tau
+        self.scale = self.entry.body.radius / units.BODY_RADIUS
         self._nominal_robot = robot[0].copy()
         self.ticks = 0
 
@@ -171,14 +182,54 @@ class PlanarBodies:
     def advance(self, ticks: int) -> None:
         """Advance all twins by control ticks."""
         self.ticks += ticks
-        voltage = battery.voltage(self._used_min, self.ticks * TICK_NS)
-        boards = self.registers, self.processor, self.strength
-        self._compiled.advance(*self._scene_arrays, *boards, self._motor_constant, voltage, ticks)
+        self._call(ticks=ticks)
+
+    def _call(
+        self,
+        rows: slice = slice(None),
+        command: tuple[int, int, int] = (0, 0, 0),
+        ticks: int = 0,
+        distances: Floats | None = None,
+    ) -> None:
+        """Run twins of some rows: a command, ticks and distances, each if there are any."""
+        distances = np.zeros((len(self), 0)) if distances is None else distances
+        sonar = self.entry.body.sonar
+        inputs = (rows.start or 0, rows.step or 1), command, ticks, self.ticks * TICK_NS, self._supply
+        lag = 0.0 if sonar is None else sonar.lag
+        self._run(self._scene_arrays, self._boards, self.states, self.strength, *inputs, lag, distances)
+
+    def echoes(self) -> Floats:
+        """Return the distances by the ultrasonic sensors, as `robots.core.echo` does (n, n_sensors) [m]."""
+        sonar = self.entry.body.sonar
+        distances = np.zeros((len(self), 0 if sonar is None else len(sonar.names)))
+        self._call(distances=distances)
+        return distances
+
+    @property
+    def counters(self) -> Floats:
+        """Counts of the encoders, left and right (n, 2) [pulses]."""
+        angles = self.robots["joints"][:, [planar.LEFT_ANGLE, planar.RIGHT_ANGLE]]
+        return np.floor(angles * self._pulses_per_rad + 0.5)
+
+    def execute(self, data: bytes) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Execute requests on the first twin; return the words of its state that change, and their values."""
+        self._memory[self._columns] = self.states[0]
+        self._program.receive(data)
+        old, self.states[0] = self.states[0].copy(), self._memory[self._columns]
+        changed = np.flatnonzero(self.states[0] != old)
+        return changed, self.states[0, changed]
+
+    def restart(self) -> None:
+        """Restart the program of each twin."""
+        for state in self.states:
+            self._memory[self._columns] = state
+            self._program.reset()
+            state[:] = self._memory[self._columns]
 
     def roll_wheels(self, pulses: Floats) -> None:
         """Move the twins as their wheels roll by pulses, left and right (n, 2)."""
         robots, poses = self.robots, self.poses
-        angles = pulses * (math.tau / units.PULSES_PER_TURN)
+        angles = pulses * (math.tau / self.entry.body.pulses_per_turn)
         left: Floats = angles[:, 0] * robots["left_wheel"]
         right: Floats = angles[:, 1] * robots["right_wheel"]
         track: Floats = robots["track"]
@@ -186,9 +237,9 @@ class PlanarBodies:
         middle = poses[:, 2] + turn / 2
         self.move(poses + np.stack([forward * np.cos(middle), forward * np.sin(middle), turn], axis=1))
 
-    def command(self, command: int, left: int, right: int) -> None:
-        """Execute a command of `wheel_commands` on all boards."""
-        self._compiled.command(self.registers, command, left, right)
+    def command(self, letter: str, left: int, right: int, rows: slice = slice(None)) -> None:
+        """Execute a request of `Core.commands` on twins of some rows."""
+        self._call(rows, (ord(letter), left, right))
 
     def are_clear(self, poses: Floats) -> Booleans:
         """Return whether a robot is clear of each twin's obstacles at a pose (n,)."""

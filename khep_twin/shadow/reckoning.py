@@ -1,48 +1,31 @@
 """Dead reckoning: a twin that drives by commands alone; its board shows the effect of each command."""
 
 import math
+import re
 from collections.abc import Iterator
 
-import numpy as np
-
-from khep_twin import firmware, units
-from khep_twin.board import kernel
-from khep_twin.board.protocol import Command
-from khep_twin.board.rom import ROMS
-from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import Exchange
-from khep_twin.shadow.actions import Action, RegisterWrite, WheelCommand
+from khep_twin.robots.core import Core
+from khep_twin.shadow.actions import Action, CounterReset, StateWrite, WheelCommand
 from khep_twin.shadow.planes import Twins
-from khep_twin.shadow.wheel_commands import DUTY, POSITION, SPEED, TARGET
 
 Pose = tuple[float, float, float]
 
-COMMANDS = {"D": SPEED, "P": DUTY, "C": TARGET, "G": POSITION}
-"""Commands whose effect depends on a board's registers."""
-
-LIMITS = {
-    "D": firmware.SPEED_LIMIT_PULSES,
-    "P": units.DUTY_LIMIT,
-    "C": firmware.TARGET_LIMIT_PULSES,
-    "G": 2**31 - 1,
-}
-"""Largest arguments of these."""
+_WHEEL_COMMAND = re.compile(rb"([A-Z]),(-?\d{1,10}),(-?\d{1,10})")
+"""Request with a number for each wheel."""
 
 
 class Reckoning:
     """Twin that drives by commands alone, as the calibration's robot would.
 
     Args:
-        setup: Playpen with the robot, prepared for the plane.
+        core: Core of its model.
         twins: Twin, one.
     """
 
-    def __init__(self, setup: EpisodeSetup, twins: Twins) -> None:
-        entry = setup.entry
+    def __init__(self, core: Core, twins: Twins) -> None:
+        self._core = core
         self._planes = twins
-        board = twins.registers[0], twins.processor[0]
-        self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, *board)
 
     @property
     def pose(self) -> Pose:
@@ -52,7 +35,7 @@ class Reckoning:
 
     def reset(self) -> None:
         """Reset the board."""
-        self._firmware.reset()
+        self._planes.restart()
 
     def advance_to(self, time_ns: int) -> None:
         """Advance to a time [ns]."""
@@ -67,20 +50,16 @@ class Reckoning:
             exchange: Command with its reply.
         """
         self.advance_to(time_ns)
-        board, line = self._planes.registers[0], exchange.command
-        old_registers = board.copy()
-        match parse(line):
-            case Command(letter, (int(left), int(right))) if letter in COMMANDS:
-                self._firmware.receive(line + b"\n")
-                limit = LIMITS[letter]
-                left, right = kernel.clip(left, limit), kernel.clip(right, limit)
-                # The line may have lost the command, or its reply.
-                is_unconfirmed = exchange.reply is None
-                yield WheelCommand(time_ns, COMMANDS[letter], left, right, is_unconfirmed, late_ns)
-            case Command():
-                # Gains, profiles and LEDs: registers that do not depend on any other.
-                self._firmware.receive(line + b"\n")
-                if len(changed := np.flatnonzero(board != old_registers)):
-                    yield RegisterWrite(time_ns, changed, board[changed])
-            case _:
-                pass
+        line = exchange.command
+        if not exchange.letter:
+            return
+        words, values = self._planes.execute(line + b"\n")
+        if (match := _WHEEL_COMMAND.fullmatch(line)) and exchange.letter in self._core.commands:
+            # The line may have lost the command, or its reply.
+            is_unconfirmed = exchange.reply is None
+            yield WheelCommand(time_ns, exchange.letter, int(match[2]), int(match[3]), is_unconfirmed, late_ns)
+        elif len(words):
+            # Gains, profiles and LEDs: values that do not depend on any other.
+            yield StateWrite(time_ns, words, values)
+        if exchange.letter in self._core.counter_commands:
+            yield CounterReset(time_ns)

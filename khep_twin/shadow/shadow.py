@@ -11,6 +11,7 @@ Updates depend on bytes and times alone: the same recording gives the same updat
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -81,7 +82,10 @@ class Shadow:
         diagnosis_rng = stream(settings.seed, "shadow", "hypotheses")
         self._diagnosis = Diagnosis(self._setup, tracker, diagnosis_rng)
         reckoned_twin = draw_particles(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
-        self._reckoning = Reckoning(self._setup, reckoned_twin.twins)
+        self._reckoning = Reckoning(self._setup.core, reckoned_twin.twins)
+        model = self._setup.entry.robot_model
+        self._model, self._interface = model, self._setup.interface
+        self._channels = {read.request: (channel, read) for channel, read in model.dialect.reads.items()}
         self._dialogue = Dialogue(self._byte_ns)
         self._measured: Floats = np.full(N_SENSORS, np.nan)
         self._time_ns = 0
@@ -139,23 +143,32 @@ class Shadow:
         if exchange.reply is None or values is not None:
             for action in self._reckoning.execute(time_ns, late_ns, exchange):
                 self._follow(action)
-        match exchange.letter, values:
-            case "N", tuple() if len(values) == N_SENSORS:
-                readings = np.array(values)
-                self._follow(ProximityReply(time_ns, readings, late_ns))
+        channel, readings = self._readings(exchange)
+        match channel:
+            case "proximity":
+                in_sight = bool(readings.max() > self._model.body.near_counts)
+                self._follow(ProximityReply(time_ns, readings, late_ns, in_sight))
                 self._measured = readings.astype(np.float64)
                 residuals = residuals._replace(proximity=readings - self._diagnosis.filter.expected)
-            case "H", (int(left), int(right)):
-                wheel_residuals = self._follow(CounterReply(time_ns, np.array([left, right]), late_ns))
+            case "position":
+                wheel_residuals = self._follow(CounterReply(time_ns, readings, late_ns))
                 residuals = residuals._replace(wheels=wheel_residuals)
-            case "O", tuple() if len(values) == N_SENSORS:
-                light = np.array(values)
-                residuals = residuals._replace(light=light - self._diagnosis.update_lamps(time_ns, light))
+            case "ambient":
+                light = readings - self._diagnosis.update_lamps(time_ns, readings)
+                residuals = residuals._replace(light=light)
             case _ if old_alarms == self._diagnosis.alarms:
                 return None
             case _:
                 pass
         return self._update(residuals)
+
+    def _readings(self, exchange: Exchange) -> tuple[str, NDArray[np.int64]]:
+        """Return the channel that a reply is of, and its readings, of sensors around; empty for another one."""
+        channel, read = self._channels.get(exchange.letter, ("", None))
+        if read is None or exchange.values is None or len(exchange.values) != read.n_values:
+            return "", np.zeros(0, np.int64)
+        n_readings = self._interface.n_proximity if channel in ("proximity", "ambient") else None
+        return channel, np.array([exchange.values[index] for index in read.values][:n_readings])
 
     def _follow(self, action: Action) -> Floats:
         """Apply an action to all twins; return the residual of counters (2,)."""

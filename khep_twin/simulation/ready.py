@@ -20,11 +20,11 @@ CODE = {
     "episodes": "khep_twin.episodes.compiled:run_of",
     "plane": "khep_twin.episodes.planar.compiled:run_of",
     "vision": "khep_twin.vision.compiled:capture",
-    "shadow": "khep_twin.shadow.compiled:advance",
+    "shadow": "khep_twin.shadow.compiled:run_of",
 }
 """Parts of khep_twin that can be compiled, and their functions; of the shadow's, one of several."""
 
-ROBOT_PARTS = "world", "episodes", "plane"
+ROBOT_PARTS = "world", "episodes", "plane", "shadow"
 """Parts of each family of robots, by default of the default one; see `part_of`."""
 
 BACKGROUND_NOTICE = (
@@ -138,11 +138,12 @@ def find_missing_numba() -> MissingNumbaError | None:
 
 def functions_of(part: str) -> list[Callable[..., Any]]:
     """Return all compiled functions of a part; errors as for `module_of`."""
-    if part.partition(".")[0] in ROBOT_PARTS:
-        return [function_of(part)]
-    module = module_of(part)
-    functions = [value for value in vars(module).values() if hasattr(value, "py_func")]
-    return [function for function in functions if function.__module__ == module.__name__]
+    kind, module = part.partition(".")[0], module_of(part.partition(".")[0])
+    functions = [function_of(part)] if kind in ROBOT_PARTS else []
+    for value in vars(module).values():
+        if hasattr(value, "py_func") and value.__module__ == module.__name__:
+            functions.append(value)
+    return functions
 
 
 def can_cache(function: Any) -> bool:

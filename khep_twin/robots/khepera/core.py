@@ -14,6 +14,7 @@ from khep_twin import units
 from khep_twin.board import battery, kernel
 from khep_twin.board.rom import DEMO, ROMS
 from khep_twin.compilable import compilable
+from khep_twin.firmware import SPEED_LIMIT_PULSES, TARGET_LIMIT_PULSES, Firmware
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.core import Core, register
 from khep_twin.robots.khepera.model import KHEPERA_1
@@ -30,6 +31,7 @@ from khep_twin.sensors import core_fields
 
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
+_D, _P, _C = map(ord, "DPC")
 _LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
 
 
@@ -190,6 +192,27 @@ def _set_speeds(robot: KheperaState, left: int, right: int) -> None:
 
 
 @compilable
+def _command(robot: KheperaState, letter: int, left: int, right: int) -> None:
+    """Execute D, P, C or G."""
+    registers = robot.registers
+    for side, value in ((kernel.LEFT, left), (kernel.RIGHT, right)):
+        if letter == _D:
+            kernel.set_speed(registers, side, kernel.clip(value, SPEED_LIMIT_PULSES))
+        elif letter == _P:
+            kernel.set_duty(registers, side, kernel.clip(value, units.DUTY_LIMIT))
+        elif letter == _C:
+            kernel.set_target(registers, side, kernel.clip(value, TARGET_LIMIT_PULSES))
+        else:
+            kernel.set_position(registers, side, kernel.clip(value, 2**31 - 1))
+
+
+def _program(entry: RobotEntry, state: KheperaState) -> Firmware:
+    """Return the firmware of a state."""
+    arrays = np.asarray(cast(Any, state.registers)), np.asarray(cast(Any, state.processor))
+    return Firmware(ROMS[entry.rom], entry.mode, None, *arrays)
+
+
+@compilable
 def _is_powered(robot: KheperaState) -> bool:
     """Return whether the processor runs."""
     return robot.processor[kernel.POWERED] != 0
@@ -217,5 +240,9 @@ CORE = register(
         set_speeds=_set_speeds,
         is_powered=_is_powered,
         wander=_wander,
+        commands="DPCG",
+        command=_command,
+        counter_commands="G",
+        program=_program,
     )
 )

@@ -27,7 +27,7 @@ from khep_twin.robots.khepera4.infrared import Ground
 from khep_twin.robots.khepera4.model import BODY, KHEPERA_4, SAMPLED
 from khep_twin.robots.khepera4.motor_control import N_MOTOR, PWM_LIMIT, Motor, stop
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
-from khep_twin.robots.khepera4.server import N_VEHICLE, WANDERING
+from khep_twin.robots.khepera4.server import N_VEHICLE, WANDERING, Kh4Server
 from khep_twin.robots.khepera4.ultrasonic import Sonar
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
@@ -61,8 +61,11 @@ NONE = -1
 """No time of a moment; no ultrasonic sensor."""
 
 (_DUTY,) = (channel.registers[0] for channel in SAMPLED if channel.name == "duty")
-_CONTROL, _SPEED_CONTROL = int(DspicRegister.CONTROL), int(Control.SPEED)
-_SPEED_ORDER, _ULTRASONIC_WORDS = int(DspicRegister.SPEED_ORDER_LEFT), int(DspicRegister.ULTRASONIC)
+_CONTROL, _ULTRASONIC_WORDS = int(DspicRegister.CONTROL), int(DspicRegister.ULTRASONIC)
+_SPEED_CONTROL, _OPEN_LOOP, _MOVE = int(Control.SPEED), int(Control.OPEN_LOOP), int(Control.POSITION)
+_SPEED_ORDER, _PWM_ORDER = int(DspicRegister.SPEED_ORDER_LEFT), int(DspicRegister.PWM_ORDER_LEFT)
+_POSITION_ORDER, _ON_TARGET = int(DspicRegister.POSITION_ORDER_LEFT), int(Motor.ON_TARGET)
+_D, _L, _F = map(ord, "DLF")
 _ENABLED = int(DspicRegister.ULTRASONIC_ENABLED)
 _LEFT_PWM, _RIGHT_PWM = int(Motor.PWM), N_MOTOR + int(Motor.PWM)
 
@@ -409,15 +412,43 @@ def _request_terms(record: Any, names: Collection[str]) -> None:
 
 
 @compilable
-def _set_speeds(robot: Khepera4State, left: int, right: int) -> None:
-    """Set the speeds as the server's command D does [pulses/10 ms]."""
+def _command(robot: Khepera4State, letter: int, left: int, right: int) -> None:
+    """Execute D, L or F as the server does."""
     memory, motors = robot.dspic.memory, robot.dspic.motors
-    if memory[_CONTROL] != _SPEED_CONTROL:
-        memory[_CONTROL] = _SPEED_CONTROL
+    control, register, size = _SPEED_CONTROL, _SPEED_ORDER, 2
+    if letter == _L:
+        control, register = _OPEN_LOOP, _PWM_ORDER
+    elif letter == _F:
+        control, register, size = _MOVE, _POSITION_ORDER, 4
+        motors[_ON_TARGET] = motors[N_MOTOR + _ON_TARGET] = 0
+    if memory[_CONTROL] != control:
+        memory[_CONTROL] = control
         stop(motors, 0)
         stop(motors, N_MOTOR)
-    dspic.write_number(memory, _SPEED_ORDER, 2, left)
-    dspic.write_number(memory, _SPEED_ORDER + 2, 2, right)
+    dspic.write_number(memory, register, size, left)
+    dspic.write_number(memory, register + size, size, right)
+
+
+@compilable
+def _set_speeds(robot: Khepera4State, left: int, right: int) -> None:
+    """Set the speeds as the server's command D does [pulses/10 ms]."""
+    _command(robot, _D, left, right)
+
+
+@compilable
+def _echo(robot: Khepera4State, scene: Scene, sensor: int) -> float:
+    """Return the distance by level rays of an ultrasonic sensor, which meet all upright obstacles first."""
+    nearest = ultrasonic.level_echo(
+        scene, robot.sensors, _centre(scene, robot.pose), robot.sonar, robot.beams, sensor
+    )
+    return 0.0 if nearest < ultrasonic.NEAREST else nearest if nearest <= ultrasonic.RANGE else math.inf
+
+
+def _program(entry: RobotEntry, state: Khepera4State) -> Kh4Server:
+    """Return the server of a state, started."""
+    server = Kh4Server(dspic.Dspic(state.dspic), state.vehicle)
+    server.receive(b"\n")
+    return server
 
 
 @compilable
@@ -449,5 +480,10 @@ CORE = register(
         update_registers=_update_registers,
         set_speeds=_set_speeds,
         is_powered=_is_powered,
+        commands="DLF",
+        command=_command,
+        counter_commands="IZ",
+        echo=_echo,
+        program=_program,
     )
 )

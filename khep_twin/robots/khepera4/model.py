@@ -21,6 +21,7 @@ from khep_twin.robots.khepera4.vehicle import vehicle_speeds
 from khep_twin.robots.model import (
     Bench,
     Dialect,
+    Feature,
     Interface,
     Read,
     RobotModel,
@@ -32,8 +33,9 @@ from khep_twin.robots.model import (
 )
 from khep_twin.units import COUNTS_LIMIT
 
-SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES)
-"""Headings: manual; distance from the centre: assumed; height: drawing."""
+SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES, lag=0.07)
+"""Headings: manual; distance from the centre: assumed; height: drawing. Five sensors take turns of 20 ms, so that
+a distance is 20 to 120 ms old."""
 
 BODY = Body(
     radius=0.0704,
@@ -129,6 +131,7 @@ KHEPERA_4 = RobotModel(
         "accelerometer": "accelerometer [1/16384 g]",
         "gyroscope": "gyroscope [0.066 deg/s]",
     },
+    features=frozenset({Feature.SHADOW}),
     rgb_leds=LEDS,
     commands={"exec": "khep_twin.robots.khepera4.command:execute"},
     interface=_INTERFACE,

@@ -47,6 +47,8 @@ _KEY_MASK = 0x9E3779B9
 """Arbitrary word that separates their random draws from those of other sensors."""
 
 _AZIMUTHS, _ELEVATIONS = np.radians(np.arange(-42, 43, 3)), np.radians(np.arange(-12, 13, 6))
+_N_LEVEL, _FIRST_LEVEL = len(_AZIMUTHS), len(_ELEVATIONS) // 2 * len(_AZIMUTHS)
+"""Number of rays of elevation 0, and the first of them."""
 
 
 class Sonar(NamedTuple):
@@ -88,16 +90,7 @@ def measure(
         time_ns: Time of the burst [ns].
         channel: Number of the sensor.
     """
-    frame, n_rays = body_frame(scene, sensors), len(sonar.gains)
-    offset = _rotate(frame, sonar.positions, channel)
-    origin = centre[0] + offset[0], centre[1] + offset[1], centre[2] + offset[2]
-    for index in range(n_rays):
-        x, y, z = _rotate(frame, sonar.rays, channel * n_rays + index)
-        beams.vectors[3 * index] = x
-        beams.vectors[3 * index + 1] = y
-        beams.vectors[3 * index + 2] = z
-    cast_rays(scene, sensors, beams, origin, 1.1 * RANGE)
-    nearest = _nearest_echo(sonar, beams)
+    nearest = _cast(scene, sensors, centre, sonar, beams, channel, 0)
     if nearest == math.inf:
         return NO_ECHO
     if nearest < NEAREST:
@@ -108,11 +101,43 @@ def measure(
 
 
 @compilable
-def _nearest_echo(sonar: Sonar, beams: Beams) -> float:
-    """Return the distance of the nearest audible obstacle [m]; infinity for none."""
+def level_echo(
+    scene: BeamScene,
+    sensors: RobotSensors,
+    centre: tuple[float, float, float],
+    sonar: Sonar,
+    beams: Beams,
+    channel: int,
+) -> float:
+    """Return the distance of the nearest obstacle that level rays meet [m]; arguments as for `measure`."""
+    end = 3 * _N_LEVEL
+    level = Beams(beams.vectors[:end], beams.lengths[:_N_LEVEL], beams.normals[:end], beams.geoms[:_N_LEVEL])
+    return _cast(scene, sensors, centre, sonar, level, channel, _FIRST_LEVEL)
+
+
+@compilable
+def _cast(
+    scene: BeamScene,
+    sensors: RobotSensors,
+    centre: tuple[float, float, float],
+    sonar: Sonar,
+    beams: Beams,
+    channel: int,
+    first_ray: int,
+) -> float:
+    """Cast rays from the first one on; return the distance of the nearest audible obstacle [m], or infinity."""
+    frame, n_rays = body_frame(scene, sensors), len(sonar.gains)
+    offset = _rotate(frame, sonar.positions, channel)
+    origin = centre[0] + offset[0], centre[1] + offset[1], centre[2] + offset[2]
+    for index in range(len(beams.lengths)):
+        x, y, z = _rotate(frame, sonar.rays, channel * n_rays + first_ray + index)
+        beams.vectors[3 * index] = x
+        beams.vectors[3 * index + 1] = y
+        beams.vectors[3 * index + 2] = z
+    cast_rays(scene, sensors, beams, origin, 1.1 * RANGE)
     nearest, vectors, normals = math.inf, beams.vectors, beams.normals
-    for index in range(len(sonar.gains)):
-        distance, gain = beams.lengths[index], sonar.gains[index]
+    for index in range(len(beams.lengths)):
+        distance, gain = beams.lengths[index], sonar.gains[first_ray + index]
         if not 0 < distance < nearest:
             continue
         ratio = RANGE / distance
