@@ -13,7 +13,6 @@ from functools import lru_cache
 
 from khep_twin.board.protocol import COMMAND_NOT_FOUND, LINE_END
 from khep_twin.clock import NS_PER_S
-from khep_twin.firmware import ARGUMENT_COUNTS
 from khep_twin.units import BITS_PER_BYTE
 
 BANNER = b"ROM of minirobot"
@@ -36,7 +35,7 @@ _UNMATCHED_LIMIT = 16
 """Maximum number of lines that wait for their command to be identified."""
 
 _SLOW_BYTE_NS = BITS_PER_BYTE * NS_PER_S // 9600
-_LETTERS = frozenset([*ARGUMENT_COUNTS, "T"])
+_LETTER = re.compile("[A-Z]")
 _ERRORS = (b"z,", COMMAND_NOT_FOUND.strip())
 _TOOL = re.compile(rb"[a-z][a-z-]*([ \t]|$)")
 _ANSWER = re.compile(rb"[a-z](,|$)")
@@ -185,7 +184,7 @@ class Dialogue:
 @lru_cache(maxsize=1024)
 def _letter(command: bytes) -> str:
     head = command.partition(b",")[0].strip(b" \t").decode("latin-1")
-    return head if head in _LETTERS else ""
+    return head if _LETTER.fullmatch(head) else ""
 
 
 def _is_tool(command: bytes) -> bool:

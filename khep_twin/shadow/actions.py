@@ -72,6 +72,19 @@ class ProximityReply(NamedTuple):
     in_sight: bool = False
 
 
+class SonarReply(NamedTuple):
+    """A reply with ultrasonic distances (n,) [m], as `sonar_model.distances_of` returns them, and its times [ns]."""
+
+    time_ns: int
+    readings: NDArray[np.float64]
+    late_ns: int = 0
+
+    @property
+    def in_sight(self) -> bool:
+        """True if an obstacle is in sight of a sensor."""
+        return bool((np.isfinite(self.readings)).any())
+
+
 class CounterReply(NamedTuple):
     """A reply with counters, as to H: left and right (2,) [pulses], with the times of `ProximityReply` [ns]."""
 
@@ -84,7 +97,10 @@ LATE_NS = 20_000_000
 """Delay of a reply above which the time of its command or reading is uncertain; also the interval at which
 groups of particles then execute the command (assumed) [ns]."""
 
-Action = WheelCommand | StateWrite | CounterReset | Restart | Silence | ProximityReply | CounterReply
+RangeReply = ProximityReply | SonarReply
+"""A reply that weights the particles."""
+
+Action = WheelCommand | StateWrite | CounterReset | Restart | Silence | RangeReply | CounterReply
 
 
 def apply_action(action: Action, particles: Particles) -> None:

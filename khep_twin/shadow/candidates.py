@@ -15,7 +15,7 @@ from khep_twin.shadow.thing_faults import Missing, Moved, Unexpected, obstacle_r
 from khep_twin.shadow.wheel_faults import SlippingWheel, wheel_faults
 
 NEAR_DISTANCE = 0.12
-"""Distance from the robot's centre within which a missing or slightly moved obstacle shows [m]."""
+"""Distance from a Khepera's centre within which a missing or slightly moved obstacle shows [m]."""
 
 DETECTED_NS = NS_PER_S
 """Time near an obstacle after which an earlier change of it is detected [ns]."""
@@ -35,9 +35,10 @@ class Candidates:
     def record_encounters(self, time_ns: int, tracker: ParticleFilter) -> None:
         """Record which obstacles are near the pose that `tracker` estimates at a time [ns]."""
         _, (x, y, _), covariance = tracker.estimate(0)
-        obstacles = tracker.particles.twins.obstacles[0]
+        twins = tracker.particles.twins
+        obstacles = twins.obstacles[0]
         distances = np.hypot(x - obstacles[:, planar.CENTRE_X], y - obstacles[:, planar.CENTRE_Y])
-        limit = NEAR_DISTANCE + math.sqrt(covariance[0, 0] + covariance[1, 1])
+        limit = NEAR_DISTANCE * twins.scale + math.sqrt(covariance[0, 0] + covariance[1, 1])
         is_near: NDArray[np.bool_] = distances - obstacles[:, planar.HALF_LENGTH] < limit
         for name, rows in self._obstacle_rows.items():
             arrival_ns, last_near_ns, unseen_ns = self._encounters.get(name, (0, -EXPIRY_NS, 0))

@@ -128,7 +128,8 @@ def _observe(
             gain_column = covariance[0, 0] * by_gain + covariance[0, 1] * by_turn - covariance[0, 2]
             turn_column = covariance[1, 0] * by_gain + covariance[1, 1] * by_turn - covariance[1, 2]
             threshold_column = covariance[2, 0] * by_gain + covariance[2, 1] * by_turn - covariance[2, 2]
-            model_error = law.model_deviation * max(count, 0.0)
+            # A negative threshold is no light of obstacles.
+            model_error = law.model_deviation * max(min(count, by_gain), 0.0)
             noise = law.noise[channel] + model_error * model_error
             variance = noise + by_gain * gain_column + by_turn * turn_column - threshold_column
             deviation = math.sqrt(variance)

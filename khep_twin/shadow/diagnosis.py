@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.log.exchanges import Exchange
 from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
-from khep_twin.shadow.actions import Action, CounterReply, ProximityReply, Restart, Silence
+from khep_twin.shadow.actions import Action, CounterReply, ProximityReply, RangeReply, Restart, Silence
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.displacements import Displaced, Lifted
@@ -53,9 +53,9 @@ class Diagnosis:
         self._has_lamps = bool(twins.lamps.names)
         self._quiet = model.quiet
         self._sensors = SensorWatch(model.quiet, model.limit, self._has_lamps)
-        self._wheels = WheelWatch()
+        self._wheels = WheelWatch(setup.entry.body.pulse_length)
         self._lamps = LampWatch(setup.playpen, twins)
-        self._line = LineWatch()
+        self._line = LineWatch(setup.entry.robot_model.dialect)
         self._faults = FaultWatch()
         self._pose = PoseWatch(PoseState.FOLLOWED if self._is_pose_known else PoseState.LOST)
         self._candidates = Candidates(setup)
@@ -98,7 +98,8 @@ class Diagnosis:
         residual = self.filter.follow(action, is_used)
         if isinstance(action, ProximityReply):
             usable_range = self._usable_range(action.time_ns)
-            self.ended += self._sensors.update(action, usable_range, self.filter.surprisal)
+            self.ended += self._sensors.update(action, usable_range, self.filter.surprisal[:8])
+        if isinstance(action, RangeReply):
             self._update(action)
         elif isinstance(action, CounterReply):
             self.ended += self._wheels.take_counters(action, residual)
@@ -126,8 +127,8 @@ class Diagnosis:
             return np.minimum(usable_range, min_usable_range(self.filter.particles))
         return usable_range
 
-    def _update(self, reply: ProximityReply) -> None:
-        """Update alarms by a reply to N, search for changes if a search is due, and save a snapshot."""
+    def _update(self, reply: RangeReply) -> None:
+        """Update alarms by a reply, search for changes if a search is due, and save a snapshot."""
         time_ns = reply.time_ns
         self.ended += self._faults.end_events(time_ns)
         is_changed = np.argmax(self.filter.probabilities) != 0
@@ -191,6 +192,7 @@ class Diagnosis:
     def _is_within(self, position: float, heading: float) -> bool:
         """Return whether the pose is known to these standard deviations [m, rad]."""
         variances = self.filter.estimate(0).covariance.diagonal()
+        position *= self.filter.particles.twins.scale
         return bool(variances[0] + variances[1] < position**2 and variances[2] < heading**2)
 
     def _diagnose(self, time_ns: int) -> None:

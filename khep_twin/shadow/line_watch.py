@@ -3,7 +3,6 @@
 sound -- 3 bad replies within 5 s --> losing bytes -- no bad reply in 5 mean intervals, at most 5 s --> sound
 """
 
-import re
 from collections import deque
 from dataclasses import replace
 
@@ -11,9 +10,7 @@ from khep_twin.board.protocol import Malformed
 from khep_twin.firmware import parse
 from khep_twin.log.exchanges import BANNER, Exchange
 from khep_twin.log.shadow_channels import Alarm
-
-_VERSIONS = re.compile(rb"b,\d+\.\d+,\d+\.\d+")
-"""Reply to B, whose versions are not integers."""
+from khep_twin.robots.model import Dialect
 
 LOSING, RESTART = "line losing bytes", "restart"
 """Names of the faults."""
@@ -30,14 +27,15 @@ SHOWN_NS = 1_000_000_000
 
 
 class LineWatch:
-    """Watch of a robot's line.
+    """Watch of the line of a robot with a dialect.
 
     Attributes:
         alarms: Alarms that last.
         lossy_ns: Time of the last exchange while it lost bytes [ns]; long ago before any.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, dialect: Dialect) -> None:
+        self._dialect = dialect
         self._bad_ns: deque[int] = deque()
         self.alarms: list[Alarm] = []
         self.lossy_ns = -2 * _MAX_SOUND_NS
@@ -49,7 +47,7 @@ class LineWatch:
         if exchange.reply is not None and BANNER in exchange.reply:
             if not exchange.command.strip().startswith(b"restart"):  # as the host has requested
                 self.alarms.append(Alarm(RESTART, "line", time_ns, time_ns, 0.999))
-        elif _is_bad(exchange):
+        elif self._is_bad(exchange):
             self._bad_ns.append(time_ns)
             while self._bad_ns[0] < time_ns - _WINDOW_NS:
                 self._bad_ns.popleft()
@@ -73,14 +71,15 @@ class LineWatch:
         return tuple(replace(alarm, ended_ns=time_ns) for alarm in ended)
 
 
-def _is_bad(exchange: Exchange) -> bool:
-    """Return whether a reply is missing or damaged; one at the end of a recording is not."""
-    if exchange.abandoned or exchange.output_of:
-        return False
-    if not exchange.command:
-        return True
-    if not exchange.letter or isinstance(parse(exchange.command), Malformed):
-        return exchange.reply is None
-    if exchange.letter == "B":
-        return _VERSIONS.fullmatch(exchange.reply or b"") is None
-    return exchange.values is None
+    def _is_bad(self, exchange: Exchange) -> bool:
+        """Return whether a reply is missing or damaged; one at the end of a recording is not."""
+        if exchange.abandoned or exchange.output_of:
+            return False
+        if not exchange.command:
+            return True
+        if exchange.letter == self._dialect.probes[0]:
+            reply = (exchange.reply or b"").decode("latin-1")
+            return self._dialect.versions_reply.fullmatch(reply) is None
+        if not exchange.letter or isinstance(parse(exchange.command), Malformed):
+            return exchange.reply is None
+        return exchange.values is None

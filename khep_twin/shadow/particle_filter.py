@@ -1,7 +1,8 @@
 """A particle filter whose particles are planar twins: it estimates a robot's pose from commands and replies.
 
 Each particle has a pose, wheels and sensors; learned wheels and sensors decay slowly to the prior.
-Replies to N weight the particles (`sensor_model`), by their novelty (`persistence`); replies to H move them;
+Replies to N weight the particles (`sensor_model`), and so do distances by ultrasound (`sonar_model`), both by
+their novelty (`persistence`); replies to H move them;
 at a low effective sample size they are resampled. Some have a started or ended fault (`changes`).
 """
 
@@ -13,7 +14,16 @@ import numpy as np
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as planar
-from khep_twin.shadow.actions import LATE_NS, Action, CounterReply, ProximityReply, WheelCommand, apply_action
+from khep_twin.shadow.actions import (
+    LATE_NS,
+    Action,
+    CounterReply,
+    ProximityReply,
+    RangeReply,
+    SonarReply,
+    WheelCommand,
+    apply_action,
+)
 from khep_twin.shadow.changes import FaultChange, quotas, resample_changes
 from khep_twin.shadow.motion_noise import draw_moves
 from khep_twin.shadow.particles import Floats, Particles, resample_indices
@@ -21,6 +31,8 @@ from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, novelty_of
 from khep_twin.shadow.planar_bodies import TICK_NS, Booleans
 from khep_twin.shadow.pose_estimate import PoseEstimate
 from khep_twin.shadow.sensor_model import SensorModel, log_sum_exp
+from khep_twin.shadow.sonar_model import PERSISTENCE as SONAR_PERSISTENCE
+from khep_twin.shadow.sonar_model import sonar_likelihoods
 
 GLOBAL_COUNT, GLOBAL_TEMPER = 3000, 0.17
 """Number of particles above which the robot may be anywhere, and the tempering power of their likelihood, so
@@ -55,8 +67,9 @@ class ParticleFilter:
         changes: Changes that are considered, with the numbers 1, 2, ... in `Particles.changes`.
         evidence: Logarithm of the marginal likelihood of all replies so far.
         expected: Proximity expected at the last reply to N, mean over the particles (8,) [counts].
-        surprisal: Log likelihood ratio of the most probable reading and the last one, by sensor (8,).
-        novelty: Novelty of the last reply to N.
+        surprisal: Log likelihood ratio of the most probable reading and the last one, by sensor (8,); of a
+            robot with ultrasonic sensors (9,), with the second largest of theirs, as one may fail.
+        novelty: Novelty of the last reply that weighted the particles.
     """
 
     def __init__(
@@ -67,6 +80,7 @@ class ParticleFilter:
         self._rng = rng
         self._count = count
         self._model = SensorModel(particles.twins)
+        self._turn_radius = 1, 1, SENSOR_RADIUS * particles.twins.scale
         self.changes: list[FaultChange] = []
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
@@ -77,8 +91,8 @@ class ParticleFilter:
         """Uncertainty of the time of the last command [s]."""
         self._timing_variances: Floats = np.zeros(3)
         """Variances due to changes of speed at uncertain times since the last noise [m^2, rad^2]."""
-        self._travel = 0.0
-        """Travel of a sensor since the last reply to N [m]."""
+        self._travel: dict[type[RangeReply], float] = {ProximityReply: 0.0, SonarReply: 0.0}
+        """Travel of a sensor since the last reply [m], by the reply's class."""
         self._free_wheels = particles.wheels
         """Wheels of the particles when the robot last drove freely (n, 3)."""
 
@@ -89,7 +103,7 @@ class ParticleFilter:
     def follow(self, action: Action, is_used: Booleans) -> Floats:
         """Follow an action, with sensors to rely on (8,); return the residual of counters (2,), or NaN."""
         residual = self.weigh(action, is_used)
-        if isinstance(action, ProximityReply):
+        if isinstance(action, RangeReply):
             self._resample()
         return residual
 
@@ -105,9 +119,10 @@ class ParticleFilter:
         self._timing_variances += self.weights @ square_speed_changes * (self._timing_s**2 / 12)
         if isinstance(action, WheelCommand):
             self._timing_s = _TICK_S + min(max(action.late_ns - action.time_ns, 0), LATE_NS) * 1e-9
-        travel = np.abs(self.particles.twins.poses - last_poses) @ (1, 1, SENSOR_RADIUS)
-        self._travel += float(self.weights @ travel)
-        if isinstance(action, ProximityReply):
+        travel = np.abs(self.particles.twins.poses - last_poses) @ self._turn_radius
+        for reply in self._travel:
+            self._travel[reply] += float(self.weights @ travel)
+        if isinstance(action, RangeReply):
             travel_novelty = self._novelty(action)
             self.novelty = travel_novelty if novelty is None else novelty
             self._weigh_reply(action, is_used)
@@ -161,11 +176,19 @@ class ParticleFilter:
         self._noise_ticks = self.particles.twins.ticks - _ROUGHENING_TICKS
         self._add_noise(np.zeros(3))
 
-    def _weigh_reply(self, reply: ProximityReply, is_used: Booleans) -> None:
-        """Weight the particles by a reply to N, with sensors to rely on (8,)."""
+    def _weigh_reply(self, reply: RangeReply, is_used: Booleans) -> None:
+        """Weight the particles by a reply, with sensors for N to rely on (8,)."""
         particles, power = self.particles, self.novelty
-        values = self._model.observe(particles, reply.readings, is_used, power)
-        self.expected, self.surprisal, log_likelihoods = values
+        if isinstance(reply, SonarReply):
+            likelihoods, largest = sonar_likelihoods(particles.twins.echoes(), reply.readings)
+            log_likelihoods = np.log(likelihoods)
+            surprisal = np.sort(np.log(largest / (self.weights @ likelihoods)).clip(0))
+            self.surprisal = np.append(np.zeros(8), surprisal[-2:][0])
+        else:
+            values = self._model.observe(particles, reply.readings, is_used, power)
+            self.expected, self.surprisal, log_likelihoods = values
+            if particles.twins.entry.body.sonar is not None:
+                self.surprisal = np.append(self.surprisal, 0.0)
         power *= GLOBAL_TEMPER if not self.changes and len(particles) > GLOBAL_COUNT else 1.0
         self.surprisal *= power
         particles.log_weights += power * log_likelihoods.sum(axis=1)
@@ -173,13 +196,14 @@ class ParticleFilter:
         self.evidence += norm
         particles.log_weights -= norm
 
-    def _novelty(self, reply: ProximityReply) -> float:
-        """Return the novelty of a reply to N after the travel since the last one."""
+    def _novelty(self, reply: RangeReply) -> float:
+        """Return the novelty of a reply after the travel since the last one of its class."""
         # The time is uncertain, by at least a tick.
         timing_s = _TICK_S + max(reply.late_ns - reply.time_ns, 0) * 1e-9
-        uncertain_travel = timing_s * float(self.weights @ np.abs(self._speeds) @ (1, 1, SENSOR_RADIUS))
-        travel, self._travel = self._travel, 0.0
-        return novelty_of(travel, PERSISTENCE, uncertain_travel)
+        uncertain_travel = timing_s * float(self.weights @ np.abs(self._speeds) @ self._turn_radius)
+        travel, self._travel[type(reply)] = self._travel[type(reply)], 0.0
+        persistence = SONAR_PERSISTENCE if isinstance(reply, SonarReply) else PERSISTENCE
+        return novelty_of(travel, persistence, uncertain_travel)
 
     def estimate(self, time_ns: int) -> PoseEstimate:
         """Return the estimate of the pose, by the particles of the most probable change."""

@@ -3,7 +3,7 @@
 import math
 
 SENSOR_RADIUS = 0.025
-"""Distance of the sensors from the centre, about [m]."""
+"""Distance of a Khepera's sensors from the centre, about [m]."""
 
 PERSISTENCE = 0.004
 """Travel of a sensor over which errors of the model persist [m] (assumed)."""

@@ -56,11 +56,11 @@ class PlaceMap:
         corners = np.array(setup.playpen.arena.corners) * 1e-3
         self._low_corner = corners.min(axis=0)
         extent = corners.max(axis=0) - self._low_corner
-        self._cell = max(CELL_SIZE, math.sqrt(float(extent.prod()) / MAX_CELLS))
+        twins = Twins(setup, CHUNK)
+        self._cell = max(CELL_SIZE * twins.scale, math.sqrt(float(extent.prod()) / MAX_CELLS))
         nx, ny = (np.ceil(extent / self._cell)).astype(int).tolist()
         cells = np.stack([indices.ravel() for indices in np.indices((nx, ny))], axis=1)
         places = np.column_stack([self._low_corner + (cells + 0.5) * self._cell, np.zeros(nx * ny)])
-        twins = Twins(setup, CHUNK)
         # The robot is round: a place with room has it for all headings.
         is_free = _apply_in_chunks(twins.are_clear, places) & are_inside(corners, places)
         self.poses: Floats = np.repeat(places[is_free], N_HEADINGS, axis=0)

@@ -49,6 +49,9 @@ class PlanarBodies:
         obstacles: Obstacles (n, n_obstacles + N_SPARE, planar.N_COLUMNS).
         robots: Records of `PlanarRobot` (n,).
         states: States that change in the robots' cores, as words of 64 bits (n, n_words).
+        entry: The robot in the playpen.
+        scale: Size of the robot, as a multiple of a Khepera's.
+        ticks: Time since the start [ticks].
         strength: Shares of the motors' torque, left and right (n, 2); negative for a blocked wheel.
     """
 

@@ -59,14 +59,14 @@ class PoseWatch:
 
     Attributes:
         state: State of the pose.
-        surprisal: Surprisal of each sensor, summed over the last replies with exponential decay (8,).
+        surprisal: Surprisal of each sensor, summed over the last replies with exponential decay (n,).
         unknown_ns: Start and end of the last time for which the pose was unknown [ns]; long ago before any.
         unexpected_since_ns: Time since when replies are unexpected [ns]; None while they are not.
     """
 
     def __init__(self, state: PoseState) -> None:
         self.state = state
-        self.surprisal: Floats = np.zeros(8)
+        self.surprisal: Floats = np.zeros(1)
         self.unknown_ns = 0, -THRESHOLDS.window_ns
         self.unexpected_since_ns: int | None = None
         self._last_reply_ns = 0
@@ -79,11 +79,11 @@ class PoseWatch:
         self._replies: deque[_Reply] = deque()
 
     def update(self, time_ns: int, surprisal: Floats, *, in_sight: bool, is_known: bool) -> None:
-        """Update by the surprisal of a reply to N (8,); `in_sight` is an obstacle, `is_known` the pose."""
+        """Update by the surprisal of a reply, by sensor (n,); `in_sight` is an obstacle, `is_known` the pose."""
         previous_ns, self._last_reply_ns = self._last_reply_ns, time_ns
         self.surprisal = self.surprisal * math.exp((previous_ns - time_ns) * 1e-9 / THRESHOLDS.surprisal_s)
         surprisal = np.maximum(surprisal - THRESHOLDS.usual_surprisal, 0)
-        self.surprisal += surprisal
+        self.surprisal = self.surprisal + surprisal
         largest_sum = float(self.surprisal.max())
         decay = math.exp((previous_ns - time_ns) * 1e-9 / THRESHOLDS.raise_decay_s)
         self._search_above = THRESHOLDS.search_above + (self._search_above - THRESHOLDS.search_above) * decay

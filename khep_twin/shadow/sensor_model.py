@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from khep_twin.shadow.particles import Floats, Particles
 from khep_twin.shadow.planes import Booleans, SensorLaw, Twins
-from khep_twin.shadow.thresholds import THRESHOLDS
 
 OUTLIERS = 0.02
 """Part of the readings that are outliers (assumed)."""
@@ -48,6 +47,7 @@ class SensorModel:
         proximity = twins.proximity
         quantum = int(proximity["quantum"])
         self.limit = int(proximity["limit"])
+        self._near = twins.entry.body.near_counts
         self.usable_range: Floats = np.ones(8)
         self._expected: Floats = np.zeros(8)
         self.quiet = 10 * max(float(proximity["idle"]), float(proximity["floor"]))
@@ -76,7 +76,7 @@ class SensorModel:
         believed_range = lamp_range = usable_range(particles.twins)
         if particles.twins.has_other_robots:
             # An unexpected obstacle may be another robot.
-            is_used = is_used & ((readings <= self.quiet) | (self._expected > THRESHOLDS.in_sight))
+            is_used = is_used & ((readings <= self.quiet) | (self._expected > self._near))
         if particles.twins.lamps_are_unknown:
             # Of a sensor that a lamp may blind, only readings with something in sight count.
             is_lit = lamp_range.min(axis=0) < UNLIT

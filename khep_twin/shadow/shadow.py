@@ -18,11 +18,20 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import LATE_NS, Action, CounterReply, ProximityReply, Restart, Silence
+from khep_twin.shadow.actions import (
+    LATE_NS,
+    Action,
+    CounterReply,
+    ProximityReply,
+    Restart,
+    Silence,
+    SonarReply,
+)
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Floats, LearnedValues
 from khep_twin.shadow.reckoning import Reckoning
+from khep_twin.shadow.sonar_model import distances_of
 from khep_twin.shadow.start import PUBLISHED, Spread, draw_particles, known_starts
 from khep_twin.shadow.update import NOTHING_ASKED, Residuals, Update
 from khep_twin.units import BITS_PER_BYTE, N_SENSORS
@@ -150,6 +159,8 @@ class Shadow:
                 self._follow(ProximityReply(time_ns, readings, late_ns, in_sight))
                 self._measured = readings.astype(np.float64)
                 residuals = residuals._replace(proximity=readings - self._diagnosis.filter.expected)
+            case "ultrasonic":
+                self._follow(SonarReply(time_ns, distances_of(self._model, readings), late_ns))
             case "position":
                 wheel_residuals = self._follow(CounterReply(time_ns, readings, late_ns))
                 residuals = residuals._replace(wheels=wheel_residuals)

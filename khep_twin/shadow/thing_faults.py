@@ -15,7 +15,8 @@ from khep_twin.shadow.planar_bodies import AWAY, N_SPARE
 from khep_twin.units import N_SENSORS
 
 MIN_MOVE, MOVE_DEVIATION = 0.015, 0.02
-"""Least distance of a move, above errors of the pose, and standard deviation of the rest [m] (assumed)."""
+"""Least distance of a move, above errors of the pose, and standard deviation of the rest [m] (assumed); these
+and the next lengths are those for a robot of a Khepera's size."""
 
 ADDED_RADII = 0.004, 0.03
 """Radii of an obstacle that is not in the playpen [m] (assumed)."""
@@ -74,7 +75,8 @@ class Moved(_ObstacleFault, Placed):
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Move the obstacle."""
-        distance = MIN_MOVE + np.abs(rng.standard_normal(len(particles))) * MOVE_DEVIATION
+        scale = particles.twins.scale
+        distance = MIN_MOVE * scale + np.abs(rng.standard_normal(len(particles))) * (MOVE_DEVIATION * scale)
         direction = rng.uniform(0, math.tau, len(particles))
         offsets = np.stack([distance * np.cos(direction), distance * np.sin(direction)], axis=1)
         particles.twins.set_obstacle_offsets(self.rows, offsets)
@@ -91,7 +93,7 @@ class Moved(_ObstacleFault, Placed):
 
     def _set_offsets(self, particles: Particles, offsets: Floats) -> None:
         distances = np.hypot(*offsets.T)[:, None]
-        offsets = offsets * np.maximum(MIN_MOVE / np.maximum(distances, 1e-9), 1)
+        offsets = offsets * np.maximum(MIN_MOVE * particles.twins.scale / np.maximum(distances, 1e-9), 1)
         particles.twins.set_obstacle_offsets(self.rows, offsets)
 
 
@@ -112,15 +114,15 @@ class Unexpected(Placed):
         x, y, heading = twins.poses.T
         mounts = twins.robots["mounts"][0, rng.integers(N_SENSORS, size=count)]
         forward, left, cosine, sine = mounts[:, :4].T
-        radius = rng.uniform(*ADDED_RADII, count)
-        distance = rng.uniform(0.001, ADDED_REACH, count) + radius
+        radius = rng.uniform(*ADDED_RADII, count) * twins.scale
+        distance = rng.uniform(0.001, ADDED_REACH, count) * twins.scale + radius
         direction = heading + np.arctan2(sine, cosine) + rng.standard_normal(count) * math.radians(20)
         c, s = np.cos(heading), np.sin(heading)
         row = twins.obstacles[:, -N_SPARE]
         row[:, planar.CENTRE_X] = x + c * forward - s * left + distance * np.cos(direction)
         row[:, planar.CENTRE_Y] = y + s * forward + c * left + distance * np.sin(direction)
         row[:, planar.HALF_LENGTH], row[:, planar.HALF_WIDTH] = radius, -1
-        row[:, planar.BOTTOM], row[:, planar.TOP] = 0, _HEIGHT
+        row[:, planar.BOTTOM], row[:, planar.TOP] = 0, _HEIGHT * twins.scale
         row[:, planar.TOUCHABLE] = row[:, planar.REFLECTANCE] = 1
         twins.remeasure()
 
@@ -138,7 +140,8 @@ class Unexpected(Placed):
         """Add noise to the obstacle's place and radius."""
         row = particles.twins.obstacles[:, -N_SPARE]
         row[:, _CIRCLE] += spread * rng.standard_normal((len(particles), len(_CIRCLE)))
-        row[:, planar.HALF_LENGTH] = np.clip(row[:, planar.HALF_LENGTH], *ADDED_RADII)
+        radii = np.array(ADDED_RADII) * particles.twins.scale
+        row[:, planar.HALF_LENGTH] = np.clip(row[:, planar.HALF_LENGTH], *radii)
         particles.twins.remeasure()
 
 

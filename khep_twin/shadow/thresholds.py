@@ -15,7 +15,7 @@ class Thresholds:
     """Thresholds of a diagnosis; `pose_watch` defines surprisal and its sum.
 
     Attributes:
-        known_place: Standard deviation of a known position [m] (assumed).
+        known_place: Standard deviation of a known position of a robot of a Khepera's size [m] (assumed).
         known_turn: Standard deviation of a known heading [rad] (assumed).
         lamp_place: Largest standard deviation of a position for which lamps are compared [m] (assumed).
         lamp_turn: Largest standard deviation of a heading for which lamps are compared [rad] (assumed).
@@ -27,7 +27,6 @@ class Thresholds:
         raise_factor: Factor by which a search without a result raises `search_above`.
         raise_decay_s: Time constant with which `search_above` decays again [s].
         calm_below: Sum of any sensor below which replies are as expected, or a tenth of a later sum.
-        in_sight: Reading that confirms a pose [counts].
         search_delay_ns: Time after the onset of unexpected replies before the search [ns].
         max_search_interval_ns: Longest interval of searches while replies are unexpected [ns].
         explained_below: Probability of no change below which changes explain the replies.
@@ -63,7 +62,6 @@ class Thresholds:
     raise_factor: float = 2.0
     raise_decay_s: float = 10.0
     calm_below: float = 0.3
-    in_sight: int = 100
     search_delay_ns: int = 200_000_000
     max_search_interval_ns: int = 2 * NS_PER_S
     explained_below: float = 0.5

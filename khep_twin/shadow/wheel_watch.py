@@ -13,17 +13,18 @@ from khep_twin.shadow.wheel_faults import StandingWheel, WeakMotor
 _WINDOW_NS = 1_000_000_000
 """Time over which pulses are summed [ns]."""
 
-_MIN_PULSES = 25.0
-"""Least pulses that a sound wheel would turn in the window, for a decision (assumed)."""
+_MIN_TRAVEL = 0.002
+"""Least travel of a sound wheel in the window, for a decision [m] (assumed)."""
 
 _STANDING_BELOW, _WEAK_BELOW, _SOUND_ABOVE = 0.05, 0.8, 0.9
 """Limits of the share of expected pulses of a wheel that stands, is weak, or is sound (assumed)."""
 
 
 class WheelWatch:
-    """Watch of a robot's wheels."""
+    """Watch of a robot's wheels, with a travel per pulse of its encoders [m]."""
 
-    def __init__(self) -> None:
+    def __init__(self, pulse_length: float) -> None:
+        self._min_pulses = _MIN_TRAVEL / pulse_length
         self._pulses: deque[tuple[int, Floats, Floats]] = deque()
         self._alarms: dict[int, Alarm] = {}
         self._counters: Floats | None = None
@@ -64,7 +65,7 @@ class WheelWatch:
         since_ns = self._pulses[0][0]
         for side in range(2):
             expected_sum = sum(float(pulses[side]) for _, _, pulses in self._pulses)
-            if expected_sum < _MIN_PULSES:
+            if expected_sum < self._min_pulses:
                 continue
             share = sum(float(pulses[side]) for _, pulses, _ in self._pulses) / expected_sum
             alarm = self._alarms.get(side)

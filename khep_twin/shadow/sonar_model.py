@@ -1,0 +1,55 @@
+"""The likelihood of ultrasonic readings, which are distances, or the codes of a near obstacle or of no echo.
+
+The likelihood of a reading z, where the twin expects a distance d, is
+
+    (1 - e) N(z; d, s^2) + e u
+
+with a uniform density u. For a code it is 1 - e + e / N where the twin expects the same one, otherwise e / N.
+A small turn decides whether a wall is heard at all, so e is large; such errors persist (`persistence`).
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.robots.model import RobotModel
+from khep_twin.shadow.planar_bodies import Floats
+
+DEVIATION = 0.025
+"""Standard deviation of a distance from the twin's [m] (manual: 20 mm; the rest is the motion since the burst)."""
+
+OUTLIERS = 0.1
+"""Part of the readings that are outliers (assumed)."""
+
+PERSISTENCE = 0.05
+"""Travel over which errors of the model persist [m] (assumed)."""
+
+_OUTLIER_DENSITY, _CODE_SHARE = 0.4, 1 / 3
+"""Density of outliers in a range of 2.5 m [1/m], and share of each code (assumed)."""
+
+
+def distances_of(model: RobotModel, readings: NDArray[np.int64]) -> Floats:
+    """Return readings as distances (n,) [m]: 0 too near, infinity for no echo, NaN for a disabled sensor."""
+    sonar = model.body.sonar
+    distances = readings * model.sonar_unit
+    for code, distance in zip(() if sonar is None else sonar.codes, (0.0, math.inf, math.nan), strict=False):
+        distances[readings == code] = distance
+    return distances
+
+
+def sonar_likelihoods(expected: Floats, distances: Floats) -> tuple[Floats, Floats]:
+    """Return the likelihoods of distances (m,) where twins expect some (n, m), and their largest values (m,).
+
+    Those of a disabled sensor are 1.
+    """
+    is_distance = np.isfinite(distances) & (distances > 0)
+    is_expected = np.isfinite(expected) & (expected > 0)
+    peak = 1 / (DEVIATION * math.sqrt(math.tau))
+    with np.errstate(invalid="ignore"):
+        densities = peak * np.exp(-0.5 * np.square((expected - distances) / DEVIATION))
+    matches = np.where(is_distance, np.where(is_expected, densities, 0.0), expected == distances)
+    outliers = OUTLIERS * np.where(is_distance, _OUTLIER_DENSITY, _CODE_SHARE)
+    is_enabled = ~np.isnan(distances)
+    largest = np.where(is_enabled, (1 - OUTLIERS) * np.where(is_distance, peak, 1.0) + outliers, 1.0)
+    return np.where(is_enabled, (1 - OUTLIERS) * matches + outliers, 1.0), largest
