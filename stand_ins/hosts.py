@@ -162,6 +162,34 @@ def _interrupt_avoider(
     return decide
 
 
+class HostBody(NamedTuple):
+    """A model of robot as hosts see it, which know a Khepera.
+
+    Attributes:
+        sensors: Its sensors in the order of a Khepera's (8,).
+        idle: Counts of nothing in reach.
+        speed: Speed of one pulse per 10 ms of a Khepera [register].
+        cycle_ns: Least time from one decision to the next [ns].
+    """
+
+    sensors: Sequence[int]
+    idle: int
+    speed: int
+    cycle_ns: int
+
+    def decide(self, host: Host, counts: Sequence[int]) -> Speeds:
+        """Return a host's speeds [register] for counts of proximity."""
+        left, right = host([max(counts[sensor] - self.idle, 0) for sensor in self.sensors])
+        return self.speed * left, self.speed * right
+
+
+BODIES = {
+    "khepera": HostBody(range(8), 0, 1, 0),
+    "khepera4": HostBody((1, 2, 3, 3, 4, 5, 6, 0), 96, 25, 100_000_000),
+}
+"""Bodies by the family of the model; a Khepera IV drives at 85 to 150 mm/s, and its line is fast."""
+
+
 class HostKind(NamedTuple):
     """Kind of host.
 

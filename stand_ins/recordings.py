@@ -24,7 +24,7 @@ from khep_twin.randomness import stream
 from stand_ins.hidden_changes import Change, LampMoved, reachable
 from stand_ins.hosts import HOSTS
 from stand_ins.line_times import LineTimes
-from stand_ins.runs import BAUD, Run, converse, noticeable
+from stand_ins.runs import Run, converse, noticeable
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,7 @@ def record(
     host: str,
     asks_counters: bool = False,
     asks_light: bool = False,
+    asks_echoes: bool = True,
     vary: bool = True,
     faults: Sequence[str] = (),
     changes: Sequence[Change] = (),
@@ -101,6 +102,7 @@ def record(
         host: Name of the host in `stand_ins.hosts.HOSTS`.
         asks_counters: Also ask H in each cycle.
         asks_light: Also ask O in each cycle.
+        asks_echoes: Also ask the distances by ultrasound in each cycle, if the model has them.
         vary: Draw another robot of the same model.
         faults: Faults of the robot, in the syntax of `khep_twin.board.fault_injection`.
         changes: Changes of its world.
@@ -112,8 +114,11 @@ def record(
     actual = _misplaced(twin_playpen, seed, start_error)
     parsed = [parse_fault(fault) for fault in faults]
     run = Run(actual, seed, vary, parsed, changes)
-    asks = [b"N\n", *([b"H\n"] if asks_counters else []), *([b"O\n"] if asks_light else [])]
-    settings = {"relay": "stand-in", "baud": BAUD}
+    dialect = playpen.robots[0].robot_model.dialect
+    is_asked = {"position": asks_counters, "ambient": asks_light, "ultrasonic": asks_echoes}
+    channels = ["proximity", *(name for name in is_asked if is_asked[name] and name in dialect.reads)]
+    asks = [dialect.reads[channel].request.encode() + b"\n" for channel in channels]
+    settings = {"relay": "stand-in", "baud": dialect.baud}
     recorder = LineRecorder(path, settings, lambda: run.relayed_ns)
     line_times = LineTimes(times, seed)
     exchanges = list(converse(run, recorder, line_times, seed, HOSTS[host], asks, to_ns(seconds)))

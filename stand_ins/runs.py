@@ -14,13 +14,11 @@ from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.playpen import Block, Playpen
 from khep_twin.randomness import stream
-from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, N_SENSORS, SCAN_NS
+from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, SCAN_NS
 from khep_twin.world import World
 from stand_ins.hidden_changes import Added, Change, apply, hide_added, with_added
-from stand_ins.hosts import HostKind
+from stand_ins.hosts import BODIES, HostKind
 from stand_ins.line_times import LineTimes
-
-BAUD = 9600
 
 _TIMEOUT_NS = 300_000_000
 """Longest wait of a host for a reply, six times the longest reply (assumed)."""
@@ -30,7 +28,9 @@ _POLL_NS = 5_000_000
 """Interval at which a host looks for unexpected bytes."""
 _LATE_NS = 10_000_000
 """Delay of a reply that is noticeable."""
-_REPLY = re.compile(rb"[no](,\d{1,4}){8}|h(,-?\d{1,10}){2}")
+_REPLY = re.compile(rb"[no](,\d{1,4}){8}|[hr](,-?\d{1,10}){2}|[no](,\d{1,4}){12}|g(,\d{1,4}){5}")
+_OFF = {b"H": (100, 0.0), b"R": (1180, 0.0)}
+"""Noticeable difference of counters [pulses], 8 mm of travel, by command; others [counts, part]."""
 
 
 class Line(NamedTuple):
@@ -148,7 +148,9 @@ def converse(
 ) -> Iterator[Exchange]:
     """Run a host with the robot until a time; record the line and yield the exchanges."""
     world, lines, rng, decide = run.world, _Lines(), stream(seed, "host", "pauses"), host.make(seed)
-    counts, speeds, cycle_ns = [0] * N_SENSORS, (0, 0), 0
+    model = world.playpen.robots[0].robot_model
+    body, drive = BODIES[model.family], model.dialect.drive
+    counts, speeds, cycle_ns = [0] * len(model.body.sensors), (0, 0), 0
     underway: deque[tuple[int, int, bytes]] = deque()
     unlogged = b""
 
@@ -167,8 +169,8 @@ def converse(
 
     while world.time_ns < end_ns:
         run.advance_to(max(cycle_ns, world.time_ns))
-        cycle_ns = world.time_ns + host.cycle_ns
-        for command in (*asks, b"D,%d,%d\n" % speeds):
+        cycle_ns = world.time_ns + max(host.cycle_ns, body.cycle_ns)
+        for command in (*asks, drive(*speeds).encode() + b"\n"):
             run.advance_to(times.host(world.time_ns + int(rng.integers(*_PAUSE_NS))))
             other_lines = list(receive_lines())
             run.relayed_ns, sent_ns = times.to_robot(world.time_ns)
@@ -187,7 +189,7 @@ def converse(
             yield Exchange(sent_ns, command, reply, world.time_ns, len(other_lines))
             if command == b"N\n" and reply is not None:
                 counts = _values(reply) or counts
-        speeds = decide(counts)
+        speeds = body.decide(decide, counts)
 
 
 def noticeable(exchanges: Sequence[Exchange], run: Run) -> int:
@@ -204,7 +206,7 @@ def noticeable(exchanges: Sequence[Exchange], run: Run) -> int:
                 n_other_lines += 1
                 continue
             for recorded, simulated in zip(pending[: count + 1], [*[None] * count, line], strict=True):
-                if _differs(recorded, simulated) or recorded.n_other_lines > n_other_lines:
+                if _differs(recorded, simulated, run.world.playpen.robots[0].robot_model.dialect.baud) or recorded.n_other_lines > n_other_lines:
                     return recorded.end_ns
                 channels = _channels_off(recorded, simulated)
                 since_ns, before = off.get(recorded.command[:1], (0, set[int]()))
@@ -244,22 +246,22 @@ def _values(line: Line | None) -> list[int] | None:
     if line is None or not (match := _REPLY.fullmatch(line.text)):
         return None
     values = [int(field) for field in match[0].split(b",")[1:]]
-    return values if match[0][:1] == b"h" or max(values) <= COUNTS_LIMIT else None
+    return values if match[0][:1] in b"hr" or max(values) <= COUNTS_LIMIT else None
 
 
-def _differs(recorded: Exchange, simulated: Line | None) -> bool:
+def _differs(recorded: Exchange, simulated: Line | None, baud: int) -> bool:
     """Return whether a reply is missing, malformed or late, unlike the simulated one."""
     reply = recorded.reply
     if reply is None or simulated is None:
         return (reply is None) is not (simulated is None)
     if _values(reply) is None or _values(simulated) is None:
         return reply.text != simulated.text
-    least_ns = (len(recorded.command) + 1) * BITS_PER_BYTE * NS_PER_S // BAUD + _LATE_NS
+    least_ns = (len(recorded.command) + 1) * BITS_PER_BYTE * NS_PER_S // baud + _LATE_NS
     return reply.first_ns - recorded.sent_ns > least_ns >= simulated.first_ns - recorded.sent_ns
 
 
 def _channels_off(recorded: Exchange, simulated: Line | None) -> set[int]:
     """Return the channels whose values differ noticeably from the simulated ones."""
     pairs = list(zip(_values(recorded.reply) or [], _values(simulated) or [], strict=False))
-    part = 0.0 if recorded.command == b"H\n" else 0.25
-    return {i for i, (one, two) in enumerate(pairs) if abs(one - two) > max(100, part * max(one, two))}
+    limit, part = _OFF.get(recorded.command[:1], (100, 0.25))
+    return {i for i, (one, two) in enumerate(pairs) if abs(one - two) > max(limit, part * max(one, two))}

@@ -35,8 +35,9 @@ class Recording(NamedTuple):
         seed: Seed of the robot, the host, its start and all other random values.
         seconds: Length [s].
         host: Name of the host; by default those of the seed alternate, each with three seeds.
-        asks_counters: Also ask H.
+        asks_counters: Also ask H, or the model's request for counters.
         asks_light: Also ask O.
+        asks_echoes: Also ask the distances by ultrasound, if the model has them.
         faults: Faults of the robot.
         changes: Changes of its world.
         times: Timing of its line.
@@ -51,6 +52,7 @@ class Recording(NamedTuple):
     host: str = ""
     asks_counters: bool = False
     asks_light: bool = False
+    asks_echoes: bool = True
     faults: Sequence[str] = ()
     changes: Sequence[Change] = ()
     times: str = "exact"
@@ -71,6 +73,7 @@ class Recording(NamedTuple):
                 host=self.host or alternate(hosts_of(self.seed), self.seed // 3),
                 asks_counters=self.asks_counters,
                 asks_light=self.asks_light,
+                asks_echoes=self.asks_echoes,
                 faults=self.faults,
                 changes=self.changes,
                 start=None if self.default_start else free_start(playpen, self.seed),
@@ -166,7 +169,7 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, start_known: bool
         start_known: True to give the shadow the robot's start, False to use that of the playpen.
     """
     truth = Truth.load(path.with_suffix(".npz"))
-    chunks = read_recording(path).chunks
+    chunks, settings = (line := read_recording(path)).chunks, replace(settings, baud=line.baud or settings.baud)
     follower = Follower(
         Shadow(playpen_at_known_start(playpen, truth) if start_known else Playpen.load(playpen), settings)
     )
