@@ -102,7 +102,7 @@ class Diagnosis:
         if isinstance(action, RangeReply):
             self._update(action)
         elif isinstance(action, CounterReply):
-            self.ended += self._wheels.take_counters(action, residual)
+            self.ended += self._wheels.take_counters(action, residual, self.filter.drives_freely)
         elif isinstance(action, Restart):
             self._wheels.restart()
         return residual

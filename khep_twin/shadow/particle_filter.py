@@ -247,7 +247,7 @@ class ParticleFilter:
             times = passed_ticks * _TICK_S, ticks * TICK_NS
             count = self._n_needed(weights)
             self.particles = resample_changes(self.particles, self.changes, count, *times, self._rng)
-            if self._drives_freely:
+            if self.drives_freely:
                 self._free_wheels = self.particles.wheels
             else:
                 # A robot that pushes or slips does not move as its wheels turn, so they are not learned.
@@ -262,7 +262,7 @@ class ParticleFilter:
         return sum(quotas(self.changes))
 
     @property
-    def _drives_freely(self) -> bool:
+    def drives_freely(self) -> bool:
         """True if most particles touch nothing and do not slip."""
         twins = self.particles.twins
         is_hindered = twins.push_directions.any(axis=1) | (twins.robots["last_step"][:, planar.SLIPS] != 0)

@@ -44,13 +44,16 @@ class WheelWatch:
         """Handle a restart of the processor, which resets the counters."""
         self._counters = None
 
-    def take_counters(self, reply: CounterReply, residual: Floats) -> tuple[Alarm, ...]:
-        """Update by a reply to H and its residual (2,) [pulses]; return the alarms that end."""
+    def take_counters(self, reply: CounterReply, residual: Floats, is_free: bool = True) -> tuple[Alarm, ...]:
+        """Update by a reply to H and its residual (2,) [pulses]; return the alarms that end.
+
+        Wheels are not judged unless the robot is free of obstacles, which may hold it.
+        """
         last, self._counters = self._counters, reply.counters.astype(np.float64)
         is_late = reply.late_ns - reply.time_ns >= LATE_NS
         was_late, self._was_late = self._was_late, is_late
-        if is_late or was_late:
-            self._pulses.clear()  # The time of a reply is uncertain.
+        if is_late or was_late or not is_free:
+            self._pulses.clear()  # The time of a reply, or the contact, is uncertain.
         elif last is not None:
             turned_pulses = reply.counters - last
             return self.update(reply.time_ns, turned_pulses, turned_pulses - residual)
