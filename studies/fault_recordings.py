@@ -11,12 +11,15 @@ import numpy as np
 from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Block, Cylinder, Playpen
 from khep_twin.randomness import stream
-from khep_twin.units import N_SENSORS
+from khep_twin.units import BODY_RADIUS, N_SENSORS
 from stand_ins.hidden_changes import Added, Change, LampMoved, LampOff, Lifted, Moved, Removed
 from stand_ins.recordings import Truth
 from studies.twin_runs import Recording, alternate
 
 SIDES = ("left", "right")
+
+KHEPERA4_PLAYPENS = "arena4", "arena4-room"
+"""Playpens of all faults of a Khepera IV."""
 
 GENERAL_PLAYPENS, OBJECT_PLAYPENS, LAMP_PLAYPENS = (
     ("workshop", "obstacles", "looping-maze"),
@@ -32,7 +35,7 @@ DURATION_S, TAIL_S = 25.0, 13.0
 """Duration of faults, and of the recording after them [s]."""
 
 _REACH_MM = 45.0
-"""Distance from the robot's centre at which an object counts as reached: 17 mm from its edge."""
+"""Distance from a Khepera's centre at which an object counts as reached: 17 mm from its edge."""
 
 _FAR_MM = 5000.0
 """Offset of objects that `hidden_changes` has removed [mm]."""
@@ -63,6 +66,11 @@ class _TrialSetting:
     start_s: float
     end_s: float
     rng: np.random.Generator
+
+    @property
+    def scale(self) -> float:
+        """Size of the robot, as a multiple of a Khepera's."""
+        return self.playpen.robots[0].body.radius / BODY_RADIUS
 
     @property
     def suffix(self) -> str:
@@ -100,7 +108,7 @@ def _first_object(setting: _TrialSetting) -> tuple[str, Block | Cylinder] | None
     }
     for time_s in times.tolist():
         for name, item in objects.items():
-            if _distance_mm(item, *setting.position_at(time_s)) < _REACH_MM:
+            if _distance_mm(item, *setting.position_at(time_s)) < _REACH_MM * setting.scale:
                 return name, item
     return None
 
@@ -117,7 +125,7 @@ def _draw_moved(setting: _TrialSetting) -> Trial | None:
     if (first_object := _first_object(setting)) is None:
         return None
     name, _ = first_object
-    length, direction = setting.rng.uniform(25, 40), setting.rng.uniform(0, math.tau)
+    length, direction = setting.scale * setting.rng.uniform(25, 40), setting.rng.uniform(0, math.tau)
     dx, dy = round(length * math.cos(direction), 1), round(length * math.sin(direction), 1)
     return Trial(
         (f"moved {name}",),
@@ -127,11 +135,11 @@ def _draw_moved(setting: _TrialSetting) -> Trial | None:
 
 
 def _draw_added(setting: _TrialSetting) -> Trial | None:
-    radius = round(setting.rng.uniform(8, 20), 1)
+    radius = round(setting.scale * setting.rng.uniform(8, 20), 1)
     for time_s in np.arange(setting.start_s + 3, setting.end_s - 8, 0.5).tolist():
         x, y = setting.position_at(time_s)
-        if math.dist((x, y), setting.position_at(setting.start_s)) > 60 + radius:
-            can = Cylinder(x_mm=round(x, 1), y_mm=round(y, 1), radius_mm=radius, height_mm=50)
+        if math.dist((x, y), setting.position_at(setting.start_s)) > 60 * setting.scale + radius:
+            can = Cylinder(x_mm=round(x, 1), y_mm=round(y, 1), radius_mm=radius, height_mm=round(50 * setting.scale))
             return Trial(("unexpected thing",), "", (Added(setting.start_s, can),))
     return None
 
@@ -160,7 +168,8 @@ def _lamp_name(setting: _TrialSetting, lamp: int) -> str:
     return setting.playpen.lamps[lamp].name or f"lamp{lamp}"
 
 
-FAULTS: Mapping[str, tuple[tuple[str, ...], Callable[[_TrialSetting], Trial | None]]] = {
+_Draw = Callable[[_TrialSetting], Trial | None]
+_KHEPERA_FAULTS: dict[str, tuple[tuple[str, ...], _Draw]] = {
     "stuck sensor": (GENERAL_PLAYPENS, lambda setting: _draw_sensor_fault(setting, "stuck")),
     "dead sensor": (GENERAL_PLAYPENS, lambda setting: _draw_sensor_fault(setting, "dead")),
     "dead motor": (GENERAL_PLAYPENS, lambda setting: _draw_wheel_fault(setting, "dead", STANDING)),
@@ -188,6 +197,14 @@ FAULTS: Mapping[str, tuple[tuple[str, ...], Callable[[_TrialSetting], Trial | No
         lambda setting: Trial(("line losing bytes",), f"drop:0.03{setting.suffix}"),
     ),
 }
+KHEPERA4_FAULTS = {
+    f"Khepera IV, {name}": (KHEPERA4_PLAYPENS, draw)
+    for name, (rooms, draw) in _KHEPERA_FAULTS.items()
+    if rooms is not LAMP_PLAYPENS and name != "brown-out"
+}
+"""Faults of a Khepera IV; it has no banner, so that a restart is none of them."""
+
+FAULTS: Mapping[str, tuple[tuple[str, ...], _Draw]] = {**_KHEPERA_FAULTS, **KHEPERA4_FAULTS}
 """Faults by name: their playpens, and a function that draws a trial, or None if a seed has none."""
 
 _STREAM_NAMES = {"object removed": "thing gone", "object moved": "thing moved", "object added": "thing added"}
@@ -231,20 +248,19 @@ def record_trial(
     rng = stream(seed, "fault trial", _STREAM_NAMES.get(fault, fault))
     start_s = round(float(rng.uniform(*ONSET_S)), 2)
     light, host = rooms is LAMP_PLAYPENS, alternate(hosts, seed // 3) if hosts else ""
-    healthy = Recording(
-        "sound" + "_light" * light, room, seed, ONSET_S[1] + DURATION_S, host, asks_light=light
-    )
+    asks = {"asks_light": light, "asks_counters": rooms is KHEPERA4_PLAYPENS}
+    healthy = Recording("sound" + "_light" * light, room, seed, ONSET_S[1] + DURATION_S, host, **asks)
     healthy_truth = Truth.load(healthy.path(folder).with_suffix(".npz"))
     trial = draw(_TrialSetting(Playpen.load(room), healthy_truth, start_s, start_s + DURATION_S, rng))
     if trial is None:
         return None
     faulty = Recording(
-        fault.replace(" ", "_"),
+        fault.replace(", ", "_").replace(" ", "_"),
         room,
         seed,
         round(start_s + DURATION_S + TAIL_S),
         host,
-        asks_light=light,
+        **asks,
         faults=[trial.fault] if trial.fault else [],
         changes=trial.changes,
         times=times,

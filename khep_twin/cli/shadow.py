@@ -123,8 +123,7 @@ def _follow_log(
     from khep_twin.shadow.recording import read_recording
 
     line = read_recording(path, robot)
-    if line.baud is not None:
-        settings = replace(settings, baud=line.baud)
+    settings = replace(settings, baud=line.baud or settings.baud, has_commands=line.has_commands)
     end_ns = line.chunks[-1].time_ns
     if end_s is not None and end_s * NS_PER_S < end_ns:
         end_ns = int(end_s * NS_PER_S)
