@@ -206,7 +206,10 @@ def noticeable(exchanges: Sequence[Exchange], run: Run) -> int:
                 n_other_lines += 1
                 continue
             for recorded, simulated in zip(pending[: count + 1], [*[None] * count, line], strict=True):
-                if _differs(recorded, simulated, run.world.playpen.robots[0].robot_model.dialect.baud) or recorded.n_other_lines > n_other_lines:
+                if (
+                    _differs(recorded, simulated, run.world.playpen.robots[0].robot_model.dialect.baud)
+                    or recorded.n_other_lines > n_other_lines
+                ):
                     return recorded.end_ns
                 channels = _channels_off(recorded, simulated)
                 since_ns, before = off.get(recorded.command[:1], (0, set[int]()))

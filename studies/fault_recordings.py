@@ -139,7 +139,9 @@ def _draw_added(setting: _TrialSetting) -> Trial | None:
     for time_s in np.arange(setting.start_s + 3, setting.end_s - 8, 0.5).tolist():
         x, y = setting.position_at(time_s)
         if math.dist((x, y), setting.position_at(setting.start_s)) > 60 * setting.scale + radius:
-            can = Cylinder(x_mm=round(x, 1), y_mm=round(y, 1), radius_mm=radius, height_mm=round(50 * setting.scale))
+            can = Cylinder(
+                x_mm=round(x, 1), y_mm=round(y, 1), radius_mm=radius, height_mm=round(50 * setting.scale)
+            )
             return Trial(("unexpected thing",), "", (Added(setting.start_s, can),))
     return None
 

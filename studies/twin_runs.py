@@ -169,7 +169,10 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, start_known: bool
         start_known: True to give the shadow the robot's start, False to use that of the playpen.
     """
     truth = Truth.load(path.with_suffix(".npz"))
-    chunks, settings = (line := read_recording(path)).chunks, replace(settings, baud=line.baud or settings.baud)
+    chunks, settings = (
+        (line := read_recording(path)).chunks,
+        replace(settings, baud=line.baud or settings.baud),
+    )
     follower = Follower(
         Shadow(playpen_at_known_start(playpen, truth) if start_known else Playpen.load(playpen), settings)
     )

@@ -259,7 +259,7 @@ def command(robot: RobotState, letter: int, left: int, right: int) -> None:
 
 
 def echo(robot: RobotState, scene: Any, sensor: int) -> float:
-    """Return the distance by an ultrasonic sensor now, without noise [m]; 0 too near, infinity for no echo."""
+    """Return the distance by an ultrasonic sensor, without noise [m]; 0 too near, infinity for no echo."""
     return CORES[type(robot)].echo(robot, scene, sensor)
 
 

@@ -11,7 +11,7 @@ Integers = NDArray[np.int64]
 
 
 class WheelCommand(NamedTuple):
-    """A command of `Core.commands`, whose effect depends on the state of a robot.
+    """A command of `Core.commands`, whose effect depends on the robot's state.
 
     Attributes:
         time_ns: Time at which the robot executed it [ns].
@@ -31,7 +31,7 @@ class WheelCommand(NamedTuple):
 
 
 class StateWrite(NamedTuple):
-    """A command at a time [ns] that sets words of `PlanarBodies.states` (n,) to values that depend on none."""
+    """A command at a time [ns] that sets words of `PlanarBodies.states` to the same values in all (n,)."""
 
     time_ns: int
     words: NDArray[np.intp]
@@ -73,7 +73,7 @@ class ProximityReply(NamedTuple):
 
 
 class SonarReply(NamedTuple):
-    """A reply with ultrasonic distances (n,) [m], as `sonar_model.distances_of` returns them, and its times [ns]."""
+    """A reply with ultrasonic distances (n,) [m], by `sonar_model.distances_of`, and its times."""
 
     time_ns: int
     readings: NDArray[np.float64]
@@ -82,11 +82,11 @@ class SonarReply(NamedTuple):
     @property
     def in_sight(self) -> bool:
         """True if an obstacle is in sight of a sensor."""
-        return bool((np.isfinite(self.readings)).any())
+        return bool(np.isfinite(self.readings).any())
 
 
 class CounterReply(NamedTuple):
-    """A reply with counters, as to H: left and right (2,) [pulses], with the times of `ProximityReply` [ns]."""
+    """A reply with counters, as to H: left and right (2,) [pulses], and its times [ns]."""
 
     time_ns: int
     counters: Integers

@@ -63,7 +63,13 @@ def _run(scene_arrays, boards, states, strength, rows, command, ticks, end_ns, l
         for word in range(len(columns)):
             states[twin, word] = memory[columns[word]]
         if distances.shape[1]:
-            x, y, heading, cosine, sine = joints[0], joints[1], joints[2], last[plane.HEADING_COSINE], last[plane.HEADING_SINE]
+            x, y, heading, cosine, sine = (
+                joints[0],
+                joints[1],
+                joints[2],
+                last[plane.HEADING_COSINE],
+                last[plane.HEADING_SINE],
+            )
             speeds = scene.robot.speeds
             joints[0] = x - lag * (cosine * speeds[0] - sine * speeds[1])
             joints[1] = y - lag * (sine * speeds[0] + cosine * speeds[1])

@@ -70,7 +70,6 @@ class LineWatch:
             self._bad_ns.clear()
         return tuple(replace(alarm, ended_ns=time_ns) for alarm in ended)
 
-
     def _is_bad(self, exchange: Exchange) -> bool:
         """Return whether a reply is missing or damaged; one at the end of a recording is not."""
         if exchange.abandoned or exchange.output_of:

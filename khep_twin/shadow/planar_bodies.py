@@ -74,12 +74,14 @@ class PlanarBodies:
         record = as_records([state], state, marker_of(core))
         self._memory: NDArray[np.int64] = record.view(np.int64)
         if core.program is None:
-            raise RobotModelError(f"model {self.entry.model}: its core gives no program; expected one for a shadow")
+            raise RobotModelError(
+                f"model {self.entry.model}: its core gives no program; expected one for a shadow"
+            )
         self._program: LineProgram = core.program(self.entry, as_plain(state, record[0]))
         fields: Any = record.dtype.fields
         names = [name for name in core.changing if not isinstance(getattr(state, name), Beams)]
-        columns = {name: fields[name][1] // 8 + np.arange(fields[name][0].itemsize // 8) for name in names}
-        self._columns = np.concatenate(list(columns.values()))
+        places = [(fields[name][1] // 8, fields[name][0].itemsize // 8) for name in names]
+        self._columns: NDArray[np.int64] = np.concatenate([start + np.arange(size) for start, size in places])
         self.states: NDArray[np.int64] = np.repeat(self._memory[None, self._columns], count, axis=0)
         self._boards = record, self._memory, self._columns, compiled_tables(0.0)
         self.strength: Floats = np.ones((count, 2))

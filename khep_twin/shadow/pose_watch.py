@@ -79,7 +79,7 @@ class PoseWatch:
         self._replies: deque[_Reply] = deque()
 
     def update(self, time_ns: int, surprisal: Floats, *, in_sight: bool, is_known: bool) -> None:
-        """Update by the surprisal of a reply, by sensor (n,); `in_sight` is an obstacle, `is_known` the pose."""
+        """Update by a reply's surprisal, by sensor (n,); `in_sight` is an obstacle, `is_known` the pose."""
         previous_ns, self._last_reply_ns = self._last_reply_ns, time_ns
         self.surprisal = self.surprisal * math.exp((previous_ns - time_ns) * 1e-9 / THRESHOLDS.surprisal_s)
         surprisal = np.maximum(surprisal - THRESHOLDS.usual_surprisal, 0)

@@ -57,7 +57,9 @@ class Reckoning:
         if (match := _WHEEL_COMMAND.fullmatch(line)) and exchange.letter in self._core.commands:
             # The line may have lost the command, or its reply.
             is_unconfirmed = exchange.reply is None
-            yield WheelCommand(time_ns, exchange.letter, int(match[2]), int(match[3]), is_unconfirmed, late_ns)
+            yield WheelCommand(
+                time_ns, exchange.letter, int(match[2]), int(match[3]), is_unconfirmed, late_ns
+            )
         elif len(words):
             # Gains, profiles and LEDs: values that do not depend on any other.
             yield StateWrite(time_ns, words, values)

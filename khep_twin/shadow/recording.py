@@ -1,7 +1,7 @@
 """The bytes of a recorded robot's line, read from a log for a shadow.
 
-A robot without a host, as in a log of `exec`, has no line. The samples of its registers then are replies to the
-requests that read them, and the speed setpoints, or other speeds that it drives, are those of a host.
+A robot without a host, as in a log of `exec`, has no line. The samples of its registers then are replies to
+the requests that read them, and its speed setpoints, or other speeds that it drives, are those of a host.
 """
 
 import re
@@ -74,14 +74,13 @@ def read_recording(path: Path, robot: int = 0) -> RecordedRobot:
         raise LogError(f"{path}: robot {robot}; expected one of 0 to {len(names) - 1}, as the log has them")
     name = names[index]
     lines = [line for _, line in decode_messages(path, f"/{name}/serial", messages, read_line)]
-    if not lines and (robot := read_log(path).robots[name]).registers.size:
-        has_setpoints = np.ones(len(robot.times_ns), np.bool_)
-        for register, value in robot.model.speed_modes.items():
-            has_setpoints &= robot.registers[:, register] == value
-        is_moving = robot.speed[:, :2].any(axis=1)
-        has_commands = bool((~has_setpoints & is_moving).mean() < _MAX_MEASURED)
-        chunks = list(_sampled_chunks(robot, has_setpoints))
-        return RecordedRobot(name, _SAMPLED_BAUD, chunks, has_commands)
+    if not lines and (track := read_log(path).robots[name]).registers.size:
+        has_setpoints = np.ones(len(track.times_ns), np.bool_)
+        for register, value in track.model.speed_modes.items():
+            has_setpoints &= track.registers[:, register] == value
+        is_measured = ~has_setpoints & track.speed[:, :2].any(axis=1)
+        chunks = list(_sampled_chunks(track, has_setpoints))
+        return RecordedRobot(name, _SAMPLED_BAUD, chunks, bool(is_measured.mean() < _MAX_MEASURED))
     if not lines:
         raise LogError(f"{path}: nothing crossed the line of {name}; expected a host's commands")
     chunks = [LineChunk(line.time_ns, line.name == "host", unescape(line.text) + b"\n") for line in lines]

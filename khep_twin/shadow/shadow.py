@@ -176,7 +176,7 @@ class Shadow:
         return self._update(residuals)
 
     def _readings(self, exchange: Exchange) -> tuple[str, NDArray[np.int64]]:
-        """Return the channel that a reply is of, and its readings, of sensors around; empty for another one."""
+        """Return the channel of a reply, and its readings, of sensors around; empty without any."""
         channel, read = self._channels.get(exchange.letter, ("", None))
         if read is None or exchange.values is None or len(exchange.values) != read.n_values:
             return "", np.zeros(0, np.int64)

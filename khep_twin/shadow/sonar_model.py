@@ -17,7 +17,7 @@ from khep_twin.robots.model import RobotModel
 from khep_twin.shadow.planar_bodies import Floats
 
 DEVIATION = 0.025
-"""Standard deviation of a distance from the twin's [m] (manual: 20 mm; the rest is the motion since the burst)."""
+"""Standard deviation of a distance from the twin's [m] (manual: 20 mm; the rest is motion)."""
 
 OUTLIERS = 0.1
 """Part of the readings that are outliers (assumed)."""
@@ -32,7 +32,7 @@ _OUTLIER_DENSITY, _CODE_SHARE = 0.4, 1 / 3
 def distances_of(model: RobotModel, readings: NDArray[np.int64]) -> Floats:
     """Return readings as distances (n,) [m]: 0 too near, infinity for no echo, NaN for a disabled sensor."""
     sonar = model.body.sonar
-    distances = readings * model.sonar_unit
+    distances: Floats = readings.astype(np.float64) * model.sonar_unit
     for code, distance in zip(() if sonar is None else sonar.codes, (0.0, math.inf, math.nan), strict=False):
         distances[readings == code] = distance
     return distances

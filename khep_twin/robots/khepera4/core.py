@@ -436,7 +436,7 @@ def _set_speeds(robot: Khepera4State, left: int, right: int) -> None:
 
 
 @compilable
-def _echo(robot: Khepera4State, scene: Scene, sensor: int) -> float:
+def _echo(robot: Khepera4State, scene: BeamScene, sensor: int) -> float:
     """Return the distance by level rays of an ultrasonic sensor, which meet all upright obstacles first."""
     nearest = ultrasonic.level_echo(
         scene, robot.sensors, _centre(scene, robot.pose), robot.sonar, robot.beams, sensor

@@ -33,9 +33,11 @@ from khep_twin.robots.model import (
 )
 from khep_twin.units import COUNTS_LIMIT
 
-SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES, lag=0.07)
-"""Headings: manual; distance from the centre: assumed; height: drawing. Five sensors take turns of 20 ms, so that
-a distance is 20 to 120 ms old."""
+SONAR = SonarRing(
+    ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES, lag=0.07
+)
+"""Headings: manual; distance from the centre: assumed; height: drawing. Five sensors take turns of 20 ms, so
+that a distance is 20 to 120 ms old."""
 
 BODY = Body(
     radius=0.0704,

@@ -110,8 +110,10 @@ def level_echo(
     channel: int,
 ) -> float:
     """Return the distance of the nearest obstacle that level rays meet [m]; arguments as for `measure`."""
+    buffers: Any = beams
     end = 3 * _N_LEVEL
-    level = Beams(beams.vectors[:end], beams.lengths[:_N_LEVEL], beams.normals[:end], beams.geoms[:_N_LEVEL])
+    vectors, normals = buffers.vectors[:end], buffers.normals[:end]
+    level = Beams(vectors, buffers.lengths[:_N_LEVEL], normals, buffers.geoms[:_N_LEVEL])
     return _cast(scene, sensors, centre, sonar, level, channel, _FIRST_LEVEL)
 
 
@@ -125,7 +127,7 @@ def _cast(
     channel: int,
     first_ray: int,
 ) -> float:
-    """Cast rays from the first one on; return the distance of the nearest audible obstacle [m], or infinity."""
+    """Cast rays; return the distance of the nearest audible obstacle [m], or infinity."""
     frame, n_rays = body_frame(scene, sensors), len(sonar.gains)
     offset = _rotate(frame, sonar.positions, channel)
     origin = centre[0] + offset[0], centre[1] + offset[1], centre[2] + offset[2]
