@@ -7,7 +7,7 @@ choose them by the class of the robot's state: in plain code by a table, in comp
 
 import math
 from collections.abc import Callable, Collection, Container
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from khep_twin.compilable import compilable
 from khep_twin.errors import RobotModelError
@@ -54,12 +54,6 @@ def _set_setpoints(robot: RobotState, left: int, right: int) -> None:
 
 
 @compilable
-def _command_speeds(robot: RobotState, letter: int, left: int, right: int) -> None:
-    """Set the speeds, by the one letter of `commands`."""
-    set_speeds(robot, left, right)
-
-
-@compilable
 def _hear_nothing(robot: RobotState, scene: Any, sensor: int) -> float:
     """Return infinity, as there is no ultrasonic sensor."""
     return math.inf
@@ -78,18 +72,6 @@ def wander_nowhere(robot: RobotState, registers: Registers) -> None:
 
 def _measure_all(record: Any, names: Collection[str]) -> None:
     """Do nothing, as all terms are measured."""
-
-
-class LineProgram(Protocol):
-    """Program on a robot's line, which changes the robot's state."""
-
-    def receive(self, data: bytes) -> bytes:
-        """Execute the requests that bytes complete; return the replies."""
-        ...
-
-    def reset(self) -> bytes:
-        """Reset the robot as a restart does; return the banner."""
-        ...
 
 
 class Core(NamedTuple):
@@ -121,11 +103,11 @@ class Core(NamedTuple):
         is_powered: Returns whether the processor runs; by default always.
         wander: Sets the setpoints of a Braitenberg vehicle in registers; by default there is none.
         commands: Letters of the requests with two numbers, for the left and the right wheel.
-        command: Executes them; by default it sets the speeds.
         counter_commands: Letters of the requests that set the counters.
-        echo: Returns the distance by an ultrasonic sensor, without noise.
-        program: Function that returns the program on its line, for its entry and its state, whose arrays it
-            changes; a model with the feature SHADOW needs it.
+        command: Executes one of `commands`; the feature SHADOW needs it, and `program`.
+        echo: Returns the distance by an ultrasonic sensor; by default there is none.
+        program: Function that returns the program on its line, with `receive` and `reset`, for an entry of
+            the playpen and a state, whose arrays it changes.
     """
 
     name: str
@@ -147,10 +129,10 @@ class Core(NamedTuple):
     is_powered: Callable[..., bool] = _is_always_powered
     wander: Callable[..., None] = wander_nowhere
     commands: str = "D"
-    command: Callable[..., None] = _command_speeds
     counter_commands: str = ""
+    command: Callable[..., None] | None = None
     echo: Callable[..., float] = _hear_nothing
-    program: Callable[[RobotEntry, Any], LineProgram] | None = None
+    program: Callable[[RobotEntry, Any], Any] | None = None
 
     @property
     def interface_of(self) -> Callable[[Any], Interface | None]:
@@ -255,7 +237,9 @@ def wander(robot: RobotState, registers: Registers) -> None:
 
 def command(robot: RobotState, letter: int, left: int, right: int) -> None:
     """Execute a request of `Core.commands`, by the code of its letter, with any numbers."""
-    CORES[type(robot)].command(robot, letter, left, right)
+    execute = CORES[type(robot)].command
+    assert execute is not None
+    execute(robot, letter, left, right)
 
 
 def echo(robot: RobotState, scene: Any, sensor: int) -> float:

@@ -12,7 +12,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as planar
 from khep_twin.episodes.planar.planar_world import PlanarForms
 from khep_twin.errors import PlaypenError, RobotModelError
-from khep_twin.robots.core import LineProgram, marker_of
+from khep_twin.robots.core import marker_of
 from khep_twin.sensing.buffers import as_plain, as_records
 from khep_twin.sensing.noise import compiled_tables
 from khep_twin.sensing.scene import Beams
@@ -77,7 +77,7 @@ class PlanarBodies:
             raise RobotModelError(
                 f"model {self.entry.model}: its core gives no program; expected one for a shadow"
             )
-        self._program: LineProgram = core.program(self.entry, as_plain(state, record[0]))
+        self._program: Any = core.program(self.entry, as_plain(state, record[0]))
         fields: Any = record.dtype.fields
         names = [name for name in core.changing if not isinstance(getattr(state, name), Beams)]
         places = [(fields[name][1] // 8, fields[name][0].itemsize // 8) for name in names]

@@ -44,12 +44,10 @@ def sonar_likelihoods(expected: Floats, distances: Floats) -> tuple[Floats, Floa
     Those of a disabled sensor are 1.
     """
     is_distance = np.isfinite(distances) & (distances > 0)
-    is_expected = np.isfinite(expected) & (expected > 0)
-    peak = 1 / (DEVIATION * math.sqrt(math.tau))
-    with np.errstate(invalid="ignore"):
-        densities = peak * np.exp(-0.5 * np.square((expected - distances) / DEVIATION))
-    matches = np.where(is_distance, np.where(is_expected, densities, 0.0), expected == distances)
+    peak = np.where(is_distance, (1 - OUTLIERS) / (DEVIATION * math.sqrt(math.tau)), 1 - OUTLIERS)
     outliers = OUTLIERS * np.where(is_distance, _OUTLIER_DENSITY, _CODE_SHARE)
+    with np.errstate(invalid="ignore"):
+        fits = np.exp(-0.5 * np.square((expected - distances) / DEVIATION)) * (expected > 0)
+    fits = np.where(is_distance, fits, expected == distances)
     is_enabled = ~np.isnan(distances)
-    largest = np.where(is_enabled, (1 - OUTLIERS) * np.where(is_distance, peak, 1.0) + outliers, 1.0)
-    return np.where(is_enabled, (1 - OUTLIERS) * matches + outliers, 1.0), largest
+    return np.where(is_enabled, peak * fits + outliers, 1.0), np.where(is_enabled, peak + outliers, 1.0)

@@ -7,21 +7,21 @@ from twins import OPEN, SECOND, particles_at
 from khep_twin.board import kernel
 from khep_twin.shadow.actions import (
     CounterReply,
+    CounterReset,
     ProximityReply,
-    RegisterWrite,
     Restart,
     Silence,
+    StateWrite,
     WheelCommand,
     apply_action,
 )
-from khep_twin.shadow.wheel_commands import POSITION, SPEED
 
 LEFT_TARGET = kernel.LEFT + kernel.Wheel.POSITION
 
 
 def test_time_passes_until_an_action_in_whole_ticks() -> None:
     particles = particles_at(OPEN)
-    apply_action(WheelCommand(SECOND // 2 + 4_000_000, SPEED, 5, 5), particles)
+    apply_action(WheelCommand(SECOND // 2 + 4_000_000, "D", 5, 5), particles)
     assert particles.twins.ticks == 50
     assert particles.twins.poses[0, 0] == 0.35
     apply_action(Silence(SECOND), particles)
@@ -41,14 +41,14 @@ def test_time_passes_until_an_action_in_whole_ticks() -> None:
 
 def test_a_command_in_doubt_is_obeyed_by_every_other_particle() -> None:
     particles = particles_at(*[OPEN] * 5)
-    apply_action(WheelCommand(0, SPEED, 5, 5, is_unconfirmed=True), particles)
+    apply_action(WheelCommand(0, "D", 5, 5, is_unconfirmed=True), particles)
     apply_action(Silence(SECOND), particles)
     assert (particles.twins.poses[:, 0] > 0.36).tolist() == [True, False, True, False, True]
 
 
 def test_a_command_whose_reply_is_late_is_executed_at_all_times_until_then() -> None:
     particles = particles_at(*[OPEN] * 4)
-    apply_action(WheelCommand(0, SPEED, 5, 5, late_ns=60_000_000), particles)
+    apply_action(WheelCommand(0, "D", 5, 5, late_ns=60_000_000), particles)
     assert particles.twins.ticks == 6
     apply_action(Silence(SECOND // 2), particles)
     x = particles.twins.poses[:, 0]
@@ -58,17 +58,17 @@ def test_a_command_whose_reply_is_late_is_executed_at_all_times_until_then() -> 
 
 def test_registers_of_all_are_set_to_values() -> None:
     particles = particles_at(OPEN, OPEN)
-    apply_action(RegisterWrite(0, np.array([LEFT_TARGET]), np.array([77])), particles)
-    assert particles.twins.registers[:, LEFT_TARGET].tolist() == [77, 77]
+    apply_action(StateWrite(0, np.array([LEFT_TARGET]), np.array([77])), particles)
+    assert particles.twins.states[:, LEFT_TARGET].tolist() == [77, 77]
 
 
 def test_after_a_restart_they_stand_and_counters_begin_anew() -> None:
     particles = particles_at(OPEN)
-    apply_action(WheelCommand(0, SPEED, 5, 5), particles)
+    apply_action(WheelCommand(0, "D", 5, 5), particles)
     apply_action(Silence(SECOND), particles)
     particles.follow_counters(np.array([600, 600]))
     apply_action(Restart(SECOND), particles)
-    assert particles.twins.registers[0, LEFT_TARGET] == 0
+    assert particles.twins.states[0, LEFT_TARGET] == 0
     apply_action(Silence(SECOND * 3 // 2), particles)
     x = float(particles.twins.poses[0, 0])
     apply_action(Silence(SECOND * 2), particles)
@@ -80,6 +80,7 @@ def test_after_a_restart_they_stand_and_counters_begin_anew() -> None:
 def test_counters_that_are_set_tell_nothing_of_the_motion() -> None:
     particles = particles_at(OPEN)
     particles.follow_counters(np.array([600, 600]))
-    apply_action(WheelCommand(0, POSITION, -5, 20), particles)
+    apply_action(WheelCommand(0, "G", -5, 20), particles)
+    apply_action(CounterReset(0), particles)
     assert particles.follow_counters(np.array([-5, 20])).tolist() == [[0, 0]]
     assert particles.twins.poses[0, 0] == pytest.approx(0.35)

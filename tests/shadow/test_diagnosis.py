@@ -16,7 +16,6 @@ from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.start import PUBLISHED, draw_particles
 from khep_twin.shadow.thresholds import THRESHOLDS
-from khep_twin.shadow.wheel_commands import SPEED
 
 START = 360.0, 240.0, -70.0
 TICKS = 6
@@ -58,8 +57,8 @@ class Driven:
                 counts = np.rint(angles * 600 / math.tau).astype(np.int64)
                 diagnosis.follow(CounterReply(time_ns, counts, time_ns + LATENESS_NS))
             left, right = speeds = self._decide(light)
-            robot.command(SPEED, left, right)
-            diagnosis.follow(WheelCommand(time_ns, SPEED, *speeds))
+            robot.command("D", left, right)
+            diagnosis.follow(WheelCommand(time_ns, "D", *speeds))
             self.raised |= {(alarm.fault, alarm.raised_ns): alarm for alarm in diagnosis.alarms}
             self.ended += diagnosis.ended
             self.suspected += [suspicion.probability for suspicion in diagnosis.suspected]

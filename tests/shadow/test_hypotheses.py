@@ -10,7 +10,6 @@ from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.shadow.hypotheses import JITTER, Hypothesis, shrink_and_jitter
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.thing_faults import MIN_MOVE, Missing, Moved, Unexpected, obstacle_rows
-from khep_twin.shadow.wheel_commands import SPEED
 from khep_twin.shadow.wheel_faults import wheel_faults
 
 
@@ -76,7 +75,7 @@ def test_wheels_with_a_fault_drive_less_than_sound_ones(side: int) -> None:
     particles = particles_at(*[OPEN] * 4)
     for row, fault in enumerate((standing, weak, slipping)):
         fault.begin(particles.select(slice(row, row + 1)), np.random.default_rng(0))
-    particles.twins.command(SPEED, 8, 8)
+    particles.twins.command("D", 8, 8)
     particles.twins.advance(100)
     angles = particles.twins.robots["joints"][:, [plane_data.LEFT_ANGLE, plane_data.RIGHT_ANGLE][side]]
     turned = particles.twins.poses[:, 2] * (-1 if side else 1)

@@ -7,6 +7,7 @@ from twins import SECOND
 
 from khep_twin.log.exchanges import Dialogue, Exchange
 from khep_twin.log.shadow_channels import Alarm
+from khep_twin.robots.khepera.model import KHEPERA_1
 from khep_twin.shadow.line_watch import LOSING, RESTART, LineWatch
 
 SOUND = Exchange(b"N", 0, b"n,1,2,3,4,5,6,7,8", 0)
@@ -23,7 +24,7 @@ def feed(watch: LineWatch, exchange: Exchange, time_s: float) -> tuple[Alarm, ..
 
 @pytest.mark.parametrize("bad", [DAMAGED, SILENT, UNASKED], ids=["damaged", "silent", "unasked"])
 def test_a_line_that_loses_bytes_again_and_again_is_named_until_it_is_sound(bad: Exchange) -> None:
-    watch = LineWatch()
+    watch = LineWatch(KHEPERA_1.dialect)
     for tenth in range(20):
         assert feed(watch, bad if tenth % 4 == 0 else SOUND, tenth / 10) == ()
     (alarm,) = watch.alarms
@@ -38,7 +39,7 @@ def test_a_line_that_loses_bytes_again_and_again_is_named_until_it_is_sound(bad:
 
 @pytest.mark.parametrize(("tenths", "lasts_s"), [(1, 0.6), (5, 2.4), (20, 5.1)])
 def test_the_alarm_ends_the_sooner_the_more_was_lost(tenths: int, lasts_s: float) -> None:
-    watch = LineWatch()
+    watch = LineWatch(KHEPERA_1.dialect)
     for tenth in range(101):
         feed(watch, DAMAGED if tenth % tenths == 0 else SOUND, tenth / 10)
     ended = [alarm.ended_ns or 0 for tenth in range(101, 200) for alarm in feed(watch, SOUND, tenth / 10)]
@@ -48,7 +49,7 @@ def test_the_alarm_ends_the_sooner_the_more_was_lost(tenths: int, lasts_s: float
 
 
 def test_a_reply_that_is_lost_now_and_then_is_no_fault() -> None:
-    watch = LineWatch()
+    watch = LineWatch(KHEPERA_1.dialect)
     for time_s in range(0, 300):
         feed(watch, SILENT if time_s % 30 == 0 else SOUND, time_s)
         assert watch.alarms == []
@@ -66,14 +67,14 @@ def test_a_reply_that_is_lost_now_and_then_is_no_fault() -> None:
     ids=["the host left", "output of a banner", "a tool", "versions", "malformed"],
 )
 def test_what_is_no_loss_is_none(exchange: Exchange) -> None:
-    watch = LineWatch()
+    watch = LineWatch(KHEPERA_1.dialect)
     for tenth in range(50):
         feed(watch, exchange, tenth / 10)
         assert watch.alarms == []
 
 
 def test_a_restart_that_no_host_asked_for_is_shown_for_a_while() -> None:
-    watch = LineWatch()
+    watch = LineWatch(KHEPERA_1.dialect)
     exchanges = Dialogue(0).feed(SECOND, False, BANNER + b"\r\nCopyright (C) K-Team\r\n")
     assert len(exchanges) == 2
     for exchange in exchanges:
@@ -88,6 +89,6 @@ def test_a_restart_that_no_host_asked_for_is_shown_for_a_while() -> None:
 
 
 def test_a_restart_that_a_host_asked_for_is_none() -> None:
-    watch = LineWatch()
+    watch = LineWatch(KHEPERA_1.dialect)
     feed(watch, Exchange(b"restart", 0, BANNER, 0), 1)
     assert watch.alarms == []

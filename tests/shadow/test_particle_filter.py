@@ -20,7 +20,6 @@ from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.planes import Twins
 from khep_twin.shadow.pose_estimate import MIN_DEVIATIONS, PoseEstimate
 from khep_twin.shadow.start import PUBLISHED, Spread, draw_anywhere, draw_particles
-from khep_twin.shadow.wheel_commands import SPEED
 from khep_twin.shadow.wheel_faults import wheel_faults
 
 START = 360.0, 240.0, -70.0
@@ -43,8 +42,8 @@ def driven(robot: Twins, tracker: ParticleFilter, seconds: float) -> Iterator[Po
         counts = readings(robot)
         tracker.follow(ProximityReply(time_ns, counts), ALL)
         speeds = (4, -4) if counts[:5].max() > 250 else (7, 6)
-        robot.command(SPEED, *speeds)
-        tracker.follow(WheelCommand(time_ns, SPEED, *speeds), ALL)
+        robot.command("D", *speeds)
+        tracker.follow(WheelCommand(time_ns, "D", *speeds), ALL)
         yield tracker.estimate(time_ns)
 
 
@@ -77,7 +76,7 @@ def test_particles_that_push_are_turned_by_what_they_push() -> None:
     robot = planes_at(start)
     tracker = filtering(setup_of("workshop"), metric(start), EXACT)
     for planes in (robot, tracker.particles.twins):
-        planes.command(SPEED, 3, 3)
+        planes.command("D", 3, 3)
     nothing = np.zeros(8, np.bool_)
     for _ in range(40):
         robot.advance(TICKS)
@@ -95,7 +94,7 @@ def test_particles_that_stand_against_a_wall_stay() -> None:
     tracker = filtering(setup_of("workshop"), metric(start), EXACT)
     for speed in (3, 0):
         for planes in (robot, tracker.particles.twins):
-            planes.command(SPEED, speed, speed)
+            planes.command("D", speed, speed)
         before = tracker.estimate(0)
         for _ in range(60):
             robot.advance(TICKS)
@@ -122,7 +121,7 @@ def test_a_reading_counts_the_more_the_farther_the_robot_went_since_the_last() -
     deviations: list[float] = []
     for speed in (0, 3, 10):
         tracker = filtering(setup_of("workshop"), metric(AT_THE_CRATE), EXACT)
-        tracker.follow(WheelCommand(0, SPEED, -speed, speed), ALL)
+        tracker.follow(WheelCommand(0, "D", -speed, speed), ALL)
         for turn in (30, 36):
             tracker.follow(ProximityReply(turn * SECOND // 100, np.full(8, 500)), ALL)
         deviations.append(float(tracker.surprisal.sum()))
@@ -135,7 +134,7 @@ def test_replies_are_more_probable_for_a_filter_that_is_right() -> None:
         filtering(setup_of("workshop"), metric(pose)) for pose in (AT_THE_CRATE, (250.0, 220.0, 0.0))
     )
     for tracker in (right, wrong):
-        tracker.follow(WheelCommand(0, SPEED, 0, 0), ALL)
+        tracker.follow(WheelCommand(0, "D", 0, 0), ALL)
     robot.advance(TICKS)
     for turn in range(1, 20):
         action = ProximityReply(turn * TICKS * SECOND // 100, readings(robot))
@@ -169,7 +168,7 @@ def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> Non
 
 def test_an_estimate_goes_on_from_the_last_whole_tick_to_the_time_of_the_reply() -> None:
     tracker = filtering(setup_of("workshop"), metric(OPEN), EXACT)
-    tracker.follow(WheelCommand(0, SPEED, 10, 10), ALL)
+    tracker.follow(WheelCommand(0, "D", 10, 10), ALL)
     tracker.follow(Silence(SECOND), ALL)
     x, *_ = tracker.estimate(SECOND).pose
     assert tracker.estimate(SECOND + 5_000_000).pose[0] - x == pytest.approx(0.0004, rel=0.05)  # 80 mm/s
@@ -182,7 +181,7 @@ def test_changes_of_speed_make_a_pose_less_certain() -> None:
         for turn in range(20):
             time_ns = turn * SECOND // 10
             way = speed * (turn % 2 * 2 - 1)
-            tracker.follow(WheelCommand(time_ns, SPEED, -way, way), ALL)
+            tracker.follow(WheelCommand(time_ns, "D", -way, way), ALL)
             tracker.follow(ProximityReply(time_ns + SECOND // 20, np.zeros(8, np.int64)), ALL)
         spreads.append(math.sqrt(tracker.estimate(2 * SECOND).covariance[2, 2]))
     assert 2 * spreads[0] < spreads[1] < math.radians(15)
@@ -195,7 +194,7 @@ def test_the_more_places_are_possible_the_more_particles_are_kept(places: int, m
         setup, [(x_position, 0.25, 0.0) for x_position in x.tolist()], EXACT, 2400, stream(0, "start")
     )
     tracker = ParticleFilter(setup, particles, stream(0, "filter"), 300)
-    tracker.follow(WheelCommand(0, SPEED, 1, 1), ALL)
+    tracker.follow(WheelCommand(0, "D", 1, 1), ALL)
     tracker.follow(ProximityReply(SECOND, np.zeros(8, np.int64)), ALL)
     assert minimum <= len(tracker.particles) <= 2 * minimum
 
@@ -238,7 +237,7 @@ def test_a_robot_that_pushes_teaches_nothing_of_its_wheels(
     tracker = filtering(setup_of("workshop"), metric(start), Spread(1e-4, 1e-3, 0.01, 0.01, 0.01, 0))
     robot = planes_at(start)
     for planes in (robot, tracker.particles.twins):
-        planes.command(SPEED, 6, 6)
+        planes.command("D", 6, 6)
         planes.advance(10 * TICKS)
     before = tracker.particles.wheels[:, 1].copy()
     # Whatever makes some wheels the likelier ones.

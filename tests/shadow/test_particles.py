@@ -7,12 +7,8 @@ import pytest
 from twins import OPEN, particles_at, setup_of
 
 from khep_twin import units
-from khep_twin.board import kernel
 from khep_twin.shadow.particles import FORGETTING_S, Particles
 from khep_twin.shadow.start import PUBLISHED, draw_particles
-from khep_twin.shadow.wheel_commands import SPEED
-
-POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
 
 
 def four() -> Particles:
@@ -58,7 +54,7 @@ def test_copies_leave_the_others_alone() -> None:
     copies.traits += 1
     copies.wheels *= 1.02
     copies.forget(1.0, np.random.default_rng(0))
-    copies.twins.command(SPEED, 9, 9)
+    copies.twins.command("D", 9, 9)
     copies.twins.advance(20)
     copies.follow_counters(np.array([0, 0]))
     before = four()
@@ -75,9 +71,9 @@ def test_counters_move_them_by_what_the_commands_do_not_explain() -> None:
     # The first reply tells where the counters stand, and nothing of the motion.
     assert particles.follow_counters(np.array([5000, -300])).tolist() == [[0, 0]] * 2
     assert planes.poses[0, 0] == pytest.approx(0.35)
-    planes.command(SPEED, 5, 5)
+    planes.command("D", 5, 5)
     planes.advance(100)
-    turned = planes.registers[0, POSITIONS]
+    turned = planes.counters[0]
     x = float(planes.poses[0, 0])
     assert x > 0.36
     counters = np.array([5000, -300]) + turned

@@ -20,7 +20,6 @@ from khep_twin.sensing.calibration import vary
 from khep_twin.shadow.planar_bodies import AWAY
 from khep_twin.shadow.planes import REACH, Twins
 from khep_twin.shadow.thing_faults import obstacle_rows
-from khep_twin.shadow.wheel_commands import SPEED
 
 STARTS = (360.0, 240.0, -70.0), AT_THE_CRATE, (120.0, 200.0, 90.0)
 
@@ -30,7 +29,7 @@ def test_a_twin_drives_as_an_episode_in_the_plane(start: Pose) -> None:
     episode = Episode(setup_of("workshop"), ConstantSpeed(6, 5), compiled=True)
     episode.begin(options=EpisodeOptions(noise=False, start=start))
     planes = planes_at(start)
-    planes.command(SPEED, 6, 5)
+    planes.command("D", 6, 5)
     for _ in range(10):
         episode.run(0.4)
         planes.advance(40)
@@ -86,11 +85,11 @@ def test_twins_beside_each_other_are_as_each_alone() -> None:
     for single, factor in zip(alone, factors, strict=True):
         single.set_wheels(*np.full((3, 1), factor))
     for single in (together, *alone):
-        single.command(SPEED, 8, 6)
+        single.command("D", 8, 6)
         single.advance(400)
     for row, single in enumerate(alone):
         assert together.poses[row].tolist() == single.poses[0].tolist()
-        assert together.registers[row].tolist() == single.registers[0].tolist()
+        assert together.states[row].tolist() == single.states[0].tolist()
         assert light_of(together)[row].tolist() == light_of(single)[0].tolist()
         assert together.lamplight(1.0)[row].tolist() == single.lamplight(1.0)[0].tolist()
 
@@ -101,7 +100,7 @@ def test_wheels_of_a_twin_are_its_own() -> None:
     radius, ratio, base = one.copy(), one.copy(), one.copy()
     radius[1], ratio[2], base[3] = 1.01, 1.01, 1.01
     planes.set_wheels(radius, ratio, base)
-    planes.command(SPEED, 5, 5)
+    planes.command("D", 5, 5)
     planes.advance(200)
     way = np.hypot(*(planes.poses[:, :2] - np.array(OPEN[:2]) / 1e3).T)
     assert way[1] == pytest.approx(1.01 * way[0], rel=1e-3)
@@ -110,7 +109,7 @@ def test_wheels_of_a_twin_are_its_own() -> None:
     assert turned[[0, 1, 3]] == pytest.approx([0, 0, 0], abs=1e-9)
     assert turned[2] == pytest.approx(0.01 * way[0] / units.WHEEL_BASE, rel=0.02)
     planes.reset_poses(np.tile((0.35, 0.25, 0.0), (4, 1)))
-    planes.command(SPEED, -3, 3)
+    planes.command("D", -3, 3)
     planes.advance(100)
     turned = planes.poses[:, 2]
     assert turned[3] == pytest.approx(turned[0] / 1.01, rel=1e-3)
@@ -118,12 +117,12 @@ def test_wheels_of_a_twin_are_its_own() -> None:
 
 def test_taken_twins_are_copies_and_those_of_a_slice_are_the_same() -> None:
     planes = planes_at(*STARTS)
-    planes.command(SPEED, 5, 5)
+    planes.command("D", 5, 5)
     copies, same = planes.select(np.array([2, 0, 2])), planes.select(slice(1, None))
     before = planes.poses
     assert copies.poses.tolist() == before[[2, 0, 2]].tolist()
     copies.advance(100)
-    copies.command(SPEED, 0, 0)
+    copies.command("D", 0, 0)
     copies.obstacles[:] = AWAY
     assert planes.poses.tolist() == before.tolist()
     assert planes.ticks == 0
@@ -144,7 +143,7 @@ def test_a_thing_that_is_moved_in_one_twin_is_seen_and_felt_by_that_one_alone() 
     moved = light_of(planes)
     assert moved[0].tolist() == before[0].tolist()
     assert moved[1, 3:5].max() < 0.3 * before[1, 3:5].min()
-    planes.command(SPEED, 5, 5)
+    planes.command("D", 5, 5)
     planes.advance(200)
     way = np.hypot(*(planes.poses[:, :2] - np.array(AT_THE_CRATE[:2]) / 1e3).T)
     assert way[0] < 0.035 < way[1]
@@ -158,7 +157,7 @@ def test_a_thing_that_is_moved_in_one_twin_is_seen_and_felt_by_that_one_alone() 
 def test_a_motor_without_torque_stands_and_one_with_a_part_of_it_is_slow() -> None:
     planes = planes_at(*[OPEN] * 3)
     planes.strength[1, 0], planes.strength[2, :] = 0, 0.2
-    planes.command(SPEED, 6, 6)
+    planes.command("D", 6, 6)
     planes.advance(100)
     left, right = planes.robots["joints"][:, [plane_data.LEFT_ANGLE, plane_data.RIGHT_ANGLE]].T
     assert left[1] == pytest.approx(0, abs=1e-3)
@@ -207,7 +206,7 @@ def test_lamps_elsewhere_shine_as_those_that_stand_there_and_have_shadows() -> N
 
 def test_put_twins_are_at_rest_and_keep_their_counters() -> None:
     planes = planes_at(OPEN)
-    planes.command(SPEED, 8, 8)
+    planes.command("D", 8, 8)
     planes.advance(50)
     counters = planes.robots["joints"][0, plane_data.LEFT_ANGLE]
     planes.reset_poses(np.array([[0.3, 0.2, 1.0]]))

@@ -17,7 +17,6 @@ from khep_twin.shadow.pose_watch import Onset
 from khep_twin.shadow.search import Search
 from khep_twin.shadow.start import PUBLISHED, draw_particles
 from khep_twin.shadow.thing_faults import Unexpected
-from khep_twin.shadow.wheel_commands import SPEED
 from khep_twin.shadow.wheel_faults import StandingWheel
 
 ELSEWHERE = 560.0, 120.0, 100.0
@@ -37,8 +36,8 @@ class Turning:
 
     def drive(self, speeds: tuple[int, int]) -> None:
         """Drive at other speeds from now on."""
-        self._act(WheelCommand(self.robot.ticks * SECOND // 100, SPEED, *speeds))
-        self.robot.command(SPEED, *speeds)
+        self._act(WheelCommand(self.robot.ticks * SECOND // 100, "D", *speeds))
+        self.robot.command("D", *speeds)
 
     def turn(self, seconds: float) -> int:
         """Turn on for a time; return it [ns]."""

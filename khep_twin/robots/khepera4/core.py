@@ -436,11 +436,17 @@ def _set_speeds(robot: Khepera4State, left: int, right: int) -> None:
 
 
 @compilable
-def _echo(robot: Khepera4State, scene: BeamScene, sensor: int) -> float:
+def _echo(robot: Any, scene: BeamScene, sensor: int) -> float:
     """Return the distance by level rays of an ultrasonic sensor, which meet all upright obstacles first."""
-    nearest = ultrasonic.level_echo(
-        scene, robot.sensors, _centre(scene, robot.pose), robot.sonar, robot.beams, sensor
+    n_rays, sensors, centre, beams = (
+        ultrasonic.N_LEVEL,
+        robot.sensors,
+        _centre(scene, robot.pose),
+        robot.beams,
     )
+    vectors, normals = beams.vectors[: 3 * n_rays], beams.normals[: 3 * n_rays]
+    level = Beams(vectors, beams.lengths[:n_rays], normals, beams.geoms[:n_rays])
+    nearest = ultrasonic.cast(scene, sensors, centre, robot.sonar, level, sensor, ultrasonic.FIRST_LEVEL)
     return 0.0 if nearest < ultrasonic.NEAREST else nearest if nearest <= ultrasonic.RANGE else math.inf
 
 

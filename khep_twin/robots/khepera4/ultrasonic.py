@@ -47,7 +47,7 @@ _KEY_MASK = 0x9E3779B9
 """Arbitrary word that separates their random draws from those of other sensors."""
 
 _AZIMUTHS, _ELEVATIONS = np.radians(np.arange(-42, 43, 3)), np.radians(np.arange(-12, 13, 6))
-_N_LEVEL, _FIRST_LEVEL = len(_AZIMUTHS), len(_ELEVATIONS) // 2 * len(_AZIMUTHS)
+N_LEVEL, FIRST_LEVEL = len(_AZIMUTHS), len(_ELEVATIONS) // 2 * len(_AZIMUTHS)
 """Number of rays of elevation 0, and the first of them."""
 
 
@@ -90,7 +90,7 @@ def measure(
         time_ns: Time of the burst [ns].
         channel: Number of the sensor.
     """
-    nearest = _cast(scene, sensors, centre, sonar, beams, channel, 0)
+    nearest = cast(scene, sensors, centre, sonar, beams, channel, 0)
     if nearest == math.inf:
         return NO_ECHO
     if nearest < NEAREST:
@@ -101,24 +101,7 @@ def measure(
 
 
 @compilable
-def level_echo(
-    scene: BeamScene,
-    sensors: RobotSensors,
-    centre: tuple[float, float, float],
-    sonar: Sonar,
-    beams: Beams,
-    channel: int,
-) -> float:
-    """Return the distance of the nearest obstacle that level rays meet [m]; arguments as for `measure`."""
-    buffers: Any = beams
-    end = 3 * _N_LEVEL
-    vectors, normals = buffers.vectors[:end], buffers.normals[:end]
-    level = Beams(vectors, buffers.lengths[:_N_LEVEL], normals, buffers.geoms[:_N_LEVEL])
-    return _cast(scene, sensors, centre, sonar, level, channel, _FIRST_LEVEL)
-
-
-@compilable
-def _cast(
+def cast(
     scene: BeamScene,
     sensors: RobotSensors,
     centre: tuple[float, float, float],
@@ -127,7 +110,7 @@ def _cast(
     channel: int,
     first_ray: int,
 ) -> float:
-    """Cast rays; return the distance of the nearest audible obstacle [m], or infinity."""
+    """Cast rays from a first one on; return the distance of the nearest audible obstacle [m], or infinity."""
     frame, n_rays = body_frame(scene, sensors), len(sonar.gains)
     offset = _rotate(frame, sonar.positions, channel)
     origin = centre[0] + offset[0], centre[1] + offset[1], centre[2] + offset[2]
