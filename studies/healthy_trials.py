@@ -15,6 +15,9 @@ from studies.twin_runs import AlarmRecord, Floats, Recording, ShadowRun, Suspici
 ALL = ("workshop", "obstacles", "looping-maze", "default", "homing", "light-seeking", "t-maze", "two-lamps")
 """Playpens of one robot without movable objects, which a shadow supports."""
 
+KHEPERA4 = "arena4", "arena4-room"
+"""Playpens of a Khepera IV, whose hosts ask N, G and R; trials have them by their options alone."""
+
 ASTRAY_MM = 100.0
 """Error of a pose from which on it does not count as followed, even if the shadow states so."""
 
@@ -91,7 +94,14 @@ def healthy_recordings(
         playpen, host = alternate(playpens, i), alternate(hosts, i % len(playpens) + number)
         is_default_start = (number + number // len(hosts) * (len(hosts) + 1)) % 2 == 1
         yield Recording(
-            "healthy", playpen, first + i, seconds, host, times=times, default_start=is_default_start
+            "healthy",
+            playpen,
+            first + i,
+            seconds,
+            host,
+            asks_counters=playpen in KHEPERA4,
+            times=times,
+            default_start=is_default_start,
         )
 
 

@@ -6,8 +6,11 @@
     python -m studies twin-trials bounds --fault "weak motor" --runs 6 --detail
     python -m studies twin-trials healthy --hours 20 --jobs 2
 
-The robots are varied robots of the same model, simulated in MuJoCo, with a line at 9600 baud. Their hosts ask
-N and set speeds. The same options give the same tables, except for CPU times.
+    python -m studies twin-trials pose --playpen arena4 --playpen arena4-room
+
+The robots are varied robots of the same model, simulated in MuJoCo, Kheperas with a line at 9600 baud. Their
+hosts ask N and set speeds; those of a Khepera IV also ask its counters and its distances by ultrasound. The
+same options give the same tables, except for CPU times.
 """
 
 import sys
@@ -33,6 +36,7 @@ from studies.fault_trials import FADES_NS, run_trial
 from studies.healthy_trials import (
     ALL,
     HEALTHY_COLUMNS,
+    KHEPERA4,
     NEVER_BLIND,
     STARTS,
     Healthy,
@@ -197,7 +201,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=300.0, help="length of a run of a sound robot [s]")
     parser.add_argument("--hours", type=float, default=2.0, help="simulated hours of healthy robots")
     parser.add_argument("--fault", action="append", choices=FAULTS, help="for alarms, bounds; all without")
-    parser.add_argument("--playpen", action="append", choices=ALL, help="one for healthy; all without")
+    parser.add_argument(
+        "--playpen", action="append", choices=(*ALL, *KHEPERA4), help="one; all of a Khepera without"
+    )
     parser.add_argument(
         "--host", action="append", choices=HOSTS, help="a host; all that a seed may have without"
     )
