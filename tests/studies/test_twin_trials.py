@@ -13,7 +13,7 @@ from khep_twin.shadow.persistence import MIN_NOVELTY
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.hosts import TUNING_HOSTS
 from stand_ins.recordings import Truth
-from studies import fault_recordings, pose_trials, twin_trials
+from studies import fault_recordings, twin_trials
 from studies.fault_bounds import gap, posterior
 from studies.fault_oracle import Explanation, new_parts
 from studies.fault_trials import add_similar_names, judge
@@ -42,11 +42,8 @@ def printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.long
-def test_poses_are_nearer_than_those_of_dead_reckoning(
-    printed: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pose_trials, "POSE", ("obstacles",))
-    rows = printed("pose", "--seconds", "20", "--first", "1")
+def test_poses_are_nearer_than_those_of_dead_reckoning(printed: Table) -> None:
+    rows = printed("pose", "--playpen", "obstacles", "--seconds", "20", "--first", "1")
     assert [row["asks"] for row in rows] == ["N, D", "N, H, D"]
     for row in rows:
         assert (row["playpen"], row["runs"]) == ("obstacles", "1")
