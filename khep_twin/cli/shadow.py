@@ -96,6 +96,9 @@ def shadow(
         args += [*(["--view"] if view else []), *(["--web"] if web else [])]
         from khep_twin.host.opening import resolve_port
 
+        reads = options.load(playpen, robot)[0].robots[0].robot_model.dialect.reads
+        if poll and reads["position"].request != "H":
+            raise usage("--poll asks N and H; expected a robot whose counters H reads")
         _relay_with_shadow(resolve_port(relay), settings.baud, args, endpoint, logging, poll)
         return
     robot_playpen, has_others = options.load(playpen, robot)
@@ -123,7 +126,7 @@ def _follow_log(
     from khep_twin.shadow.recording import read_recording
 
     line = read_recording(path, robot)
-    settings = replace(settings, baud=line.baud or settings.baud, has_commands=line.has_commands)
+    settings = replace(settings, baud=line.baud or settings.baud)
     end_ns = line.chunks[-1].time_ns
     if end_s is not None and end_s * NS_PER_S < end_ns:
         end_ns = int(end_s * NS_PER_S)

@@ -40,8 +40,8 @@ _HALF_WIDTH_95 = 1.96
 _LEARNED_INTERVAL_NS = 10 * NS_PER_S
 """Interval between two records of learned values in the log [ns]."""
 
-_WARM_UP_EXCHANGES = (b"D,1,1\n", b"d\r\n"), (b"N\n", b"n,0,0,0,0,0,0,0,0\r\n"), (b"H\n", b"h,0,0\r\n")
-"""Requests and replies that load the compiled code."""
+_WARM_UP_CHANNELS = "proximity", "ultrasonic", "position"
+"""Channels whose replies load the compiled code."""
 
 _NUMBER = r"-?\d{1,6}(?:\.\d{1,6})?"
 _POSE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER})")
@@ -169,9 +169,13 @@ class ShadowRun:
         from khep_twin.shadow.shadow import Shadow
 
         scratch_shadow = Shadow(playpen, replace(settings, particles=10))
-        for time_ns, (request, reply) in enumerate(_WARM_UP_EXCHANGES, 1):
-            scratch_shadow.feed(time_ns * NS_PER_S // 10, True, request)
-            scratch_shadow.feed(time_ns * NS_PER_S // 10 + NS_PER_S // 20, False, reply)
+        dialect = playpen.robots[0].robot_model.dialect
+        reads = [dialect.reads[name] for name in _WARM_UP_CHANNELS if name in dialect.reads]
+        replies = {dialect.drive(1, 1): "", **{read.request: ",0" * read.n_values for read in reads}}
+        for time_ns, (request, values) in enumerate(replies.items(), 1):
+            reply = request[0].lower() + values
+            scratch_shadow.feed(time_ns * NS_PER_S // 10, True, request.encode() + b"\n")
+            scratch_shadow.feed(time_ns * NS_PER_S // 10 + NS_PER_S // 20, False, reply.encode() + b"\r\n")
 
     def _summary(self, last: "Update") -> Iterator[str]:
         """Yield lines about states, pose, dead reckoning and wheels, with 95 % intervals."""

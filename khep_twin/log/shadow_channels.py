@@ -15,7 +15,7 @@
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -31,13 +31,14 @@ TOPIC_PREFIX = "/shadow/"
 LINE_TOPICS = STATE, SUSPECTED, ALARMS = tuple(f"/shadow/{name}" for name in ("state", "suspected", "alarms"))
 """Topics with lines."""
 
-RESIDUALS = [
-    *(f"proximity {sensor} [counts]" for sensor in SENSOR_LABELS),
-    *(f"light {sensor} [counts]" for sensor in SENSOR_LABELS),
-    "wheel left [pulses]",
-    "wheel right [pulses]",
-    "timing [s]",
-]
+
+def residual_names(sensors: Sequence[str]) -> list[str]:
+    """Return the names of the residuals of a robot with these sensors."""
+    counts = [f"{kind} {sensor} [counts]" for kind in ("proximity", "light") for sensor in sensors]
+    return [*counts, "wheel left [pulses]", "wheel right [pulses]", "timing [s]"]
+
+
+RESIDUALS = residual_names(SENSOR_LABELS)
 """Numbers of a message of residuals, in order; NaN without a reply."""
 
 PROXIMITY, LIGHT, WHEELS, TIMING = slice(0, 8), slice(8, 16), slice(16, 18), 18

@@ -104,7 +104,7 @@ class Core(NamedTuple):
         wander: Sets the setpoints of a Braitenberg vehicle in registers; by default there is none.
         commands: Letters of the requests with two numbers, for the left and the right wheel.
         counter_commands: Letters of the requests that set the counters.
-        command: Executes one of `commands`; the feature SHADOW needs it, and `program`.
+        command: Executes one of `commands`; a shadow needs it, and `program`.
         echo: Returns the distance by an ultrasonic sensor; by default there is none.
         program: Function that returns the program on its line, with `receive` and `reset`, for an entry of
             the playpen and a state, whose arrays it changes.
@@ -130,7 +130,7 @@ class Core(NamedTuple):
     wander: Callable[..., None] = wander_nowhere
     commands: str = "D"
     counter_commands: str = ""
-    command: Callable[..., None] | None = None
+    command: Callable[..., None] = _evaluate_nothing
     echo: Callable[..., float] = _hear_nothing
     program: Callable[[RobotEntry, Any], Any] | None = None
 
@@ -237,9 +237,7 @@ def wander(robot: RobotState, registers: Registers) -> None:
 
 def command(robot: RobotState, letter: int, left: int, right: int) -> None:
     """Execute a request of `Core.commands`, by the code of its letter, with any numbers."""
-    execute = CORES[type(robot)].command
-    assert execute is not None
-    execute(robot, letter, left, right)
+    CORES[type(robot)].command(robot, letter, left, right)
 
 
 def echo(robot: RobotState, scene: Any, sensor: int) -> float:

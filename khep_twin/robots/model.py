@@ -52,7 +52,6 @@ class Feature(StrEnum):
     TURRETS = "turrets"
     LINE = "an episode with a line"
     TOOLBOX = "a controller in the toolbox's form"
-    SHADOW = "the shadow"
     RECORDING_CHECKS = "the checks of a recording"
 
 
@@ -86,6 +85,7 @@ class Dialect(NamedTuple):
         framing: Ends of the messages; requests and replies are given by their texts.
         reads: Requests that read registers, by channel.
         drive: Function that returns the request that sets the speed setpoints [register].
+        open_loop: Letter of the request that sets the motors' duties, and the registers of these; or empty.
     """
 
     robot_name: str
@@ -98,6 +98,7 @@ class Dialect(NamedTuple):
     framing: Framing = LINES
     reads: Mapping[str, Read] = {}
     drive: Callable[[int, int], str] = "D,{:d},{:d}".format
+    open_loop: tuple[str, Sequence[int]] = "", ()
 
     @property
     def identification(self) -> bytes:

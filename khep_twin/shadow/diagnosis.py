@@ -39,21 +39,13 @@ class Diagnosis:
         setup: Playpen with the robot, prepared for the plane.
         tracker: Filter.
         rng: Random stream.
-        judges_wheels: Whether to compare the counters with the commands.
 
     Attributes:
         filter: Filter, whose particles have the present faults.
         ended: Alarms that the last exchange has ended.
     """
 
-    def __init__(
-        self,
-        setup: EpisodeSetup,
-        tracker: ParticleFilter,
-        rng: np.random.Generator,
-        judges_wheels: bool = True,
-    ) -> None:
-        self._judges_wheels = judges_wheels
+    def __init__(self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator) -> None:
         twins = tracker.particles.twins
         model = SensorModel(twins)
         self.filter = tracker
@@ -110,7 +102,8 @@ class Diagnosis:
         if isinstance(action, RangeReply):
             self._update(action)
         elif isinstance(action, CounterReply):
-            self.ended += self._wheels.take_counters(action, residual, self._drives_freely)
+            is_free = self.state is not PoseState.LOST and self.filter.drives_freely
+            self.ended += self._wheels.take_counters(action, residual, is_free)
         elif isinstance(action, Restart):
             self._wheels.restart()
         return residual
@@ -192,10 +185,6 @@ class Diagnosis:
     def _had_wheel_fault(self, time_ns: int) -> bool:
         """Return whether a wheel failed at a time [ns] or since, which may cause all other deviations."""
         return any(fault.channel == "wheels" for fault in self._faults.settled_since(time_ns))
-
-    @property
-    def _drives_freely(self) -> bool:
-        return self._judges_wheels and self.state is not PoseState.LOST and self.filter.drives_freely
 
     @property
     def _is_pose_known(self) -> bool:

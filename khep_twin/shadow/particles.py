@@ -1,6 +1,7 @@
 """Particles of a filter: planar twins with weights, and with estimates of wheels and sensors."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple, Self
 
@@ -28,11 +29,16 @@ class Prior(NamedTuple):
     traits: Floats
 
 
-VALUE_NAMES = [
-    *(f"{part}{name}" for part in ("", "deviation of ") for name in ("radius", "right over left", "base")),
-    *(f"{part}gain {name}" for part in ("", "deviation of log ") for name in SENSOR_LABELS),
-]
-"""Values of a row, in this order, as multiples of the calibration's values."""
+def value_names(sensors: Sequence[str]) -> list[str]:
+    """Return the names of the values of a row, multiples of the calibration's, for a robot's sensors."""
+    wheels = [
+        f"{part}{name}" for part in ("", "deviation of ") for name in ("radius", "right over left", "base")
+    ]
+    return wheels + [f"{part}gain {name}" for part in ("", "deviation of log ") for name in sensors]
+
+
+VALUE_NAMES = value_names(SENSOR_LABELS)
+"""Names for a Khepera."""
 
 
 class LearnedValues(NamedTuple):

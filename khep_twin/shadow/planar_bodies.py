@@ -30,6 +30,8 @@ N_SPARE = 1
 _EMPTY = np.zeros((0, 0))
 """Table without rows."""
 
+_Command, _ALL = tuple[int, int, int], slice(None)
+
 _ROWS = "obstacles", "_order", "robots", "states", "strength"
 """Arrays that have a row for each twin."""
 
@@ -85,6 +87,8 @@ class PlanarBodies:
         self.states: NDArray[np.int64] = np.repeat(self._memory[None, self._columns], count, axis=0)
         self._boards = record, self._memory, self._columns, compiled_tables(0.0)
         self.strength: Floats = np.ones((count, 2))
+        sonar = self.entry.body.sonar
+        self._n_echoes, self._lag = (0, 0.0) if sonar is None else (len(sonar.names), sonar.lag)
         self._supply = setup.calibration.motors.supply_v
         self._pulses_per_rad = self.entry.body.pulses_per_turn / math.tau
         self.scale = self.entry.body.radius / units.BODY_RADIUS
@@ -190,24 +194,15 @@ class PlanarBodies:
         self._call(ticks=ticks)
 
     def _call(
-        self,
-        rows: slice = slice(None),
-        command: tuple[int, int, int] = (0, 0, 0),
-        ticks: int = 0,
-        distances: Floats | None = None,
+        self, rows: slice = _ALL, command: _Command = (0, 0, 0), ticks: int = 0, distances: Floats = _EMPTY
     ) -> None:
         """Run twins of some rows: a command, ticks and distances, each if there are any."""
-        distances = np.zeros((len(self), 0)) if distances is None else distances
-        sonar = self.entry.body.sonar
         inputs = (rows.start or 0, rows.step or 1), command, ticks, self.ticks * TICK_NS, self._supply
-        lag = 0.0 if sonar is None else sonar.lag
-        self._run(self._scene_arrays, self._boards, self.states, self.strength, *inputs, lag, distances)
+        self._run(self._scene_arrays, self._boards, self.states, self.strength, *inputs, self._lag, distances)
 
     def echoes(self) -> Floats:
         """Return the distances by the ultrasonic sensors, as `robots.core.echo` does (n, n_sensors) [m]."""
-        sonar = self.entry.body.sonar
-        distances = np.zeros((len(self), 0 if sonar is None else len(sonar.names)))
-        self._call(distances=distances)
+        self._call(distances=(distances := np.zeros((len(self), self._n_echoes))))
         return distances
 
     @property
@@ -242,7 +237,7 @@ class PlanarBodies:
         middle = poses[:, 2] + turn / 2
         self.move(poses + np.stack([forward * np.cos(middle), forward * np.sin(middle), turn], axis=1))
 
-    def command(self, letter: str, left: int, right: int, rows: slice = slice(None)) -> None:
+    def command(self, letter: str, left: int, right: int, rows: slice = _ALL) -> None:
         """Execute a request of `Core.commands` on twins of some rows."""
         self._call(rows, (ord(letter), left, right))
 

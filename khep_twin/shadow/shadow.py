@@ -56,7 +56,6 @@ class ShadowSettings:
         known: Whether the start is the playpen's or one of its spots, with `spread`; False for anywhere.
         spread: Standard deviations of the start and of the robot's values.
         baud: Baud rate of the robot's line.
-        has_commands: Whether the commands on the line are the robot's; otherwise its wheels are not judged.
         others: Whether other robots drive in the playpen: an unexpected obstacle may be one.
     """
 
@@ -65,7 +64,6 @@ class ShadowSettings:
     known: bool = True
     spread: Spread = PUBLISHED
     baud: int = 9600
-    has_commands: bool = True
     others: bool = False
 
 
@@ -91,7 +89,7 @@ class Shadow:
         particles.twins.has_other_robots = settings.others
         tracker = ParticleFilter(self._setup, particles, rng, settings.particles)
         diagnosis_rng = stream(settings.seed, "shadow", "hypotheses")
-        self._diagnosis = Diagnosis(self._setup, tracker, diagnosis_rng, settings.has_commands)
+        self._diagnosis = Diagnosis(self._setup, tracker, diagnosis_rng)
         reckoned_twin = draw_particles(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
         self._reckoning = Reckoning(self._setup.core, reckoned_twin.twins)
         model = self._setup.entry.robot_model

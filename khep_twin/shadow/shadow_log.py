@@ -26,16 +26,16 @@ from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.reader import hash_file
 from khep_twin.log.recorder import FLUSH_NS
 from khep_twin.log.run_description import versions
-from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, PoseState, Suspicion
+from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, PoseState, Suspicion, residual_names
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.robots.model import robot_name
 from khep_twin.sensing import calibration
 from khep_twin.shadow.following import LastingAlarms
-from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
+from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues, value_names
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.update import Update
-from khep_twin.units import SENSOR_LABELS
+from khep_twin.units import N_SENSORS
 
 ROBOT = robot_name(0)
 """Name of the robot in the log."""
@@ -81,10 +81,10 @@ class ShadowLog(FileRecorder):
         self._state: PoseState | None = None
         self._suspected: dict[frozenset[str], float] = {}
         self._ghost = _Ghost(playpen)
-        proximity_label = f"{', '.join(SENSOR_LABELS)} [counts]"
-        self._proximity = ArrayFrame(len(SENSOR_LABELS), "f8", proximity_label)
-        self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
-        self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(VALUE_NAMES))
+        sensors = playpen.robots[0].body.sensors[:N_SENSORS]
+        self._proximity = ArrayFrame(N_SENSORS, "f8", f"{', '.join(sensors)} [counts]")
+        self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(residual_names(sensors)))
+        self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(value_names(sensors)))
         self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
         self._file = LogFile(path, lambda: self._time_ns)
         self._write_header(playpen, settings, origin)

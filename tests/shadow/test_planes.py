@@ -15,11 +15,13 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.errors import MissingNumbaError
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import at_start
 from khep_twin.randomness import stream
 from khep_twin.sensing.calibration import vary
 from khep_twin.shadow.planar_bodies import AWAY
 from khep_twin.shadow.planes import REACH, Twins
 from khep_twin.shadow.thing_faults import obstacle_rows
+from khep_twin.world import World
 
 STARTS = (360.0, 240.0, -70.0), AT_THE_CRATE, (120.0, 200.0, 90.0)
 
@@ -230,3 +232,26 @@ def test_a_wheel_that_is_blocked_stands_however_fast_it_was_turned() -> None:
     planes.advance(200)
     assert np.abs(planes.robots["speeds"]).max() < 1
     assert np.isfinite(planes.poses).all()
+
+
+@pytest.mark.long
+def test_a_twin_of_a_khepera4_drives_as_an_episode_in_the_plane_and_hears_as_a_robot_in_mujoco() -> None:
+    start = 1000.0, 400.0, 90.0
+    episode = Episode(setup_of("arena4"), ConstantSpeed(200, 150), compiled=True)
+    episode.begin(options=EpisodeOptions(noise=False, start=start))
+    planes = planes_at(start, name="arena4")
+    world = World(at_start(Playpen.load("arena4"), 0, start), noise=False)
+    world.advance(0.2)
+    heard = np.array(world.robots[0].readings()["ultrasonic"]) / 100
+    planes.advance(1)
+    assert planes.echoes()[0] == pytest.approx(heard, abs=0.006)
+    planes = planes_at(start, name="arena4")
+    planes.command("D", 200, 150)
+    for _ in range(10):
+        episode.run(0.2)
+        planes.advance(20)
+        assert planes.robots["joints"][0] == pytest.approx(episode.joints, abs=1e-9)
+    at = planes.counters[0]
+    planes.command("F", *(at + 5000).astype(int).tolist())
+    planes.advance(400)
+    assert planes.counters[0] == pytest.approx(at + 5000, abs=100)

@@ -10,6 +10,8 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import LogError
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.shadow.recording import read_recording
 
 
@@ -45,6 +47,23 @@ def test_a_twins_log_gives_the_line_of_the_robot_that_is_asked_for(tmp_path: Pat
         ] * 2
     with pytest.raises(LogError, match="robot 2; expected one of 0 to 1, as the log has them"):
         read_recording(path, 2)
+
+
+def test_the_registers_of_a_robot_without_a_host_are_replies_and_commands(tmp_path: Path) -> None:
+    path = tmp_path / "program.mcap"
+    with open_twin("arena4", TwinOptions(seed=1, log=str(path))) as twin:
+        robot = twin.world.robots[0]
+        assert isinstance(robot, Khepera4Robot)
+        robot.dspic.write(bytes([DspicRegister.PWM_ORDER_LEFT, 0x58, 0x02, 0xA8, 0xFD]))
+        robot.dspic.write(bytes([DspicRegister.CONTROL, Control.OPEN_LOOP]))
+        twin.advance_to(SECOND // 5)
+    recording = read_recording(path)
+    data = [chunk.data for chunk in recording.chunks if chunk.time_ns == SECOND // 5]
+    assert data[::2] == [b"N\n", b"G\n", b"R\n", b"L,600,-600\n"]
+    assert [reply[:1] for reply in data[1::2]] == [b"n", b"g", b"r", b"l"]
+    assert [reply.count(b",") for reply in data[1::2]] == [12, 5, 2, 0]
+    with_reads = {chunk.time_ns for chunk in recording.chunks if chunk.data.startswith(b"R")}
+    assert sorted(with_reads) == [0, SECOND // 10, SECOND // 5]
 
 
 def test_a_log_without_a_line_is_an_error_of_one_line(tmp_path: Path) -> None:

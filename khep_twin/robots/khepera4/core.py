@@ -438,15 +438,11 @@ def _set_speeds(robot: Khepera4State, left: int, right: int) -> None:
 @compilable
 def _echo(robot: Any, scene: BeamScene, sensor: int) -> float:
     """Return the distance by level rays of an ultrasonic sensor, which meet all upright obstacles first."""
-    n_rays, sensors, centre, beams = (
-        ultrasonic.N_LEVEL,
-        robot.sensors,
-        _centre(scene, robot.pose),
-        robot.beams,
-    )
+    n_rays, centre, beams = ultrasonic.N_LEVEL, _centre(scene, robot.pose), robot.beams
     vectors, normals = beams.vectors[: 3 * n_rays], beams.normals[: 3 * n_rays]
     level = Beams(vectors, beams.lengths[:n_rays], normals, beams.geoms[:n_rays])
-    nearest = ultrasonic.cast(scene, sensors, centre, robot.sonar, level, sensor, ultrasonic.FIRST_LEVEL)
+    first = ultrasonic.FIRST_LEVEL
+    nearest = ultrasonic.cast(scene, robot.sensors, centre, robot.sonar, level, sensor, first)
     return 0.0 if nearest < ultrasonic.NEAREST else nearest if nearest <= ultrasonic.RANGE else math.inf
 
 

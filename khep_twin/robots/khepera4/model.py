@@ -21,7 +21,6 @@ from khep_twin.robots.khepera4.vehicle import vehicle_speeds
 from khep_twin.robots.model import (
     Bench,
     Dialect,
-    Feature,
     Interface,
     Read,
     RobotModel,
@@ -33,11 +32,8 @@ from khep_twin.robots.model import (
 )
 from khep_twin.units import COUNTS_LIMIT
 
-SONAR = SonarRing(
-    ULTRASONIC, (90, 45, 0, -45, -90), radius=0.066, height=0.0445, codes=ULTRASONIC_CODES, lag=0.07
-)
-"""Headings: manual; distance from the centre: assumed; height: drawing. Five sensors take turns of 20 ms, so
-that a distance is 20 to 120 ms old."""
+SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), 0.066, 0.0445, ULTRASONIC_CODES, lag=0.07)
+"""Headings: manual; distance from the centre: assumed; height: drawing. A distance is 20 to 120 ms old."""
 
 BODY = Body(
     radius=0.0704,
@@ -122,6 +118,7 @@ KHEPERA_4 = RobotModel(
             name: Read(letter, n_values, _REGISTERS[name][: len(indices)], indices)
             for name, (letter, n_values, indices) in _READS.items()
         },
+        open_loop=("L", _REGISTERS["duty"]),
     ),
     parts={
         **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),
@@ -133,7 +130,6 @@ KHEPERA_4 = RobotModel(
         "accelerometer": "accelerometer [1/16384 g]",
         "gyroscope": "gyroscope [0.066 deg/s]",
     },
-    features=frozenset({Feature.SHADOW}),
     rgb_leds=LEDS,
     commands={"exec": "khep_twin.robots.khepera4.command:execute"},
     interface=_INTERFACE,
