@@ -57,14 +57,7 @@ class Silence(NamedTuple):
 
 
 class ProximityReply(NamedTuple):
-    """A reply with proximity, as to N.
-
-    Attributes:
-        time_ns: Earliest time of the readings [ns].
-        readings: Proximity (8,) [counts].
-        late_ns: Latest time of the readings [ns].
-        in_sight: Whether an obstacle is in sight of a sensor.
-    """
+    """A reply to N: proximity (8,) [counts], earliest and latest time [ns], whether an obstacle is in sight."""
 
     time_ns: int
     readings: Integers
@@ -73,16 +66,12 @@ class ProximityReply(NamedTuple):
 
 
 class SonarReply(NamedTuple):
-    """A reply with ultrasonic distances (n,) [m], by `sonar_model.distances_of`, and its times."""
+    """A reply with distances (n,) [m], by `sonar_model.distances_of`; the rest is as in `ProximityReply`."""
 
     time_ns: int
     readings: NDArray[np.float64]
     late_ns: int = 0
-
-    @property
-    def in_sight(self) -> bool:
-        """True if an obstacle is in sight of a sensor."""
-        return bool(np.isfinite(self.readings).any())
+    in_sight: bool = False
 
 
 class CounterReply(NamedTuple):

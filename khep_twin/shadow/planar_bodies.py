@@ -30,7 +30,8 @@ N_SPARE = 1
 _EMPTY = np.zeros((0, 0))
 """Table without rows."""
 
-_Command, _ALL = tuple[int, int, int], slice(None)
+_Command = tuple[int, int, int]
+_ALL = slice(None)
 
 _ROWS = "obstacles", "_order", "robots", "states", "strength"
 """Arrays that have a row for each twin."""
@@ -77,13 +78,12 @@ class PlanarBodies:
         self._memory: NDArray[np.int64] = record.view(np.int64)
         if core.program is None:
             raise RobotModelError(
-                f"model {self.entry.model}: its core gives no program; expected one for a shadow"
+                f"model {self.entry.model}: no program in its core; expected one for a shadow"
             )
         self._program: Any = core.program(self.entry, as_plain(state, record[0]))
-        fields: Any = record.dtype.fields
-        names = [name for name in core.changing if not isinstance(getattr(state, name), Beams)]
-        places = [(fields[name][1] // 8, fields[name][0].itemsize // 8) for name in names]
-        self._columns: NDArray[np.int64] = np.concatenate([start + np.arange(size) for start, size in places])
+        words: Any = np.arange(len(self._memory)).view(record.dtype)[0]
+        changing = (name for name in core.changing if not isinstance(getattr(state, name), Beams))
+        self._columns = np.frombuffer(b"".join(words[name].tobytes() for name in changing), np.int64)
         self.states: NDArray[np.int64] = np.repeat(self._memory[None, self._columns], count, axis=0)
         self._boards = record, self._memory, self._columns, compiled_tables(0.0)
         self.strength: Floats = np.ones((count, 2))

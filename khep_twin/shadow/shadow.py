@@ -160,7 +160,8 @@ class Shadow:
                 self._measured = readings.astype(np.float64)
                 residuals = residuals._replace(proximity=readings - self._diagnosis.filter.expected)
             case "ultrasonic":
-                self._follow(SonarReply(time_ns, distances_of(self._model, readings), late_ns))
+                distances = distances_of(self._model, readings)
+                self._follow(SonarReply(time_ns, distances, late_ns, bool(np.isfinite(distances).any())))
             case "position":
                 wheel_residuals = self._follow(CounterReply(time_ns, readings, late_ns))
                 residuals = residuals._replace(wheels=wheel_residuals)
