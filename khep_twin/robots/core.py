@@ -14,6 +14,7 @@ from khep_twin.errors import RobotModelError
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.model import Interface, RobotModel
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.scene import BeamScene
 from khep_twin.sensing.simulated import Simulated, StepInputs
 
 RobotState = Any
@@ -54,7 +55,7 @@ def _set_setpoints(robot: RobotState, left: int, right: int) -> None:
 
 
 @compilable
-def _hear_nothing(robot: RobotState, scene: Any, sensor: int) -> float:
+def _hear_nothing(robot: RobotState, scene: BeamScene, sensor: int) -> float:
     """Return infinity, as there is no ultrasonic sensor."""
     return math.inf
 
@@ -132,7 +133,7 @@ class Core(NamedTuple):
     counter_commands: str = ""
     command: Callable[..., None] = _evaluate_nothing
     echo: Callable[..., float] = _hear_nothing
-    program: Callable[[RobotEntry, Any], Any] | None = None
+    program: Callable[[RobotEntry, RobotState], Any] | None = None
 
     @property
     def interface_of(self) -> Callable[[Any], Interface | None]:
@@ -240,7 +241,7 @@ def command(robot: RobotState, letter: int, left: int, right: int) -> None:
     CORES[type(robot)].command(robot, letter, left, right)
 
 
-def echo(robot: RobotState, scene: Any, sensor: int) -> float:
+def echo(robot: RobotState, scene: BeamScene, sensor: int) -> float:
     """Return the distance by an ultrasonic sensor, without noise [m]; 0 too near, infinity for no echo."""
     return CORES[type(robot)].echo(robot, scene, sensor)
 

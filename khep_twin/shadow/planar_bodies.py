@@ -80,8 +80,8 @@ class PlanarBodies:
             raise RobotModelError(
                 f"model {self.entry.model}: no program in its core; expected one for a shadow"
             )
-        self._program: Any = core.program(self.entry, as_plain(state, record[0]))
-        words: Any = np.arange(len(self._memory)).view(record.dtype)[0]
+        self._program = core.program(self.entry, as_plain(state, record[0]))
+        words = np.arange(len(self._memory)).view(record.dtype)[0]
         changing = (name for name in core.changing if not isinstance(getattr(state, name), Beams))
         self._columns = np.frombuffer(b"".join(words[name].tobytes() for name in changing), np.int64)
         self.states: NDArray[np.int64] = np.repeat(self._memory[None, self._columns], count, axis=0)

@@ -19,7 +19,7 @@ import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, register
+from khep_twin.robots.core import Core, RobotState, register
 from khep_twin.robots.khepera4 import dspic, gauge, inertial, infrared, ultrasonic
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, DspicState
 from khep_twin.robots.khepera4.inertial import PACKET_SIZE, InertialState
@@ -436,7 +436,7 @@ def _set_speeds(robot: Khepera4State, left: int, right: int) -> None:
 
 
 @compilable
-def _echo(robot: Any, scene: BeamScene, sensor: int) -> float:
+def _echo(robot: RobotState, scene: BeamScene, sensor: int) -> float:
     """Return the distance by level rays of an ultrasonic sensor, which meet all upright obstacles first."""
     n_rays, centre, beams = ultrasonic.N_LEVEL, _centre(scene, robot.pose), robot.beams
     vectors, normals = beams.vectors[: 3 * n_rays], beams.normals[: 3 * n_rays]
