@@ -153,7 +153,9 @@ def _observe(
             mixture = (1 - law.outliers) * likelihood + law.outliers * outlier
             counts[twin, channel], spreads[twin, channel] = count, deviation
             likelihoods[twin, channel] = mixture
-            if is_used[channel] and usable[twin, channel] >= 1:
+            # A sensor that rests above 0 reads far below the limit that lamps leave.
+            is_free = law.threshold[channel] < 0 and 2 * count < law.limit * usable[twin, channel]
+            if is_used[channel] and (usable[twin, channel] >= 1 or is_free):
                 # The less novel an observation is, the larger is the variance of its noise.
                 trust = (1 - law.outliers) * likelihood / mixture
                 trust = trust * variance / (variance + noise * (1 / novelty - 1))
