@@ -5,7 +5,7 @@ line first. A value keeps its initial value if the robot's drive did not determi
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from khep_twin.files import toml_files
 from khep_twin.lab.fit.least_squares import CONFIDENCE, MAX_DEVIATION_RATIO
 from khep_twin.lab.fit.placement import FittedValue
 from khep_twin.lab.fit.robot_fit import RobotFit
+from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import read_arrays
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.playpen import Playpen
@@ -35,8 +36,8 @@ _FORMATS = {
 }
 
 
-def read_learned(path: Path) -> tuple[LearnedValues, Calibration] | None:
-    """Return the values that a shadow's log has at its end, and its calibration; None for another log.
+def read_learned(path: Path) -> tuple[LearnedValues, Calibration, Sequence[str]] | None:
+    """Return the values at the end of a shadow's log, its calibration and sensors; None for another log.
 
     Raises:
         LogError: The log cannot be read.
@@ -50,13 +51,14 @@ def read_learned(path: Path) -> tuple[LearnedValues, Calibration] | None:
         raise FitError(f"{path}: this shadow has learned nothing; expected replies to N in its log")
     text = next((text for name, text in label.attachments.items() if name.startswith("calibration/")), "")
     start = toml_files.validate(Calibration, text, f"{path}: calibration", CalibrationError)
-    return LearnedValues.from_row(values[-1]), start
+    sensors = playpen_of(label.attachments, path).robots[0].body.sensors
+    return LearnedValues.from_row(values[-1]), start, sensors
 
 
 def learn_from_log(
     path: Path, playpen_name: str, progress: Callable[[float], None] | None
-) -> tuple[LearnedValues, Calibration]:
-    """Follow the line of a relay's log; return the values that a shadow learns, and its calibration.
+) -> tuple[LearnedValues, Calibration, Sequence[str]]:
+    """Follow a relay's log; return the values that a shadow learns, its calibration and sensors.
 
     Args:
         path: Path of the log.
@@ -77,16 +79,19 @@ def learn_from_log(
             progress(number / len(recording.chunks))
     if not follower.replies:
         raise FitError(f"{path}: no reply with values; expected replies to N")
-    return shadow.learned, calibration.read(playpen.robots[0].calibration)[0]
+    robot = playpen.robots[0]
+    return shadow.learned, calibration.read(robot.calibration)[0], robot.body.sensors
 
 
-def fit_learned(learned: LearnedValues, start: Calibration) -> RobotFit:
-    """Return the calibration of a robot from the values of a shadow that used `start`."""
+def fit_learned(
+    learned: LearnedValues, start: Calibration, sensors: Sequence[str] = SENSOR_LABELS
+) -> RobotFit:
+    """Return the calibration of a robot with these sensors from the values of a shadow that used `start`."""
     values, lines, undetermined = list[FittedValue](), list[str](), list[str]()
     wheel_values, gains = dict[str, float](), list(start.proximity.gain_counts_mm2)
     for fitted_value, prior_interval in learned_values(learned, start):
         key, sensor = fitted_value.path[1], fitted_value.path[2] if len(fitted_value.path) > 2 else None
-        name, form = _FORMATS[key] if sensor is None else (SENSOR_LABELS[sensor], "gain {:.4g} +- {:.4g}")
+        name, form = _FORMATS[key] if sensor is None else (sensors[sensor], "gain {:.4g} +- {:.4g}")
         if fitted_value.interval > MAX_DEVIATION_RATIO * prior_interval:
             undetermined.append(name if sensor is None else f"gain of {name}")
             continue
