@@ -38,7 +38,7 @@ class SensorModel:
     """Likelihood of proximity readings.
 
     Attributes:
-        quiet: Highest reading with nothing in reach [counts].
+        quiet: Highest reading with nothing in reach [counts]; below 0 of sensors that rest above 0.
         limit: Highest reading [counts].
         usable_range: Part of each sensor's range that the lamps left at the last reply (8,).
     """
@@ -50,7 +50,9 @@ class SensorModel:
         self._near = twins.entry.body.near_counts
         self.usable_range: Floats = np.ones(8)
         self._expected: Floats = np.zeros(8)
-        self.quiet = 10 * max(float(proximity["idle"]), float(proximity["floor"]))
+        # A sensor that rests above 0 has no quiet reading: 0 is that of a dead one.
+        is_resting = proximity["threshold"].max() < 0
+        self.quiet = -1.0 if is_resting else 10 * max(float(proximity["idle"]), float(proximity["floor"]))
         noise = np.square(proximity["noise"]) + quantum * quantum / 12
         self._law = SensorLaw(
             proximity["threshold"].astype(np.float64),

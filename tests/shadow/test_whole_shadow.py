@@ -11,6 +11,9 @@ from twins import EXACT, SECOND
 from khep_twin.errors import PlaypenError
 from khep_twin.log.shadow_channels import PoseState
 from khep_twin.playpen import Playpen
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.shadow.following import AlarmChange, Follower
 from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
 from khep_twin.shadow.recording import LineChunk, read_recording
@@ -261,3 +264,34 @@ def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Shadow
     assert len(after.row) == len(VALUE_NAMES)
     again = LearnedValues.from_row(after.row)
     assert all(np.array_equal(one, two) for one, two in zip(again, after, strict=True))
+
+
+@pytest.mark.long
+def test_a_khepera4_is_followed_by_its_line(tmp_path: Path) -> None:
+    pytest.importorskip("numba", reason="numba is not installed")
+    path = Recording("line", "arena4-room", 40, 8, "wanderer", asks_counters=True).path(tmp_path)
+    run = follow(path, "arena4-room", SETTINGS)
+    assert run.errors(run.poses)[-100:, 0].max() < 20
+    assert (run.states == PoseState.FOLLOWED).mean() > 0.9
+    assert not run.alarms
+
+
+@pytest.mark.long
+def test_a_khepera4_is_followed_by_its_registers(tmp_path: Path) -> None:
+    pytest.importorskip("numba", reason="numba is not installed")
+    path = tmp_path / "program.mcap"
+    with open_twin("arena4", TwinOptions(seed=2, log=str(path), vary=True)) as twin:
+        robot = twin.world.robots[0]
+        assert isinstance(robot, Khepera4Robot)
+        robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT, 200, 0, 120, 0]))
+        robot.dspic.write(bytes([DspicRegister.CONTROL, Control.SPEED_PROFILE]))
+        twin.advance_to(6 * SECOND)
+        place = np.array(robot.pose[:2])
+    recording = read_recording(path)
+    follower = Follower(
+        Shadow(Playpen.load("arena4"), ShadowSettings(particles=300, baud=recording.baud or 0))
+    )
+    every = [update for chunk in recording.chunks for update in follower.feed(chunk)]
+    assert np.hypot(*(np.array(every[-1].estimate.pose[:2]) - place)) < 0.02
+    assert math.dist(every[0].estimate.pose[:2], every[-1].estimate.pose[:2]) > 0.1
+    assert not any(update.alarms for update in every)
