@@ -53,7 +53,6 @@ def _run(scene_arrays, boards, states, strength, rows, command, ticks, end_ns, l
             core.command(state, letter, left, right)
         if ticks:
             core.measure_supply(state, simulated, end_ns)
-        joints, last = scene.robot.joints, scene.robot.last_step
         for _ in range(ticks):
             motion.step(scene)
             core.tick(state, simulated, inputs, end_ns)
@@ -63,21 +62,24 @@ def _run(scene_arrays, boards, states, strength, rows, command, ticks, end_ns, l
         for word in range(len(columns)):
             states[twin, word] = memory[columns[word]]
         if distances.shape[1]:
-            x, y, heading, cosine, sine = (
-                joints[0],
-                joints[1],
-                joints[2],
-                last[plane.HEADING_COSINE],
-                last[plane.HEADING_SINE],
-            )
-            speeds = scene.robot.speeds
-            joints[0] = x - lag * (cosine * speeds[0] - sine * speeds[1])
-            joints[1] = y - lag * (sine * speeds[0] + cosine * speeds[1])
-            last[plane.HEADING_COSINE] = math.cos(heading - lag * speeds[2])
-            last[plane.HEADING_SINE] = math.sin(heading - lag * speeds[2])
-            for sensor in range(distances.shape[1]):
-                distances[twin, sensor] = core.echo(state, scene, sensor)
-            joints[0], joints[1], last[plane.HEADING_COSINE], last[plane.HEADING_SINE] = x, y, cosine, sine
+            _hear(scene, state, lag, distances[twin])
+
+
+@compilable
+def _hear(scene, robot, lag, distances):
+    """Compute the distances by all ultrasonic sensors at the pose some time ago [s]."""
+    joints, last, speeds = scene.robot.joints, scene.robot.last_step, scene.robot.speeds
+    forward, aside, spin = speeds[0], speeds[1], speeds[plane.HEADING]
+    x, y, heading = joints[plane.X], joints[plane.Y], joints[plane.HEADING]
+    cosine, sine = last[plane.HEADING_COSINE], last[plane.HEADING_SINE]
+    joints[plane.X] = x - lag * (cosine * forward - sine * aside)
+    joints[plane.Y] = y - lag * (sine * forward + cosine * aside)
+    last[plane.HEADING_COSINE] = math.cos(heading - lag * spin)
+    last[plane.HEADING_SINE] = math.sin(heading - lag * spin)
+    for sensor in range(len(distances)):
+        distances[sensor] = core.echo(robot, scene, sensor)
+    joints[plane.X], joints[plane.Y] = x, y
+    last[plane.HEADING_COSINE], last[plane.HEADING_SINE] = cosine, sine
 
 
 @compilable
