@@ -53,7 +53,7 @@ class Diagnosis:
         self._has_lamps = bool(twins.lamps.names)
         self._quiet = model.quiet
         self._sensors = SensorWatch(model.quiet, model.limit, self._has_lamps)
-        self._wheels = WheelWatch(setup.entry.body.pulse_length)
+        self._wheels = WheelWatch(setup.entry.body.pulse_length, twins.motor_lag)
         self._lamps = LampWatch(setup.playpen, twins)
         self._line = LineWatch(setup.entry.robot_model.dialect)
         self._faults = FaultWatch()

@@ -54,6 +54,7 @@ class PlanarBodies:
         states: States that change in the robots' cores, as words of 64 bits (n, n_words).
         entry: The robot in the playpen.
         scale: Size of the robot, as a multiple of a Khepera's.
+        motor_lag: Time constant of the motors of the calibration's robot [s].
         ticks: Time since the start [ticks].
         strength: Shares of the motors' torque, left and right (n, 2); negative for a blocked wheel.
     """
@@ -93,6 +94,7 @@ class PlanarBodies:
         self._pulses_per_rad = self.entry.body.pulses_per_turn / math.tau
         self.scale = self.entry.body.radius / units.BODY_RADIUS
         self._nominal_robot = robot[0].copy()
+        self.motor_lag = -float(robot[0]["substep"] / math.log(robot[0]["linear_decay"]))
         self.ticks = 0
 
     def __len__(self) -> int:

@@ -20,11 +20,18 @@ _STANDING_BELOW, _WEAK_BELOW, _SOUND_ABOVE = 0.05, 0.8, 0.9
 """Limits of the share of expected pulses of a wheel that stands, is weak, or is sound (assumed)."""
 
 
-class WheelWatch:
-    """Watch of a robot's wheels, with a travel per pulse of its encoders [m]."""
+_MAX_LAG, _SETTLED = 0.1, 0.2
+"""Lag of motors [s] above which pulses only count while the expected ones change by less than this part from
+reply to reply: motors of other robots have other lags (assumed)."""
 
-    def __init__(self, pulse_length: float) -> None:
+
+class WheelWatch:
+    """Watch of a robot's wheels, with a travel per pulse of its encoders [m], and a lag of its motors [s]."""
+
+    def __init__(self, pulse_length: float, lag: float) -> None:
         self._min_pulses = _MIN_TRAVEL / pulse_length
+        self._is_slow = lag > _MAX_LAG
+        self._expected: Floats = np.zeros(2)
         self._pulses: deque[tuple[int, Floats, Floats]] = deque()
         self._alarms: dict[int, Alarm] = {}
         self._counters: Floats | None = None
@@ -61,6 +68,9 @@ class WheelWatch:
 
     def update(self, time_ns: int, turned: Floats, expected: Floats) -> tuple[Alarm, ...]:
         """Update by the pulses since the last reply and those expected (2,); return the alarms that end."""
+        change, self._expected = np.abs(expected - self._expected), expected
+        if self._is_slow and (change > _SETTLED * np.abs(expected)).any():
+            return ()
         self._pulses.append((time_ns, turned * np.sign(expected), np.abs(expected)))
         while self._pulses[0][0] < time_ns - _WINDOW_NS:
             self._pulses.popleft()

@@ -35,7 +35,7 @@ def watched(
 def test_a_wheel_that_turns_less_is_named_with_its_side_and_ends(
     pulses: tuple[int, int], side: int, name: str, part: float, fault: str
 ) -> None:
-    watch, parts = WheelWatch(KHEPERA_1.body.pulse_length), [1.0, 1.0]
+    watch, parts = WheelWatch(KHEPERA_1.body.pulse_length, 0.05), [1.0, 1.0]
     assert watched(watch, 3, parts, pulses) == watch.alarms == []
     parts[side] = part
     assert {alarm.fault for alarm in watched(watch, 3, parts, pulses, 3)} <= {f"weak motor {name}"}
@@ -49,7 +49,7 @@ def test_a_wheel_that_turns_less_is_named_with_its_side_and_ends(
 
 
 def test_sound_wheels_with_the_errors_of_a_line_are_no_fault() -> None:
-    watch, rng = WheelWatch(KHEPERA_1.body.pulse_length), np.random.default_rng(0)
+    watch, rng = WheelWatch(KHEPERA_1.body.pulse_length, 0.05), np.random.default_rng(0)
     for step in range(600):
         expected = rng.uniform(-80, 80, 2)
         turned = np.rint(expected + rng.standard_normal(2))
@@ -58,7 +58,7 @@ def test_sound_wheels_with_the_errors_of_a_line_are_no_fault() -> None:
 
 
 def test_wheels_that_are_told_to_stand_tell_nothing() -> None:
-    watch = WheelWatch(KHEPERA_1.body.pulse_length)
+    watch = WheelWatch(KHEPERA_1.body.pulse_length, 0.05)
     watched(watch, 5, (0, 0), (0.2, -0.2))
     assert watch.alarms == []
     # Nor do they end what was raised.
@@ -70,7 +70,7 @@ def test_wheels_that_are_told_to_stand_tell_nothing() -> None:
 
 
 def test_a_wheel_that_comes_to_a_stand_is_weak_until_it_stands() -> None:
-    watch = WheelWatch(KHEPERA_1.body.pulse_length)
+    watch = WheelWatch(KHEPERA_1.body.pulse_length, 0.05)
     watched(watch, 3, (1, 1))
     ended = [alarm for part in (0.4, 0.0) for alarm in watched(watch, 2, (1, part), start_s=3 if part else 5)]
     (alarm,) = watch.alarms
@@ -79,6 +79,17 @@ def test_a_wheel_that_comes_to_a_stand_is_weak_until_it_stands() -> None:
 
 
 def test_both_wheels_may_have_a_fault() -> None:
-    watch = WheelWatch(KHEPERA_1.body.pulse_length)
+    watch = WheelWatch(KHEPERA_1.body.pulse_length, 0.05)
     watched(watch, 3, (0, 0.5))
     assert {alarm.fault for alarm in watch.alarms} == {"dead motor or blocked wheel left", "weak motor right"}
+
+
+def test_speeds_of_slow_motors_that_change_are_not_judged() -> None:
+    slow, steady = WheelWatch(KHEPERA_1.body.pulse_length, 0.2), np.full(2, 50.0)
+    for turn in range(20):
+        changing = steady * (1 + turn % 2)
+        slow.update(turn * SECOND // 10, 0.7 * changing, changing)
+    assert slow.alarms == []
+    for turn in range(20, 40):
+        slow.update(turn * SECOND // 10, 0.7 * steady, steady)
+    assert [alarm.fault for alarm in slow.alarms] == ["weak motor left", "weak motor right"]
