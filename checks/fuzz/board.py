@@ -120,8 +120,8 @@ def check_khepera4(stream: bytes) -> None:
             continue
         is_line = reply.isascii() and reply.endswith(END) and reply.count(b"\r") == reply.count(b"\n") == 1
         assert not reply or is_line, reply
-    for values in dspic.motor_numbers[:2]:
-        assert all(-(2**31) <= value < 2**31 for value in values), values
+    numbers = [*dspic.state.motors]
+    assert all(-(2**31) <= number < 2**31 for number in numbers), numbers
     server.receive(b"\n")
     assert server.receive(b"B\n") == b"b,B,0" + END
     assert server.receive(b"b\n") == ERROR

@@ -47,7 +47,7 @@ ACTIONS: dict[str, dict[str, Any]] = {
     "log": {"file": "run.mcap"},
     "report": {"file": "run.mcap"},
     "connect": {"port": "socket://127.0.0.1:9"},
-    "program": {"file": "prog.py"},
+    "program": {"file": "prog.py", "model": "khepera1"},
     "save-program": {"file": "new.py", "text": "def controller(robot): ...", "overwrite": True},
     "pace": {"speed": 2.5, "paused": False},
     "step": {},

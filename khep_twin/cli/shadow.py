@@ -125,7 +125,7 @@ def _follow_log(
     """Follow a recorded robot."""
     from khep_twin.shadow.recording import read_recording
 
-    line = read_recording(path, robot)
+    line = read_recording(path, robot, playpen.robots[0].robot_model)
     settings = replace(settings, baud=line.baud or settings.baud)
     end_ns = line.chunks[-1].time_ns
     if end_s is not None and end_s * NS_PER_S < end_ns:

@@ -12,7 +12,9 @@ from typing import NamedTuple
 from khep_twin.errors import LogError
 from khep_twin.log.decoding import decode_messages, read_line
 from khep_twin.log.reader import RobotTrack, read_log, read_raw
+from khep_twin.log.robot_models import models_of
 from khep_twin.log.transcript import unescape
+from khep_twin.robots.model import RobotModel
 
 
 class LineChunk(NamedTuple):
@@ -41,15 +43,17 @@ class RecordedRobot(NamedTuple):
     chunks: list[LineChunk]
 
 
-def read_recording(path: Path, robot: int = 0) -> RecordedRobot:
+def read_recording(path: Path, robot: int = 0, model: RobotModel | None = None) -> RecordedRobot:
     """Read the line of a robot of a log.
 
     Args:
         path: Path of the log of a relay or of a twin.
         robot: Number of the robot, from 0; ignored for a log with one robot, such as a relay's.
+        model: Expected model; a relay's log does not have one.
 
     Raises:
-        LogError: There is no log, it is incomplete, or it has no line of that robot.
+        LogError: There is no log, it is incomplete, it has no line of that robot, or one
+            of another model.
     """
     label, messages, _ = read_raw(path, lambda topic: topic.endswith("/serial"))
     names = label.robots
@@ -57,6 +61,10 @@ def read_recording(path: Path, robot: int = 0) -> RecordedRobot:
     if not 0 <= index < len(names):
         raise LogError(f"{path}: robot {robot}; expected one of 0 to {len(names) - 1}, as the log has them")
     name = names[index]
+    if model and "playpen.toml" in label.attachments:
+        logged_model = models_of(label.attachments, [name])[name]
+        if logged_model.family != model.family:
+            raise LogError(f"{path}: {name} is a {logged_model.title}; expected a {model.title}")
     lines = [line for _, line in decode_messages(path, f"/{name}/serial", messages, read_line)]
     if not lines and (chunks := list(_sampled_chunks(read_log(path).robots[name]))):
         return RecordedRobot(name, _SAMPLED_BAUD, chunks)

@@ -55,7 +55,7 @@ def test_the_path_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> N
         (("--seconds", "0"), "--seconds and --cycles are above 0 and finite"),
         (("--seconds", "1e300"), "1e+300 s; expected less than"),
         (("--period", "inf"), "--period inf: expected a time in ms, above 0 and at most 1e9"),
-        (("own.py:three",), "term 'memory': unknown; expected proximity and ambient light alone"),
+        (("own.py:three",), "model khepera1: term 'memory': unknown; (choices: gripper_barrier, "),
         (("own.py:nothing",), "nothing: returned None; expected two speeds, such as (10, 10)"),
     ],
 )

@@ -69,7 +69,8 @@ def learn_from_log(
         LogError: The log cannot be read.
         PlaypenError: The playpen cannot be used.
     """
-    recording, playpen = read_recording(path), Playpen.load(playpen_name)
+    playpen = Playpen.load(playpen_name)
+    recording = read_recording(path, model=playpen.robots[0].robot_model)
     settings = ShadowSettings() if recording.baud is None else ShadowSettings(baud=recording.baud)
     follower = Follower(shadow := Shadow(playpen, settings))
     for number, chunk in enumerate(recording.chunks):
