@@ -11,7 +11,7 @@ from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import ControllerError, PlaypenError, RobotModelError
 from khep_twin.playpen import Playpen, parse
-from khep_twin.robots.khepera4.core import SAMPLED
+from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.sensing import calibration
 

@@ -5,10 +5,11 @@ A step converts the next sensor, a control tick runs from encoders to motor volt
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board import battery, kernel
@@ -81,7 +82,7 @@ def _make_state(
         **core_fields(model, indices, measured, entry, first_moment),
         idle_current=entry.body.idle_current,
         used_min=battery.CHARGER if entry.battery_used_min is None else entry.battery_used_min,
-        registers=cast(Any, registers),
+        registers=cast(Vector[int], registers),
         processor=np.array([1, is_demo], np.int64),
         voltage=np.zeros(1),
     )
@@ -208,7 +209,7 @@ def _command(robot: KheperaState, letter: int, left: int, right: int) -> None:
 
 def _program(entry: RobotEntry, state: KheperaState) -> Firmware:
     """Return the firmware of a state."""
-    arrays = np.asarray(cast(Any, state.registers)), np.asarray(cast(Any, state.processor))
+    arrays = (np.asarray(cast("NDArray[np.int64]", part)) for part in (state.registers, state.processor))
     return Firmware(ROMS[entry.rom], entry.mode, None, *arrays)
 
 

@@ -16,7 +16,15 @@ import numpy as np
 
 from khep_twin.board.kernel import wrap
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4.motor_control import N_MOTOR, Motor, Settings, control_motor, stop
+from khep_twin.robots.khepera4.motor_control import (
+    LEFT_PWM,
+    N_MOTOR,
+    RIGHT_PWM,
+    Motor,
+    Settings,
+    control_motor,
+    stop,
+)
 from khep_twin.robots.khepera4.registers import (
     BATTERY_BYTES,
     N_BYTES,
@@ -44,7 +52,7 @@ _RESET_BYTES = tuple(
 )
 """Registers that are not 0 after a reset."""
 
-_SPEED, _POSITION, _PWM, _ON_TARGET = map(int, (Motor.SPEED, Motor.POSITION, Motor.PWM, Motor.ON_TARGET))
+_SPEED, _POSITION, _ON_TARGET = map(int, (Motor.SPEED, Motor.POSITION, Motor.ON_TARGET))
 _CONTROL, _OPEN_LOOP, _MOVE = int(DspicRegister.CONTROL), int(Control.OPEN_LOOP), int(Control.POSITION)
 _FIRST_KEPT, _SETTINGS = int(DspicRegister.AMBIENT), int(DspicRegister.KP)
 _SPEED_ORDER, _PWM_ORDER = int(DspicRegister.SPEED_ORDER_LEFT), int(DspicRegister.PWM_ORDER_LEFT)
@@ -208,7 +216,7 @@ class Dspic:
     @property
     def pwm(self) -> tuple[int, int]:
         """PWM of the left and the right motor."""
-        return self.state.motors[_PWM], self.state.motors[N_MOTOR + _PWM]
+        return self.state.motors[LEFT_PWM], self.state.motors[RIGHT_PWM]
 
     def set_words(self, register: DspicRegister, values: Sequence[int]) -> None:
         """Set registers of 2 bytes each to readings, from a register on."""

@@ -62,6 +62,9 @@ class Motor(IntEnum):
 
 N_MOTOR = len(Motor)
 
+LEFT_PWM, RIGHT_PWM = int(Motor.PWM), N_MOTOR + int(Motor.PWM)
+"""Indices of the PWM of both motors."""
+
 # Plain integers, as each use of an enum as an index costs a look-up.
 _POSITION, _SPEED, _PWM, _ON_TARGET, _RAMP, _WAIT, _ERROR, _ERROR_SUM = range(N_MOTOR)
 _SPEED_CONTROL, _PROFILE, _MOVE, _OPEN = map(int, list(Control)[1:])

@@ -25,10 +25,10 @@ from types import FrameType
 from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.robots.khepera4.core import WORDS
 from khep_twin.robots.khepera4.device_server import DeviceServer
 from khep_twin.robots.khepera4.executable import Executable, StartedPrograms, check_executable, check_preload
 from khep_twin.robots.khepera4.machine import Machine
+from khep_twin.robots.khepera4.measurements import WORDS
 from khep_twin.robots.khepera4.preload import SOURCES, find_temporary_folder, preload_library
 from khep_twin.robots.khepera4.scheduler import NEVER_NS
 

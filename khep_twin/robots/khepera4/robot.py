@@ -10,21 +10,15 @@ from numpy.typing import NDArray
 from khep_twin import step
 from khep_twin.robots.khepera4 import gauge, ultrasonic
 from khep_twin.robots.khepera4.channels import PACKET_SIZE, ULTRASONIC_CODES
-from khep_twin.robots.khepera4.core import (
-    BURST,
-    ECHO,
-    INFRARED,
-    NONE,
-    Khepera4State,
-    fill_registers,
-    wheel_pulses,
-)
+from khep_twin.robots.khepera4.core import wheel_pulses
 from khep_twin.robots.khepera4.dspic import N_MEMORY, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS
+from khep_twin.robots.khepera4.measurements import fill_registers
 from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
+from khep_twin.robots.khepera4.state import BURST, ECHO, INFRARED, NONE, Khepera4State
 from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.simulation.number_reader import LARGEST
 from khep_twin.simulation.robot_arrays import Layout, Part, read

@@ -1,0 +1,192 @@
+"""Measurements of a Khepera IV: moments of its sensors, their evaluation, and the registers of a log.
+
+Infrared sensors record a moment every 5 ms, an enabled ultrasonic one every 20 ms. A moment is evaluated when
+its readings are read. The functions are `compilable`, see `robots.core`.
+"""
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from khep_twin.compilable import compilable
+from khep_twin.robots.core import RobotState
+from khep_twin.robots.khepera4 import dspic, infrared, ultrasonic
+from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC
+from khep_twin.robots.khepera4.inertial import PACKET_SIZE
+from khep_twin.robots.khepera4.model import SAMPLED
+from khep_twin.robots.khepera4.motor_control import LEFT_PWM, RIGHT_PWM
+from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.state import BURST, ECHO, INFRARED, NONE, Khepera4State
+from khep_twin.sensing.device_faults import set_reading
+from khep_twin.sensing.scene import Beams, BeamScene, copy_moment, joint_position, save_moment, update_frames
+from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
+
+WORDS = (
+    (int(DspicRegister.PROXIMITY), 2, 0, 2, N_INFRARED),
+    (int(DspicRegister.AMBIENT), 2, 0, 2, N_INFRARED),
+    (int(DspicRegister.ULTRASONIC), 2, 0, 2, N_ULTRASONIC),
+    (int(DspicRegister.SPEED_LEFT), 2, 1, 2, 2),
+    (int(DspicRegister.SPEED_ORDER_LEFT), 2, 1, 2, 2),
+    (int(DspicRegister.POSITION_LEFT), 4, 1, 4, 2),
+    (int(DspicRegister.POSITION_ORDER_LEFT), 4, 1, 4, 2),
+    (0, 1, 0, 0, 2),  # places of both PWM, which are not in the memory
+    (int(DspicRegister.LEDS), 1, 0, 1, 9),
+    (int(DspicRegister.ACCELEROMETER), 2, 1, 2 * PACKET_SIZE, 3),
+    (int(DspicRegister.GYROSCOPE), 2, 1, 2 * PACKET_SIZE, 3),
+    (int(DspicRegister.BATTERY) + 10, 2, 0, 2, 1),  # voltage
+    (int(DspicRegister.BATTERY) + 4, 2, 1, 2, 1),  # current
+    (int(DspicRegister.BATTERY) + 1, 2, 0, 2, 1),  # charge
+    (int(DspicRegister.BATTERY) + 8, 2, 1, 2, 1),  # temperature
+    (int(DspicRegister.CONTROL), 1, 0, 1, 1),
+    (int(DspicRegister.ON_TARGET), 1, 0, 1, 1),
+    (int(DspicRegister.ULTRASONIC_ENABLED), 1, 0, 1, 1),
+    (int(DspicRegister.STATUS_LED), 1, 0, 1, 1),
+)
+"""Numbers of the dsPIC's memory in the order of `CHANNELS`: first byte, size, 1 if signed, distance from one
+to the next [bytes], and their number."""
+
+(_DUTY,) = (channel.registers[0] for channel in SAMPLED if channel.name == "duty")
+_ENABLED, _ULTRASONIC_WORDS = int(DspicRegister.ULTRASONIC_ENABLED), int(DspicRegister.ULTRASONIC)
+
+
+@compilable
+def sense(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, start: int) -> None:
+    """Record the moments of a step, if any are due."""
+    time_ns = simulated.counters[STEPS] * simulated.timing.step_ns
+    if start >= 0 and time_ns % infrared.PERIOD_NS == 0:
+        record(robot, simulated, inputs, time_ns)
+
+
+@compilable
+def record(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
+    """Record the moments that are due at a time [ns]."""
+    scene, times, first = simulated.scene, robot.times, robot.first_moment
+    powers = inputs.powers[powers_row(simulated, inputs)]
+    save_moment(scene, first + INFRARED, powers)
+    times[INFRARED] = time_ns
+    if time_ns % ultrasonic.PERIOD_NS:
+        return
+    last = robot.burst[0]
+    if robot.is_eager[0] and last != NONE:
+        _set_distance(robot, last, robot.burst_distance[0])
+    elif last != NONE:
+        copy_moment(scene, first + BURST, first + ECHO + last)
+        times[ECHO + last] = times[BURST]
+    robot.burst[0] = _next_sensor(last, robot.dspic.memory[_ENABLED])
+    if robot.burst[0] == NONE:
+        return
+    if robot.is_eager[0]:
+        update_frames(scene)
+        robot.burst_distance[0] = _measure_distance(robot, scene, inputs, robot.burst[0], time_ns)
+    else:
+        save_moment(scene, first + BURST, powers)
+    times[BURST] = time_ns
+
+
+def scan(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> None:
+    """Measure with all infrared sensors now."""
+    save_moment(simulated.scene, robot.first_moment + INFRARED, inputs.powers[0])
+    robot.times[INFRARED] = simulated.counters[STEPS] * simulated.timing.step_ns
+
+
+@compilable
+def evaluate(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, part: int) -> None:
+    """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
+    if part == INFRARED:
+        _evaluate_infrared(robot, simulated, inputs, inputs.powers[0])
+    else:
+        sensor, scene, time_ns = part - ECHO, simulated.scene, robot.times[part]
+        _set_distance(robot, sensor, _measure_distance(robot, scene, inputs, sensor, time_ns))
+        robot.times[part] = NONE
+
+
+@compilable
+def update_registers(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> None:
+    """Evaluate the infrared sensors, whose moment is the present, and set the registers."""
+    if robot.times[INFRARED] != NONE:
+        update_frames(simulated.scene)
+        _evaluate_infrared(robot, simulated, inputs, inputs.powers[powers_row(simulated, inputs)])
+    for sensor in range(N_ULTRASONIC):
+        is_enabled = robot.dspic.memory[_ENABLED] >> sensor & 1 and robot.is_eager[0]
+        distance = robot.distances[sensor] if is_enabled else ultrasonic.DISABLED
+        dspic.write_number(robot.dspic.memory, _ULTRASONIC_WORDS + 2 * sensor, 2, distance)
+    fill_registers(robot)
+
+
+@compilable
+def fill_registers(robot: Khepera4State) -> None:
+    """Set the registers to the numbers of the dsPIC."""
+    index, registers, memory = 0, robot.registers, robot.dspic.memory
+    for first, size, is_signed, stride, count in WORDS:
+        for number in range(count):
+            value = dspic.read_signed(memory, first + number * stride, size)
+            registers[index] = value if is_signed or value >= 0 else value + (1 << 8 * size)
+            index += 1
+    registers[_DUTY] = robot.dspic.motors[LEFT_PWM]
+    registers[_DUTY + 1] = robot.dspic.motors[RIGHT_PWM]
+
+
+def request_terms(state: Any, names: Collection[str]) -> None:
+    """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
+    state["is_eager"] = "ultrasonic" in names
+
+
+@compilable
+def cast_level_rays(robot: RobotState, scene: BeamScene, sensor: int) -> float:
+    """Return the distance by level rays of an ultrasonic sensor, which meet all upright obstacles first."""
+    n_rays, centre, beams = ultrasonic.N_LEVEL, _centre(scene, robot.pose), robot.beams
+    vectors, normals = beams.vectors[: 3 * n_rays], beams.normals[: 3 * n_rays]
+    level = Beams(vectors, beams.lengths[:n_rays], normals, beams.geoms[:n_rays])
+    first = ultrasonic.FIRST_LEVEL
+    nearest = ultrasonic.cast(scene, robot.sensors, centre, robot.sonar, level, sensor, first)
+    return 0.0 if nearest < ultrasonic.NEAREST else nearest if nearest <= ultrasonic.RANGE else math.inf
+
+
+@compilable
+def _next_sensor(last: int, enabled_mask: int) -> int:
+    """Return the enabled ultrasonic sensor after the last one, or NONE."""
+    for offset in range(1, N_ULTRASONIC + 1):
+        sensor = (last + offset) % N_ULTRASONIC
+        if enabled_mask >> sensor & 1:
+            return sensor
+    return NONE
+
+
+@compilable
+def _set_distance(robot: Khepera4State, sensor: int, distance: int) -> None:
+    """Set the reading of an ultrasonic sensor; a dead one receives no echo (assumed)."""
+    number, silence = N_INFRARED + sensor, ultrasonic.NO_ECHO
+    set_reading(robot.distances, sensor, robot.faults, number, distance, silence)
+
+
+@compilable
+def _measure_distance(
+    robot: Khepera4State, scene: BeamScene, inputs: StepInputs, sensor: int, time_ns: int
+) -> int:
+    """Return the reading of an ultrasonic sensor in a scene at its burst."""
+    centre, beams, tables = _centre(scene, robot.pose), robot.beams, inputs.tables
+    return ultrasonic.measure(
+        scene, robot.sensors, centre, robot.sonar, beams, tables, robot.noise, time_ns, sensor
+    )
+
+
+@compilable
+def _evaluate_infrared(
+    robot: Khepera4State, simulated: Simulated, inputs: StepInputs, powers: Sequence[float]
+) -> None:
+    """Measure with the infrared sensors in a scene at their moment."""
+    scene, light, memory, time_ns = (
+        simulated.scene,
+        simulated.light,
+        robot.dspic.memory,
+        robot.times[INFRARED],
+    )
+    tables, noise, sensors, faults = inputs.tables, robot.noise, robot.sensors, robot.faults
+    infrared.measure(scene, sensors, faults, robot.ground, light, powers, tables, noise, time_ns, memory)
+    robot.times[INFRARED] = NONE
+
+
+@compilable
+def _centre(scene: BeamScene, pose: int) -> tuple[float, float, float]:
+    """Return the position of a robot."""
+    return joint_position(scene, pose), joint_position(scene, pose + 1), joint_position(scene, pose + 2)
