@@ -86,6 +86,8 @@ class ParticleFilter:
         self.expected: Floats = np.zeros(8)
         self.surprisal: Floats = np.zeros(8)
         self.novelty = 1.0
+        self._is_in_sight = False
+        """Whether something was in reach of a sensor at the last reply to N."""
         self._noise_ticks = particles.twins.ticks
         self._timing_s = _TICK_S
         """Uncertainty of the time of the last command [s]."""
@@ -185,6 +187,7 @@ class ParticleFilter:
             surprisal = np.sort(np.log(largest / (self.weights @ likelihoods)).clip(0))
             self.surprisal = np.append(np.zeros(8), surprisal[-2:][0])
         else:
+            self._is_in_sight = bool((reply.readings > self._model.quiet).any())
             values = self._model.observe(particles, reply.readings, is_used, power)
             self.expected, self.surprisal, log_likelihoods = values
             if particles.twins.entry.body.sonar is not None:
@@ -286,4 +289,4 @@ class ParticleFilter:
         moves = draw_moves(twins, passed_s, self._timing_variances, roughening, self._rng)
         twins.move(twins.poses + moves)
         self._timing_variances = np.zeros(3)
-        particles.forget(passed_s, self._rng)
+        particles.forget(passed_s, self._rng, self._is_in_sight)

@@ -120,12 +120,14 @@ class Particles:
         self.counter_offsets[:] = offsets
         return residuals
 
-    def forget(self, passed_s: float, rng: np.random.Generator) -> None:
-        """Let learned wheels and sensors decay to the prior, by the time since the last call [s]."""
+    def forget(self, passed_s: float, rng: np.random.Generator, is_in_sight: bool = True) -> None:
+        """Let learned wheels decay to the prior, and sensors with something in sight, by a time [s]."""
         retention = math.exp(-passed_s / FORGETTING_S)
         drift = rng.standard_normal((len(self), 4)) * math.sqrt(1 - retention * retention)
         self.wheels = 1 + (self.wheels - 1) * retention + drift[:, :3] * self.prior.wheels
         self.twins.set_wheels(*self.wheels.T)
+        if not is_in_sight:
+            return  # Nothing false is learned of sensors without readings.
         self.traits *= retention
         self.traits[:, :, 0] += drift[:, 3:] * self.prior.gain
         self.covariances *= retention * retention

@@ -114,3 +114,14 @@ def test_what_was_learned_gives_way_to_what_was_known() -> None:
     particles.forget(0.0, np.random.default_rng(0))
     assert particles.wheels.tolist() == before[0].tolist()
     assert particles.traits == pytest.approx(before[1])
+
+
+def test_gains_are_kept_while_nothing_is_in_sight() -> None:
+    particles = draw_particles(
+        setup_of("workshop"), [(0.35, 0.25, 0.0)], PUBLISHED, 10, np.random.default_rng(0)
+    )
+    wheels, traits, covariances = (particles.wheels, particles.traits.copy(), particles.covariances.copy())
+    particles.forget(FORGETTING_S, np.random.default_rng(0), is_in_sight=False)
+    assert particles.traits.tolist() == traits.tolist()
+    assert particles.covariances.tolist() == covariances.tolist()
+    assert particles.wheels.tolist() != wheels.tolist()
