@@ -108,7 +108,7 @@ def relay_robot(
     logging: LogOptions,
     make_listener: ListenerMaker | None = None,
     *,
-    poll: bool = False,
+    poll_requests: Sequence[str] = (),
     stop: Callable[[], bool],
 ) -> None:
     """Serve the robot at a port.
@@ -119,7 +119,7 @@ def relay_robot(
         endpoint: Endpoints that hosts open.
         logging: Log of the line.
         make_listener: Function that creates an additional listener on the line.
-        poll: Whether to poll the robot while hosts are idle.
+        poll_requests: Requests that poll the robot while hosts are idle.
         stop: Function that returns whether to end.
     """
     from khep_twin.log.line_recorder import LineRecorder
@@ -139,7 +139,7 @@ def relay_robot(
         if make_listener is not None:
             listeners.append(make_listener(clock))
         stack.enter_context(endpoint.announce(ports, f"robot at {port}", served_speed(port)))
-        polls = IdlePolls() if poll else None
+        polls = IdlePolls(poll_requests) if poll_requests else None
         relay(device, ports[0], listeners, polls, stop=stop, notify=notify)
         duration_ns, dropped_bytes = clock(), ports[0].dropped
     print_end(duration_ns, dropped_bytes, logging, recorder)

@@ -74,7 +74,7 @@ def shadow(
     Args:
         recording: Log of a relay, or of a twin, FILE.mcap.
         relay: Follow the robot at this port, and relay its line to its host.
-        mode: Running mode of the robot, which sets the baud rate of its line.
+        mode: Running mode of the robot, which sets the baud rate of its line; by default its usual one.
         poll: Poll the robot while its host is idle.
         robot: Number of the robot in playpen and log, from 0.
         end_s: Stop at this log time [s].
@@ -82,10 +82,14 @@ def shadow(
         view: Show the shadow live in rerun.
         web: With --view: in a browser, not a window.
     """
-    settings = options.settings(line_baud(running_mode(mode)))
+    mode_number = running_mode(mode)
     check_writable(output)
     check_inputs([playpen, *([] if recording is None else [recording])], output, logging.log)
     check_new(logging.force, output, logging.log)
+    robot_playpen, has_others = options.load(playpen, robot)
+    dialect = robot_playpen.robots[0].robot_model.dialect
+    baud = dialect.baud if mode_number is None else line_baud(mode_number)
+    settings = replace(options.settings(baud), others=has_others)
     if relay is not None:
         if recording is not None or end_s is not None:
             raise usage("--relay follows a robot, not a log; expected one of them, --until only with a log")
@@ -95,14 +99,13 @@ def shadow(
         args += ["--output", str(output)] if output is not None else []
         args += [*(["--view"] if view else []), *(["--web"] if web else [])]
         from khep_twin.host.opening import resolve_port
+        from khep_twin.shadow.recording import CHANNELS
 
-        reads = options.load(playpen, robot)[0].robots[0].robot_model.dialect.reads
-        if poll and reads["position"].request != "H":
-            raise usage("--poll asks N and H; expected a robot whose counters H reads")
-        _relay_with_shadow(resolve_port(relay), settings.baud, args, endpoint, logging, poll)
+        reads = [dialect.reads[channel] for channel in CHANNELS if poll and channel in dialect.reads]
+        _relay_with_shadow(
+            resolve_port(relay), baud, args, endpoint, logging, [read.request for read in reads]
+        )
         return
-    robot_playpen, has_others = options.load(playpen, robot)
-    settings = replace(settings, others=has_others)
     if line_fd is not None:
         run = ShadowRun(robot_playpen, settings, exit_on or (), output)
         _follow_line(line_fd, run, run.show_in_viewer(web=web) if view else nullcontext())
@@ -174,7 +177,12 @@ def _watch_delay(line: "LineReceiver") -> "Iterator[LineChunk]":
 
 
 def _relay_with_shadow(
-    port: str, baud: int, args: list[str], endpoint: EndpointOptions, logging: LogOptions, poll: bool
+    port: str,
+    baud: int,
+    args: list[str],
+    endpoint: EndpointOptions,
+    logging: LogOptions,
+    requests: "Sequence[str]",
 ) -> None:
     """Relay a robot's line, with a shadow in a separate process."""
     from khep_twin.cli.shadow_process import run_shadow
@@ -185,7 +193,9 @@ def _relay_with_shadow(
             return stop() or shadow.has_ended_on_event()
 
         try:
-            relay_robot(port, baud, endpoint, logging, shadow.make_listener, poll=poll, stop=has_ended)
+            relay_robot(
+                port, baud, endpoint, logging, shadow.make_listener, poll_requests=requests, stop=has_ended
+            )
         except Exception:
             shadow.finish()
             raise

@@ -8,6 +8,7 @@ most `HOLD_S`. The replies to polls are removed from the bytes for the host.
 """
 
 import time
+from collections.abc import Sequence
 from itertools import cycle
 
 from khep_twin.units import BITS_PER_BYTE
@@ -24,8 +25,6 @@ _PERIOD_S = 0.1
 _REPLY_TIMEOUT_S = 0.5
 """Time after which a poll without reply counts as lost [s] (assumed)."""
 
-_POLL_COMMANDS = b"N\n", b"H\n"
-
 _ERROR_BYTE = b"z"
 """First byte of an error reply."""
 
@@ -34,10 +33,14 @@ _MAX_POLL_BYTES = 40
 
 
 class IdlePolls:
-    """Polls of one robot's line."""
+    """Polls of one robot's line, whose replies start with the request's letter in lower case.
 
-    def __init__(self) -> None:
-        self._polls = cycle(_POLL_COMMANDS)
+    Args:
+        requests: Requests, which are sent in turn.
+    """
+
+    def __init__(self, requests: Sequence[str]) -> None:
+        self._polls = cycle(f"{request}\n".encode() for request in requests)
         self._last_traffic_s = self._sent_s = time.monotonic()
         self._hold_start_s: float | None = None
         self._awaited = b""  # first byte of the awaited reply

@@ -31,8 +31,8 @@ _SAMPLES_PER_READ = 5
 _SAMPLED_BAUD = 10**9
 """Baud rate at which samples are replies without a delay."""
 
-_SAMPLED = "proximity", "ultrasonic", "position"
-"""Channels that are read."""
+CHANNELS = "proximity", "ultrasonic", "position"
+"""Channels that a shadow reads, if the robot has them."""
 
 
 class RecordedRobot(NamedTuple):
@@ -79,7 +79,7 @@ def read_recording(path: Path, robot: int = 0, model: RobotModel | None = None) 
 def _sampled_chunks(robot: RobotTrack) -> Iterator[LineChunk]:
     """Yield samples of registers as the bytes of requests and replies; none without duties to set."""
     dialect, (letter, duties) = robot.model.dialect, robot.model.dialect.open_loop
-    reads = [dialect.reads[channel] for channel in _SAMPLED if channel in dialect.reads]
+    reads = [dialect.reads[channel] for channel in CHANNELS if channel in dialect.reads]
     for index, (time_ns, row) in enumerate(zip(robot.times_ns.tolist(), robot.registers, strict=True)):
         replies: dict[str, str] = {}
         for read in reads if letter and index % _SAMPLES_PER_READ == 0 else ():
