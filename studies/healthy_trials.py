@@ -21,7 +21,7 @@ KHEPERA4 = "arena4", "arena4-room"
 ASTRAY_MM = 100.0
 """Error of a pose from which on it does not count as followed, even if the shadow states so."""
 
-STARTS = "told start", "own start"
+STARTS = "known start", "default start"
 """A start anywhere, which the shadow knows, and the start of the playpen or one of its spots."""
 
 IN_REACH = 100

@@ -106,7 +106,7 @@ def healthy(options: Options) -> None:
         if part := [run for run in runs if name in run.rows]:
             row(name, *healthy_cells(part))
     print(
-        "\nErrors of position in mm while it is followed; regions are the 95 % told, while it is not lost.\n"
+        "\nErrors of position in mm while it is followed; regions are those of 95 %, while it is not lost.\n"
     )
 
 

@@ -230,5 +230,5 @@ def test_a_healthy_robot_is_followed_without_an_alarm(tmp_path: Path) -> None:
     hours, alarms, _, followed, *_ = healthy_cells([healthy])
     assert (hours, alarms, followed) == ("0.00", "0", "100.0 %")
     assert np.median(healthy.errors_mm) < 10
-    assert healthy.text.startswith("obstacles, wall follower, seed 1, told start: ")
-    assert healthy.rows == {"obstacles", "wall follower", "told start", "in reach each 30 s", "all"}
+    assert healthy.text.startswith("obstacles, wall follower, seed 1, known start: ")
+    assert healthy.rows == {"obstacles", "wall follower", "known start", "in reach each 30 s", "all"}
