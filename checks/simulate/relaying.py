@@ -24,7 +24,6 @@ from khep_twin.cli import endpoints, options
 from khep_twin.cli.endpoints import EndpointOptions
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.errors import PortError
-from khep_twin.ports import idle_polls
 from khep_twin.ports.serve import serve
 from khep_twin.ports.twin import open_twin
 
@@ -85,8 +84,9 @@ class _Relayed(Site):
 
     def _relay(self) -> None:
         logging = LogOptions(log=self._log.path)
+        polls = (b"N\r", b"H\r") if self.polls else ()  # a host's requests have another end of line
         endpoints.relay_robot(
-            self.cable.path, _BAUD, self.endpoint, logging, poll=self.polls, stop=self._is_to_stop
+            self.cable.path, _BAUD, self.endpoint, logging, poll_requests=polls, stop=self._is_to_stop
         )
 
     def _is_to_stop(self) -> bool:
@@ -220,7 +220,7 @@ def relay(simulation: Simulation, seconds: float) -> None:
 
 @contextmanager
 def _relay_notices(simulation: Simulation) -> Generator[list[Callable[[str], None]]]:
-    """Collect the relay's notices to its user, and mark its polls by another end of line."""
+    """Collect the relay's notices to its user."""
     takers: list[Callable[[str], None]] = []
 
     def echo(text: str, **_: object) -> None:
@@ -228,11 +228,7 @@ def _relay_notices(simulation: Simulation) -> Generator[list[Callable[[str], Non
             taker(text.rstrip("\n"))
 
     typer = SimpleNamespace(echo=echo)
-    with (
-        patch.object(endpoints, "typer", typer),
-        patch.object(options, "typer", typer),
-        patch.object(idle_polls, "_POLL_COMMANDS", (b"N\r", b"H\r")),
-    ):
+    with patch.object(endpoints, "typer", typer), patch.object(options, "typer", typer):
         yield takers
 
 

@@ -108,7 +108,7 @@ def relay_robot(
     logging: LogOptions,
     make_listener: ListenerMaker | None = None,
     *,
-    poll_requests: Sequence[str] = (),
+    poll_requests: Sequence[bytes] = (),
     stop: Callable[[], bool],
 ) -> None:
     """Serve the robot at a port.

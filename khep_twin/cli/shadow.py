@@ -102,9 +102,8 @@ def shadow(
         from khep_twin.shadow.recording import CHANNELS
 
         reads = [dialect.reads[channel] for channel in CHANNELS if poll and channel in dialect.reads]
-        _relay_with_shadow(
-            resolve_port(relay), baud, args, endpoint, logging, [read.request for read in reads]
-        )
+        requests = [dialect.framing.encode(read.request) for read in reads]
+        _relay_with_shadow(resolve_port(relay), baud, args, endpoint, logging, requests)
         return
     if line_fd is not None:
         run = ShadowRun(robot_playpen, settings, exit_on or (), output)
@@ -182,7 +181,7 @@ def _relay_with_shadow(
     args: list[str],
     endpoint: EndpointOptions,
     logging: LogOptions,
-    requests: "Sequence[str]",
+    requests: "Sequence[bytes]",
 ) -> None:
     """Relay a robot's line, with a shadow in a separate process."""
     from khep_twin.cli.shadow_process import run_shadow

@@ -39,8 +39,8 @@ class IdlePolls:
         requests: Requests, which are sent in turn.
     """
 
-    def __init__(self, requests: Sequence[str]) -> None:
-        self._polls = cycle(f"{request}\n".encode() for request in requests)
+    def __init__(self, requests: Sequence[bytes]) -> None:
+        self._polls = cycle(requests)
         self._last_traffic_s = self._sent_s = time.monotonic()
         self._hold_start_s: float | None = None
         self._awaited = b""  # first byte of the awaited reply

@@ -26,13 +26,13 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 def asking(clock: Clock) -> tuple[IdlePolls, bytes]:
     """Return polls that have just sent a command, and the command."""
-    polls = IdlePolls("NH")
+    polls = IdlePolls([b"N\n", b"H\n"])
     clock.now += IDLE_S
     return polls, polls.next_command(BAUD)
 
 
 def test_it_asks_after_a_silence_one_question_at_a_time(clock: Clock) -> None:
-    polls = IdlePolls("NH")
+    polls = IdlePolls([b"N\n", b"H\n"])
     assert polls.next_command(BAUD) == b""
     clock.now += IDLE_S
     assert polls.next_command(BAUD) == b"N\n"
@@ -43,7 +43,7 @@ def test_it_asks_after_a_silence_one_question_at_a_time(clock: Clock) -> None:
 
 
 def test_the_requests_of_another_model_are_sent_in_turn(clock: Clock) -> None:
-    polls, commands = IdlePolls("NGR"), list[bytes]()
+    polls, commands = IdlePolls([b"N\n", b"G\n", b"R\n"]), list[bytes]()
     for _ in range(4):
         clock.now += IDLE_S
         commands.append(polls.next_command(BAUD))
@@ -52,13 +52,13 @@ def test_the_requests_of_another_model_are_sent_in_turn(clock: Clock) -> None:
 
 
 def test_a_line_too_slow_for_the_longest_wait_is_not_asked(clock: Clock) -> None:
-    polls = IdlePolls("NH")
+    polls = IdlePolls([b"N\n", b"H\n"])
     clock.now += IDLE_S
     assert polls.next_command(4800) == b""
 
 
 def test_a_host_that_speaks_puts_the_next_question_off(clock: Clock) -> None:
-    polls = IdlePolls("NH")
+    polls = IdlePolls([b"N\n", b"H\n"])
     clock.now += IDLE_S
     assert polls.remaining_hold_s(b"D,1,1\n") == 0
     assert polls.next_command(BAUD) == b""

@@ -285,7 +285,7 @@ def test_a_reply_that_was_lost_does_not_end_the_polls(monkeypatch: pytest.Monkey
                     os.write(robot, b"h,0,0\r\n" if commands.endswith(b"H\n") else b"n,0,0,0,0,0,0,0,0\r\n")
             return commands.count(b"\n") == 3 or time_s[0] > 20
 
-        relaying.relay(device, port, polls=IdlePolls("NH"), stop=step, notify=print)
+        relaying.relay(device, port, polls=IdlePolls([b"N\n", b"H\n"]), stop=step, notify=print)
     assert commands == b"N\nH\nN\n"
 
 
