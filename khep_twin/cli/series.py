@@ -82,6 +82,8 @@ def new(
     check_new(force, file)
     write_template(robot_model if kind is Kind.CONTROLLER else None, file, force)
     length = ("--seconds", 20) if kind is Kind.CONTROLLER else ("--cycles", 500)
-    families = {name: Playpen.load(name).robots[0].robot_model.family for name in ("obstacles", *names())}
-    playpen = next((name for name in families if families[name] == robot_model.family), "PLAYPEN")
+    # The first one that has the robot; the others are not read.
+    playpens = map(Playpen.load, ("obstacles", *names()))
+    matches = (entry for entry in playpens if entry.robots[0].robot_model.family == robot_model.family)
+    playpen = next((entry.name for entry in matches), "PLAYPEN")
     typer.echo(f"{kind}  {file}      run it: {command('run', file, '--playpen', playpen, *length)}")

@@ -99,10 +99,9 @@ def shadow(
         args += ["--output", str(output)] if output is not None else []
         args += [*(["--view"] if view else []), *(["--web"] if web else [])]
         from khep_twin.host.opening import resolve_port
-        from khep_twin.shadow.recording import CHANNELS
+        from khep_twin.shadow.recording import reads_of
 
-        reads = [dialect.reads[channel] for channel in CHANNELS if poll and channel in dialect.reads]
-        requests = [dialect.framing.encode(read.request) for read in reads]
+        requests = [dialect.framing.encode(read.request) for read in reads_of(dialect) if poll]
         _relay_with_shadow(resolve_port(relay), baud, args, endpoint, logging, requests)
         return
     if line_fd is not None:

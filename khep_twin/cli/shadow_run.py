@@ -40,9 +40,6 @@ _HALF_WIDTH_95 = 1.96
 _LEARNED_INTERVAL_NS = 10 * NS_PER_S
 """Interval between two records of learned values in the log [ns]."""
 
-_WARM_UP_CHANNELS = "proximity", "ultrasonic", "position"
-"""Channels whose replies load the compiled code."""
-
 _NUMBER = r"-?\d{1,6}(?:\.\d{1,6})?"
 _POSE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER})")
 _DEVIATIONS = re.compile(r"(\d{1,4}(?:\.\d{1,6})?),(\d{1,3}(?:\.\d{1,6})?)")
@@ -166,12 +163,13 @@ class ShadowRun:
     @staticmethod
     def _warm_up(playpen: "Playpen", settings: "ShadowSettings") -> None:
         """Load all compiled code, so that it does not delay the line."""
+        from khep_twin.shadow.recording import reads_of
         from khep_twin.shadow.shadow import Shadow
 
         scratch_shadow = Shadow(playpen, replace(settings, particles=10))
         dialect = playpen.robots[0].robot_model.dialect
-        reads = [dialect.reads[name] for name in _WARM_UP_CHANNELS if name in dialect.reads]
-        replies = {dialect.drive(1, 1): "", **{read.request: ",0" * read.n_values for read in reads}}
+        replies = {read.request: ",0" * read.n_values for read in reads_of(dialect)}
+        replies = {dialect.drive(1, 1): "", **replies}
         for time_ns, (request, values) in enumerate(replies.items(), 1):
             reply = request[0].lower() + values
             scratch_shadow.feed(time_ns * NS_PER_S // 10, True, request.encode() + b"\n")

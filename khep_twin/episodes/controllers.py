@@ -261,6 +261,12 @@ def readings_of(driver: Driver, setup: EpisodeSetup) -> tuple[tuple[int, int], .
     return interface.proximity, interface.ambient, *(term.registers for term in terms)
 
 
+def board_shape(driver: Driver, setup: EpisodeSetup) -> tuple[int, int]:
+    """Return the numbers of registers with readings of turrets, and of speeds with commands."""
+    n_registers = max(setup.interface.n_registers, *map(max, readings_of(driver, setup)))
+    return n_registers, 2 + len(commands_of(driver))
+
+
 def make_controllers(
     driver: Driver,
     genes: Floats,
@@ -285,7 +291,7 @@ def make_controllers(
             the controller, or the driver is of no known kind.
         RobotModelError: The model lacks a term.
     """
-    interface, n_robots = setup.interface, len(setup.playpen.robots)
+    n_robots = len(setup.playpen.robots)
     terms = find_terms(driver, setup.entry.robot_model)
     kind, function, sizes, recurrent, top_speed, n_memory = stepping.CONSTANT_SPEED, 0, (), False, 0.0, 0
     scales: list[tuple[float, ...]] = []
@@ -294,7 +300,7 @@ def make_controllers(
     if genes.ndim == 2 and len(genes) != n_robots:
         raise ControllerError(f"genes for {len(genes)} robots; expected {n_robots}")
     readings = readings_of(driver, setup)
-    n_registers, n_outputs = max(interface.n_registers, *map(max, readings)), 2 + len(commands_of(driver))
+    n_registers, n_outputs = board_shape(driver, setup)
     weights = np.array(np.broadcast_to(genes, (n_robots, genes.shape[-1])), np.float64)
     match driver:
         case Braitenberg():

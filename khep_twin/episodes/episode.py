@@ -28,7 +28,7 @@ from khep_twin.episodes.controllers import (
     ConstantSpeed,
     Driver,
     Floats,
-    commands_of,
+    board_shape,
     make_controllers,
     readings_of,
     terms_of,
@@ -124,8 +124,7 @@ class Episode(NotCopied):
         self.boards: NDArray[np.int64] = self._simulation.robots.records[0]["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
         self._has_started = False
-        n_registers = max(self.boards.shape[1], *map(max, readings_of(self._driver, setup)))
-        self.shape = len(self.boards), n_registers, 2 + len(commands_of(self._driver))
+        self.shape = len(self.boards), *board_shape(self._driver, setup)
         self._lamps = DEFAULT_OPTIONS.lamps
 
     @one_thread

@@ -42,9 +42,6 @@ from khep_twin.robots.registry import default_model, find_family
 SUFFIX, PROGRAM = ".npz", ".c"
 """Suffixes of network files: archives and programs."""
 
-_SOURCE = (files("khep_twin") / "assets" / "network.c").read_text()
-_HEAD = _SOURCE[: _SOURCE.index("\n")].encode()
-
 FORMAT, VERSION = "khep_twin network", 1
 
 LIGHT = (484.8, 75.0)
@@ -169,11 +166,16 @@ def write(path: Path, content: NetworkContent, replace: bool = False) -> None:
 def _is_network(path: Path) -> bool:
     try:
         if path.suffix == PROGRAM:
-            return path.read_bytes().startswith(_HEAD)
+            return path.read_text("latin-1").startswith(_source().splitlines()[0])
         read(path)
     except (ControllerError, OSError):
         return False
     return True
+
+
+def _source() -> str:
+    """Return the program without its tables."""
+    return (files("khep_twin") / "assets" / "network.c").read_text()
 
 
 def _program(content: NetworkContent, inputs: Sequence[Input]) -> bytes:
@@ -195,7 +197,7 @@ static const double GENES[] = {{{", ".join(map(repr, content.genes))}}};
 static const double SCALES[] = {{
 {scales.replace("inf,", "INFINITY,")}}};
 {model.load("program", FunctionType)([row.register for row in inputs])}"""
-    return _SOURCE.replace("/* tables */", tables).encode()
+    return _source().replace("/* tables */", tables).encode()
 
 
 def describe_inputs(
@@ -204,15 +206,16 @@ def describe_inputs(
     """Return the inputs in their order."""
     model = find_family(family)
     interface, cameras, none = model.episode_interface, model.body.cameras, (-math.inf, math.inf)
-    parts = [("proximity", interface.proximity, cameras, (*none, 0.0, float(interface.counts[1])))]
+    scale = *none, 0.0, float(interface.counts[1])
+    parts = [("proximity", interface.proximity, cameras[: interface.n_proximity], scale)]
     if ambient:
-        parts.append(("light", interface.ambient, cameras, (*none, *light)))
+        parts.append(("light", interface.ambient, cameras[: interface.n_ambient], (*none, *light)))
     for term in model.place_terms(terms):
         parts.append((term.name, term.registers, term.names, (term.low, term.high, term.zero, term.high)))
     return [
         Input(f"{part} {name}", register, *map(float, scale))
         for part, registers, names, scale in parts
-        for register, name in zip(range(*registers), names, strict=False)
+        for register, name in zip(range(*registers), names, strict=True)
     ]
 
 

@@ -81,6 +81,11 @@ class Body:
     sonar: SonarRing | None = None
 
     @property
+    def ring_sensors(self) -> tuple[str, ...]:
+        """Names of the infrared sensors around the robot."""
+        return self.sensors[: len(self.sensor_positions)]
+
+    @property
     def cameras(self) -> tuple[str, ...]:
         """Names of its infrared sensors in its scene."""
         return tuple(name.replace(" ", "_") for name in self.sensors)

@@ -14,7 +14,7 @@ from khep_twin.log.decoding import decode_messages, read_line
 from khep_twin.log.reader import RobotTrack, read_log, read_raw
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.transcript import unescape
-from khep_twin.robots.model import RobotModel
+from khep_twin.robots.model import Dialect, Read, RobotModel
 
 
 class LineChunk(NamedTuple):
@@ -30,9 +30,6 @@ _SAMPLES_PER_READ = 5
 
 _SAMPLED_BAUD = 10**9
 """Baud rate at which samples are replies without a delay."""
-
-CHANNELS = "proximity", "ultrasonic", "position"
-"""Channels that a shadow reads, if the robot has them."""
 
 
 class RecordedRobot(NamedTuple):
@@ -76,10 +73,16 @@ def read_recording(path: Path, robot: int = 0, model: RobotModel | None = None) 
     return RecordedRobot(name, start_baud, sorted(chunks, key=lambda chunk: chunk.time_ns))
 
 
+def reads_of(dialect: Dialect) -> list[Read]:
+    """Return the requests that a shadow needs, of the readings that a robot has."""
+    reads = map(dialect.reads.get, ("proximity", "ultrasonic", "position"))
+    return [read for read in reads if read is not None]
+
+
 def _sampled_chunks(robot: RobotTrack) -> Iterator[LineChunk]:
     """Yield samples of registers as the bytes of requests and replies; none without duties to set."""
     dialect, (letter, duties) = robot.model.dialect, robot.model.dialect.open_loop
-    reads = [dialect.reads[channel] for channel in CHANNELS if channel in dialect.reads]
+    reads = reads_of(dialect)
     for index, (time_ns, row) in enumerate(zip(robot.times_ns.tolist(), robot.registers, strict=True)):
         replies: dict[str, str] = {}
         for read in reads if letter and index % _SAMPLES_PER_READ == 0 else ():

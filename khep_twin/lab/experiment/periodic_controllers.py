@@ -22,6 +22,7 @@ from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.khepera import Khepera
 from khep_twin.host.turret import HostTurret
 from khep_twin.lab.experiment.controllers import AnyRobot, Controller
+from khep_twin.robots.registry import find_family
 
 
 class PeriodicController(Controller):
@@ -78,6 +79,11 @@ class NetworkController(PeriodicController):
         self.file = file
         self._genes = list(network.genes)
         self._inputs = network.inputs
+        model = find_family(network.model)
+        n_registers = model.episode_interface.n_registers
+        self._registers = [entry.register for entry in self._inputs if entry.register < n_registers]
+        self._terms = [term for term in model.place_terms(network.terms) if term.turret]
+        self._commands = model.find_terms(network.commands)
         self._memory: list[float] = []
         self._sizes = list(network.sizes)
         self._values = [0.0] * sum(network.sizes)
@@ -97,26 +103,22 @@ class NetworkController(PeriodicController):
     def start(self, robot: HostRobot) -> None:
         """Reset the recurrent memory, and check that the robot has the turrets."""
         self._memory, self._orders = [0.0] * self.network.sizes[1], {}
-        terms = robot.model.find_terms(list({*self.network.terms, *self.network.commands}))
-        kinds = {installed_turrets()[term.turret] for term in terms if term.turret}
+        kinds = {installed_turrets()[term.turret] for term in (*self._terms, *self._commands)}
         self._turrets = {kind.name: HostTurret(cast(Khepera, robot), kind) for kind in kinds}
 
     def decide(self, robot: HostRobot) -> tuple[float, float]:
         """Read the robot's sensors, evaluate the network, and give its orders to turrets."""
         network, values, inputs = self.network, self._values, self._inputs
-        n_registers = robot.model.episode_interface.n_registers
-        registers = [entry.register for entry in inputs if entry.register < n_registers]
-        readings = dict(zip(registers, robot.read_registers(registers), strict=True))
-        for term in robot.model.place_terms(network.terms):
-            if term.turret:
-                answer = self._turrets[term.turret].ask(term.message, len(term.names))
-                readings |= zip(range(*term.registers), answer, strict=True)
+        readings = dict(zip(self._registers, robot.read_registers(self._registers), strict=True))
+        for term in self._terms:
+            answer = self._turrets[term.turret].ask(term.message, len(term.names))
+            readings |= zip(range(*term.registers), answer, strict=True)
         values[: len(inputs)] = [entry.scale(readings[entry.register]) for entry in inputs]
         output_start = networks.forward(self._sizes, network.recurrent, self._genes, self._memory, values)
         left, right = (network.top_speed * value for value in values[output_start : output_start + 2])
         if not (math.isfinite(left) and math.isfinite(right)):
             raise ControllerError(f"{self.subject}: speeds {left}, {right}; expected finite numbers")
-        for index, term in enumerate(robot.model.find_terms(network.commands), output_start + 2):
+        for index, term in enumerate(self._commands, output_start + 2):
             if (order := term.order_for(term.unscale(values[index]))) != self._orders.get(term.name):
                 self._turrets[term.turret].ask(order, 0)
                 self._orders[term.name] = order

@@ -56,10 +56,11 @@ def _draw_sensors(
         colour = _COLOURS[index % len(_COLOURS)]
         model = simulate_readings(test, fit.calibration, fit.misplacements.get(test.name, IN_PLACE))
         by_travel = np.argsort(test.run.travelled, kind="stable")
-        for axes, counts, line in zip(panels, test.counts.T, model.T, strict=False):
+        for axes, counts, line in zip(panels[: model.shape[1]], test.counts.T, model.T, strict=True):
             axes.plot(test.run.travelled, counts, ".", ms=2.5, color=colour, alpha=0.55)
             axes.plot(test.run.travelled[by_travel], line[by_travel], color=colour, lw=1.3, label=test.name)
-    for axes, name in zip(panels, tests[0].model.body.sensors, strict=False):
+    names = tests[0].model.body.ring_sensors
+    for axes, name in zip(panels[: len(names)], names, strict=True):
         axes.set_title(name, fontsize=9, color=INK)
     subfigure.supxlabel(_UNITS[motion], fontsize=9)
     subfigure.supylabel("ambient [counts]" if kind == "light" else "proximity [counts]", fontsize=9)

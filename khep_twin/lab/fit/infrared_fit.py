@@ -113,9 +113,9 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
     low_mm, *_, high_mm = model.fit_bench.walls_mm
     data_text = f"readings at several distances between {low_mm:g} and {high_mm:g} mm"
     counts = np.concatenate([test.counts for test in tests])
-    _check_readings(counts, start, model.body.sensors, data_text)
+    _check_readings(counts, start, model.body.ring_sensors, data_text)
     initial = [Optics.of(proximity, sensor) for sensor in range(n_sensors)]
-    sensor_parameters = _sensor_parameters(initial, start.heading_deg, model.body.sensors)
+    sensor_parameters = _sensor_parameters(initial, start.heading_deg, model.body.ring_sensors)
     parameters = [*sensor_parameters, *error_parameters(tests, ruler or Ruler())]
     sparsity = jacobian_sparsity(tests, _N_PARAMETERS)
     n_values = _N_PARAMETERS * n_sensors
@@ -183,7 +183,7 @@ def _check_readings(counts: Floats, start: Calibration, names: Sequence[str], da
     """Raise a `FitError` for a sensor with too few readings between both ends."""
     noise, limit = np.array(start.proximity.noise_counts), start.proximity.limit_counts
     n_unclipped = ((counts > noise) & (counts < limit - noise)).sum(axis=0)
-    for name, n_readings in zip(names, n_unclipped.tolist(), strict=False):
+    for name, n_readings in zip(names, n_unclipped.tolist(), strict=True):
         if n_readings < _MIN_READINGS:
             raise FitError(
                 f"{name}: the gain cannot be determined: {n_readings} readings are neither 0 nor saturated; "
@@ -196,7 +196,7 @@ def _sensor_parameters(
 ) -> list[Parameter]:
     """Return gain, threshold, heading [deg] and lobe exponent of each sensor in turn."""
     parameters: list[Parameter] = []
-    for name, optics, heading_deg in zip(names, initial, headings_deg, strict=False):
+    for name, optics, heading_deg in zip(names, initial, headings_deg, strict=True):
         gain, heading_sd, lobe_sd = optics.gain_counts_mm2, HEADING_SPREAD_DEG, LOBE_SPREAD
         parameters += [
             Parameter(f"{name}: gain", gain, gain / 4, gain * _MAX_INTERVAL, " counts mm2", gain / 20),

@@ -80,7 +80,7 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
         FitError: The readings do not determine a receiver's heading, gain or lobe, or the shared values.
     """
     initial, n_sensors = start.ambient, len(start.heading_deg)
-    names = tests[0].placement.model.body.sensors[:n_sensors]
+    names = tests[0].placement.model.body.ring_sensors
     counts = np.concatenate([test.counts for test in tests])
     if initial.rises_with_light:
         counts = COUNTS_LIMIT - counts

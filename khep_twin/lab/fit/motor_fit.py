@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Self
+from typing import NamedTuple, Self
 
 import mujoco
 import numpy as np
@@ -83,8 +83,18 @@ class DutyDrive:
         return np.concatenate([self.times_ns[~self.is_position], self.times_ns[self.is_position][1:]]) / 1e9
 
 
-MotorFit = tuple[MotorCalibration, tuple[FittedValue, ...], Sequence[DutyDrive]]
-"""Fitted calibration; no-load speed [rad/s], stall and friction torque [N m]; drives in the ticks' phase."""
+class MotorFit(NamedTuple):
+    """Fit of the motors.
+
+    Attributes:
+        motors: Fitted calibration.
+        values: Fitted values: no-load speed [rad/s], stall torque and friction torque [N m].
+        drives: Drives in phase with the controller.
+    """
+
+    motors: MotorCalibration
+    values: tuple[FittedValue, ...]
+    drives: Sequence[DutyDrive]
 
 
 def _expected_data(model: RobotModel) -> str:
@@ -147,7 +157,7 @@ def fit_motors(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
     fit = _fit_aligned_drives(drives, start)
     for _ in range(_MAX_ROUNDS):
         previous_starts_ns = [drive.requests[0][0] for drive in drives]
-        drives = [align(drive, start.model_copy(update={"motors": fit[0]})) for drive in drives]
+        drives = [align(drive, start.model_copy(update={"motors": fit.motors})) for drive in drives]
         if [drive.requests[0][0] for drive in drives] == previous_starts_ns:
             break
         fit = _fit_aligned_drives(drives, start)
@@ -192,7 +202,7 @@ def _fit_aligned_drives(drives: Sequence[DutyDrive], start: Calibration) -> Moto
         FittedValue(("motors", key), getattr(motors, key), interval)
         for key, interval in zip(_KEYS, intervals, strict=True)
     ]
-    return motors, tuple(values), drives
+    return MotorFit(motors, tuple(values), drives)
 
 
 def simulate(drive: DutyDrive, robot: Calibration) -> Floats:

@@ -56,6 +56,7 @@ def fit_robot(tests: FitTests, start: Calibration, ruler: Ruler | None = None) -
     ruler, robot, values, lines = ruler or Ruler(), start, list[FittedValue](), list[str]()
     misplacements: dict[str, Misplacement] = {}
     drives: dict[str, DutyDrive] = {}
+    radius_part = 0.0
     if tests.wheels:
         wheels, (radius, base) = fit_wheels(tests.wheels, ruler, tests.model)
         sizes = {"radius_mm": wheels.radius_mm, "base_mm": wheels.base_mm}
@@ -65,13 +66,15 @@ def fit_robot(tests: FitTests, start: Calibration, ruler: Ruler | None = None) -
             f"wheel radius   {radius.value:.3f} mm +- {radius.interval:.3f} (95 %)",
             f"wheel base     {base.value:.2f} mm +- {base.interval:.2f} (95 %)",
         ]
+        radius_part = radius.interval / radius.value
         ruler = replace(ruler, base=base.interval / CONFIDENCE / base.value)
     if tests.motors:
-        motors, (speed, *torques), aligned_drives = fit_motors(tests.motors, robot)
-        drives = {drive.name: drive for drive in aligned_drives}
-        robot = robot.model_copy(update={"motors": motors})
+        motors = fit_motors(tests.motors, robot)
+        speed, *torques = motors.values
+        drives = {drive.name: drive for drive in motors.drives}
+        robot = robot.model_copy(update={"motors": motors.motors})
         # A torque is as the wheels' radius squared.
-        part = 2 * values[0].interval / values[0].value if tests.wheels else 0.0
+        part = 2 * radius_part
         torque, friction = (replace(t, interval=max(t.interval, part * t.value)) for t in torques)
         values += speed, torque, friction
         lines += [
@@ -89,7 +92,7 @@ def fit_robot(tests: FitTests, start: Calibration, ruler: Ruler | None = None) -
             fit = fit_sensors([test.readings(robot.wheels) for test in sensor_tests], robot, ruler)
             robot = fit.calibration
             values += fit.values
-            lines += describe(fit, tests.model.body.sensors)
+            lines += describe(fit, tests.model.body.ring_sensors)
             misplacements |= zip((test.name for test in sensor_tests), fit.misplacements, strict=True)
     if tests.floors:
         robot, floor_values = _fit_floors(tests.floors, robot)
@@ -119,7 +122,7 @@ def _fit_floors(tests: Sequence[SensorData], start: Calibration) -> tuple[Calibr
 def _infrared_lines(infrared: SensorsFit, names: Sequence[str]) -> Iterator[str]:
     values = {value.path[1:]: value for value in infrared.values}
     undetermined: list[str] = []
-    for sensor, (name, rms) in enumerate(zip(names, infrared.rms, strict=False)):
+    for sensor, (name, rms) in enumerate(zip(names, infrared.rms, strict=True)):
         gain = values["gain_counts_mm2", sensor]
         texts = [f"gain {gain.value:.4g} +- {gain.interval / gain.value:.1%}"]
         for quantity, key, digits in (
@@ -139,7 +142,7 @@ def _infrared_lines(infrared: SensorsFit, names: Sequence[str]) -> Iterator[str]
 
 def _lamp_lines(lamps: SensorsFit, names: Sequence[str]) -> Iterator[str]:
     values = {value.path[1:]: value for value in lamps.values}
-    for sensor, name in enumerate(names[: len(lamps.calibration.heading_deg)]):
+    for sensor, name in enumerate(names):
         heading, gain = values["heading_deg", sensor], values["gain_counts_mm2_per_w", sensor]
         lobe = values["lobe_exponent", sensor]
         yield (
