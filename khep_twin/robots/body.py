@@ -73,7 +73,7 @@ class Body:
     wheel_radius: float
     wheel_width: float
     wheel_base: float
-    pulses_per_turn: int
+    pulses_per_turn: float
     near_counts: int
     support_solref: tuple[float, float] | None = None
     fits_scene: bool = False

@@ -23,9 +23,13 @@ class Lines(NamedTuple):
 
     Attributes:
         resync: Bytes that end an unfinished request.
+        number: Form of a number; its last group, if it has one, is the integer.
+        has_reversed_ends: True if replies may also end in LF CR.
     """
 
     resync: bytes = b"\n"
+    number: re.Pattern[str] = _INTEGER
+    has_reversed_ends: bool = False
 
     def length(self, data: bytes | bytearray, to_robot: bool) -> int:
         """Return the length of the first message; more than that of `data` if it is incomplete."""
@@ -35,7 +39,8 @@ class Lines(NamedTuple):
     def split(self, data: bytes, to_robot: bool) -> tuple[list[bytes], bytes]:
         """Return the messages without their ends, and the part of an incomplete one."""
         lines = data.splitlines()
-        return lines, b"" if data[-1:] in LINE_ENDS else lines.pop()
+        rest = b"" if data[-1:] in LINE_ENDS else lines.pop()
+        return [line for line in lines if line or not self.has_reversed_ends], rest
 
     def is_message(self, data: bytes, to_robot: bool = False) -> bool:
         """Return whether bytes are a complete message, and no noise."""
@@ -43,13 +48,16 @@ class Lines(NamedTuple):
 
     def flaw(self, reply: bytes) -> str:
         """Return the expected form of a malformed reply; empty for another one."""
-        if not reply.endswith(b"\r\n") or b"\r" in reply[:-2]:
+        ends = (b"\r\n", b"\n") if self.has_reversed_ends else (b"\r\n",)
+        if not reply.endswith(ends) or b"\r" in reply[:-2]:
             return "expected one line that ends in CR LF"
         return "" if reply.isascii() else "expected plain ASCII"
 
     def read(self, port: "Serial", clock: Callable[[], float]) -> bytes:
         """Read a reply, or the part of it that arrives within the port's timeout."""
-        return port.read_until(b"\n", None)
+        reply = port.read_until(b"\n", None)
+        # The CR after the LF of the last reply arrives with this one.
+        return reply.removeprefix(b"\r") if self.has_reversed_ends else reply
 
     def encode(self, text: str) -> bytes:
         """Return the request with a text; raise ValueError for another text."""
@@ -76,9 +84,10 @@ class Lines(NamedTuple):
     def values(self, text: str) -> Sequence[int]:
         """Return the numbers in a message by its text; raise ValueError for others."""
         _, *values = text.split(",")
-        if not all(map(_INTEGER.fullmatch, values)):
+        numbers = [number[number.lastindex or 0] for number in map(self.number.fullmatch, values) if number]
+        if len(numbers) < len(values):
             raise ValueError("expected integers")
-        return [int(value) for value in values]
+        return [int(number) for number in numbers]
 
 
 class Frames(NamedTuple):

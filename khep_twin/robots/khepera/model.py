@@ -73,7 +73,7 @@ _BARS = bars_of(dark=500, speed=20)
 _DIALECT = Dialect(
     robot_name="a Khepera",
     host_class="khep_twin.host.Khepera",
-    versions_reply=re.compile(r"b,\d[\d.]*,\d[\d.]*"),
+    versions_reply=re.compile(r"b,\d+\.[\d.]*,\d[\d.]*"),
     probes=("B", "H", "E", "K"),
     stop_requests=("D,0,0",),
     moving=(*MOTION_COMMANDS, "run", "restart"),

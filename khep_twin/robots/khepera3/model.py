@@ -1,0 +1,167 @@
+"""The models Khepera III; sources as in `khep_twin.robots.khepera3`.
+
+Firmware 3.0 came with another gear, so the generations are two models.
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from khep_twin.board.rom import Rom, RunningMode
+from khep_twin.robots.body import Body, SonarRing
+from khep_twin.robots.framing import Lines
+from khep_twin.robots.khepera3.channels import (
+    BAUD,
+    CHANNELS,
+    GROUND,
+    NO_ECHO,
+    PULSES_PER_SPEED,
+    RING,
+    ULTRASONIC,
+)
+from khep_twin.robots.khepera3.registers import Control, Mode
+from khep_twin.robots.khepera3.vehicle import vehicle_speeds
+from khep_twin.robots.model import (
+    Dialect,
+    Interface,
+    Read,
+    RobotModel,
+    Term,
+    bars_of,
+    consecutive_registers,
+    parse_channels,
+    parts_of,
+)
+
+ASSETS = Path(__file__).parent / "assets"
+
+COUNTS_LIMIT = 4095
+"""Largest count of the converter, of 12 bits (toolbox)."""
+
+GROUND_HEIGHT = 0.0117
+"""Height of the sensors of the ground [m] (webots)."""
+
+SERVER = "kh3server"
+"""Firmware with a KoreBot on top, which runs K-Team's server on the line."""
+
+SONAR = SonarRing(ULTRASONIC, (90, 46, 0, -46, -90), 0.0595, 0.0425, (NO_ECHO, NO_ECHO, NO_ECHO), lag=0.05)
+"""Headings and height: webots; distance from the axle's middle: its mean, within 3.1 mm."""
+
+_RING = (
+    *((-40.4, 49.6), (14.8, 63.0), (48.8, 45.4), (65.6, 15.5), (65.6, -15.5)),
+    *((48.8, -45.4), (14.8, -63.0), (-40.4, -49.6), (-55.0, 0.0)),
+)
+"""Positions of the infrared sensors around [mm] (webots)."""
+
+BODY = Body(
+    radius=0.065,
+    mass=0.710,
+    support_position=0.0449,
+    sensor_positions=tuple((x * 1e-3, y * 1e-3) for x, y in _RING),
+    sensor_height=0.0237,
+    idle_current=1.35 / 8,
+    height=0.070,
+    scene=str(ASSETS / "khepera3.xml"),
+    sensors=(*RING, *GROUND),
+    wheel_radius=0.0205,
+    wheel_width=0.003,
+    wheel_base=0.08841,
+    pulses_per_turn=4198.4,
+    near_counts=300,
+    ground_positions=((0.060, -0.0099), (0.060, 0.0099)),
+    sonar=SONAR,
+)
+"""Mass and sensors: webots; wheels: manual; wheel base: toolbox; pulses of firmware 3.0: a public program;
+diameter, height, and 1350 mAh that last 8 hours: K-Team's product page (remembered)."""
+
+SAMPLED = consecutive_registers(CHANNELS)
+"""Channels of a log, consecutive in the robot's registers."""
+
+_REGISTERS = {channel.name: channel.registers for channel in SAMPLED}
+FIRST = {name: registers[0] for name, registers in _REGISTERS.items()}
+"""First register of each channel."""
+
+_INTERFACE = Interface(
+    SAMPLED[-1].registers[-1] + 1,
+    proximity=(FIRST["proximity"], FIRST["proximity"] + len(RING)),
+    ambient=(FIRST["ambient"], FIRST["ambient"] + len(RING)),
+    sides=(FIRST["proximity"] + RING.index("left"), FIRST["proximity"] + RING.index("right")),
+    setpoints=(FIRST["speed"] + 2, FIRST["speed"] + 3),
+    positions=(FIRST["position"], FIRST["position"] + 1),
+    counts=(100, COUNTS_LIMIT),
+    top_speed=20_000.0,  # 91 mm/s, in use by most programs
+    speed_limit=43_000,
+    speed_per_pulse=100 / PULSES_PER_SPEED,
+)
+
+_TERMS = (
+    Term("ground", FIRST["proximity"] + len(RING), GROUND, 0, COUNTS_LIMIT, "counts"),
+    Term("ultrasonic", FIRST["ultrasonic"], ULTRASONIC, 0, 400, "cm"),
+)
+
+_FRAMING = Lines(number=re.compile("[dl]?(-?[0-9]{1,10})"), has_reversed_ends=True)
+"""Numbers in requests have a prefix of their size; replies end in LF CR (a host), those of kh3server in CR LF."""
+
+KHEPERA_3 = RobotModel(
+    name="khepera3",
+    family="khepera3",
+    title="Khepera III",
+    body=BODY,
+    calibration=str(ASSETS / "khepera3.toml"),
+    roms={name: Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)}) for name in ("3.0", SERVER)},
+    channels=parse_channels(CHANNELS),
+    bars=bars_of(dark=4000, speed=20_000, counts=COUNTS_LIMIT),
+    dialect=Dialect(
+        robot_name="a Khepera III",
+        host_class="khep_twin.host.Khepera3",
+        # A Khepera's versions have points; a Khepera IV's are letters.
+        versions_reply=re.compile(r"b,\d+,\d+"),
+        probes=("B", "E", "R", "V,0"),
+        stop_requests=("A,2", "D,l0,l0"),
+        moving=("A", "D", "F", "L", "P"),
+        baud=BAUD,
+        framing=_FRAMING,
+        reads={
+            name: Read(letter, n_values, _REGISTERS[name][:n_used], range(n_used))
+            for name, (letter, n_values, n_used) in {
+                "proximity": ("N", 12, 11),
+                "ambient": ("O", 12, 11),
+                "speed": ("E", 2, 2),
+                "position": ("R", 2, 2),
+            }.items()
+        },
+        drive="D,l{:d},l{:d}".format,
+        open_loop=("L", _REGISTERS["duty"]),
+    ),
+    parts={
+        **parts_of("khep_twin.robots.khepera3", core="CORE", robot="Khepera3Robot", host="Khepera3"),
+        "conformance": "khep_twin.robots.khepera3.conformance:KHEPERA_3_CHECKS",
+        "computer": "khep_twin.robots.khepera3.computer:COMPUTER",
+    },
+    plots={"ultrasonic": "ultrasonic [cm]"},
+    interface=_INTERFACE,
+    terms=_TERMS,
+    speed_modes={
+        FIRST["control"] + index: value
+        for index, value in enumerate((Mode.NORMAL, Mode.NORMAL, Control.SPEED, Control.SPEED))
+    },
+    vehicle=vehicle_speeds,
+    template=str(ASSETS / "template.py"),
+)
+
+KHEPERA_3_V2 = replace(
+    KHEPERA_3,
+    name="khepera3-2",
+    title="Khepera III with firmware 2",
+    body=replace(BODY, pulses_per_turn=2764.8),
+    roms={name: rom for name, rom in zip(("2.0", SERVER), KHEPERA_3.roms.values(), strict=True)},
+)
+"""Before firmware 3.0: motors of another gear, 43.2:1, with 64 pulses a turn (manual)."""
+
+MODELS = KHEPERA_3, KHEPERA_3_V2
+
+
+def version_of(model: RobotModel) -> tuple[int, int]:
+    """Return version and revision of the dsPIC's firmware, after which its first ROM is named."""
+    version, revision = next(iter(model.roms)).split(".")
+    return int(version), int(revision)
