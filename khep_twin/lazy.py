@@ -17,6 +17,7 @@ import reprlib
 import sys
 from collections.abc import Callable, Iterable
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
@@ -85,11 +86,20 @@ def load_entry(entry: "EntryPoint", text: str, error_type: type[Exception]) -> o
         raise error_type(f"{text} cannot be loaded: {type(error).__name__}: {error}") from error
 
 
-def names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
-    """Return `__getattr__`, `__dir__` and `__all__` of a package with imports under `if TYPE_CHECKING`."""
+def names(
+    package: str, further_sources: str = ""
+) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+    """Return `__getattr__`, `__dir__` and `__all__` of a package with imports under `if TYPE_CHECKING`.
+
+    Args:
+        package: Name of the package.
+        further_sources: Pattern of further files with such imports, relative to the folder of this module.
+    """
     module = sys.modules[package]
-    with open(str(module.__file__), encoding="utf-8") as file:
-        imports = _lazy_imports(file.read())
+    further_paths = sorted(Path(__file__).parent.glob(further_sources)) if further_sources else []
+    imports: dict[str, tuple[str, str]] = {}
+    for path in (*further_paths, Path(str(module.__file__))):
+        imports |= _lazy_imports(path.read_text("utf-8"))
 
     def load(name: str) -> object:
         if name not in imports:

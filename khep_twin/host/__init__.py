@@ -35,4 +35,4 @@ if TYPE_CHECKING:
 else:
     from khep_twin import lazy
 
-    __getattr__, __dir__, __all__ = lazy.names(__name__)
+    __getattr__, __dir__, __all__ = lazy.names(__name__, "robots/*/__init__.py")

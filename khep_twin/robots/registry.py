@@ -3,8 +3,11 @@
 import warnings
 from collections.abc import Container, Iterable, Mapping
 from functools import cache
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from pkgutil import iter_modules
 
+from khep_twin import robots
 from khep_twin.board.rom import Rom
 from khep_twin.errors import RobotModelError, choices
 from khep_twin.lazy import load_plugins
@@ -13,13 +16,6 @@ from khep_twin.robots.model_checks import check_model
 
 DEFAULT = "khepera1"
 """Model of robots that a file or an option does not name."""
-
-_SHIPPED = {
-    "khepera1": "khepera.model:KHEPERA_1",
-    "khepera2": "khepera.model:KHEPERA_2",
-    "khepera4": "khepera4.model:KHEPERA_4",
-}
-
 
 _failures: dict[str, RobotModelError] = {}
 """Errors of the models that cannot be used, by name."""
@@ -51,10 +47,10 @@ def installed_models() -> Mapping[str, RobotModel]:
 
 @cache
 def shipped_models() -> Mapping[str, RobotModel]:
-    """Return the models that ship, by name."""
-    return _load(
-        [EntryPoint(name, f"khep_twin.robots.{reference}", GROUP) for name, reference in _SHIPPED.items()]
-    )
+    """Return the models that ship, by name: the `MODELS` of each folder of `khep_twin.robots`."""
+    folders = (module.name for module in iter_modules(robots.__path__) if module.ispkg)
+    modules = (import_module(f"{robots.__name__}.{folder}.model") for folder in sorted(folders))
+    return {model.name: model for module in modules for model in module.MODELS}
 
 
 def _load(entries: Iterable[EntryPoint]) -> dict[str, RobotModel]:

@@ -185,3 +185,5 @@ KHEPERA_2 = replace(
 """70 mm and 80 g (simulators, host libraries); sensors as in its manual's figure 7, scaled to that diameter,
 their height after Webots; wheel base as in its calibration; 250 mAh that last 60 minutes (manual II), less
 the motors' share; supports and height like the Khepera's (assumed)."""
+
+MODELS = KHEPERA_1, KHEPERA_2

@@ -7,3 +7,12 @@ Sources, as cited in this package:
     webots      model Khepera3 of Webots
     assumed     no source
 """
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from khep_twin.robots.khepera3.host import Khepera3 as Khepera3
+else:
+    from khep_twin import lazy
+
+    __getattr__, __dir__, __all__ = lazy.names(__name__)

@@ -152,3 +152,5 @@ KHEPERA_4 = RobotModel(
         "KheperaIVLineFollowing": "khep_twin.robots.khepera4.tasks:LINE_FOLLOWING",
     },
 )
+
+MODELS = (KHEPERA_4,)
