@@ -23,6 +23,7 @@ from khep_twin.robots.khepera4.state import N_MOMENTS, Khepera4State, make_state
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
+from khep_twin.sensing.sonar import cast_level_rays
 
 PULSES_PER_TURN = BODY.pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""
@@ -158,6 +159,7 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
 
 
 _PARTS = "motor_control", "dspic", "inertial", "gauge", "infrared", "ultrasonic", "measurements", "core"
+_MODULES = "board.kernel", "board.lithium_cells", "sensing.ground", "sensing.sonar"
 
 CORE = register(
     Core(
@@ -169,7 +171,9 @@ CORE = register(
             *("times", "vehicle", "beams", "registers"),
         ),
         n_moments=N_MOMENTS,
-        modules=("khep_twin.board.kernel", *(f"khep_twin.robots.khepera4.{part}" for part in _PARTS)),
+        modules=tuple(
+            f"khep_twin.{part}" for part in (*_MODULES, *(f"robots.khepera4.{name}" for name in _PARTS))
+        ),
         sense=measurements.sense,
         tick=_tick,
         start=_start,
@@ -183,7 +187,7 @@ CORE = register(
         commands="DLF",
         command=_command,
         counter_commands="IZ",
-        echo=measurements.cast_level_rays,
+        echo=cast_level_rays,
         program=_program,
     )
 )

@@ -1,9 +1,10 @@
 """Battery of the Khepera IV, two lithium polymer cells of 3400 mAh, and its gauge.
 
-The voltage is piecewise linear in the charge (assumed: typical of these cells) and independent of the load;
-the robot stops at 6.0 V (manual). The charge of a battery without a time of use stays constant.
+The robot stops at 6.0 V (manual). The charge of a battery without a time of use stays constant.
 """
 
+from khep_twin.board import lithium_cells
+from khep_twin.board.lithium_cells import cells_voltage
 from khep_twin.compilable import compilable
 from khep_twin.robots.khepera4.dspic import write_number
 from khep_twin.robots.khepera4.registers import DspicRegister
@@ -12,9 +13,6 @@ from khep_twin.units import TICK_NS
 
 CAPACITY = 3.4 * 3600
 """Charge of a full battery [C] (manual)."""
-
-VOLTAGES = ((0.0, 6.0), (0.05, 6.9), (0.2, 7.3), (0.6, 7.6), (1.0, 8.2))
-"""Remaining part of the charge, and voltage [V]."""
 
 CUT_OFF = 6.0
 """Voltage at which the robot stops [V] (manual)."""
@@ -40,24 +38,19 @@ _BATTERY = int(DspicRegister.BATTERY)
 
 def used_charge(used_min: float | None) -> float:
     """Return the charge used before the run [C], by minutes of use with the motors on, 300 for all of it."""
-    return CAPACITY * min((used_min or 0.0) / 300, 1)
+    return lithium_cells.used_charge(CAPACITY, used_min, 300)
 
 
 @compilable
 def battery_voltage(gauge: Vector[float]) -> float:
     """Return the present voltage [V]."""
-    level = charge_level(gauge)
-    for index in range(1, len(VOLTAGES)):
-        (low_level, low), (high_level, high) = VOLTAGES[index - 1], VOLTAGES[index]
-        if level <= high_level:
-            return low + (high - low) * (level - low_level) / (high_level - low_level)
-    return VOLTAGES[-1][1]
+    return cells_voltage(charge_level(gauge))
 
 
 @compilable
 def charge_level(gauge: Vector[float]) -> float:
     """Return the remaining part of the charge, 0 to 1."""
-    return 1 - gauge[USED] / CAPACITY
+    return lithium_cells.charge_level(gauge[USED], CAPACITY)
 
 
 @compilable

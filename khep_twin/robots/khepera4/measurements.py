@@ -4,12 +4,10 @@ Infrared sensors record a moment every 5 ms, an enabled ultrasonic one every 20 
 its readings are read. The functions are `compilable`, see `robots.core`.
 """
 
-import math
 from collections.abc import Collection, Sequence
 from typing import Any
 
 from khep_twin.compilable import compilable
-from khep_twin.robots.core import RobotState
 from khep_twin.robots.khepera4 import dspic, infrared, ultrasonic
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC
 from khep_twin.robots.khepera4.inertial import PACKET_SIZE
@@ -17,8 +15,9 @@ from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import LEFT_PWM, RIGHT_PWM
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.state import BURST, ECHO, INFRARED, NONE, Khepera4State
+from khep_twin.sensing import sonar
 from khep_twin.sensing.device_faults import set_reading
-from khep_twin.sensing.scene import Beams, BeamScene, copy_moment, joint_position, save_moment, update_frames
+from khep_twin.sensing.scene import BeamScene, copy_moment, save_moment, update_frames
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 
 WORDS = (
@@ -132,17 +131,6 @@ def request_terms(state: Any, names: Collection[str]) -> None:
 
 
 @compilable
-def cast_level_rays(robot: RobotState, scene: BeamScene, sensor: int) -> float:
-    """Return the distance by level rays of an ultrasonic sensor, which meet all upright obstacles first."""
-    n_rays, centre, beams = ultrasonic.N_LEVEL, _centre(scene, robot.pose), robot.beams
-    vectors, normals = beams.vectors[: 3 * n_rays], beams.normals[: 3 * n_rays]
-    level = Beams(vectors, beams.lengths[:n_rays], normals, beams.geoms[:n_rays])
-    first = ultrasonic.FIRST_LEVEL
-    nearest = ultrasonic.cast(scene, robot.sensors, centre, robot.sonar, level, sensor, first)
-    return 0.0 if nearest < ultrasonic.NEAREST else nearest if nearest <= ultrasonic.RANGE else math.inf
-
-
-@compilable
 def _next_sensor(last: int, enabled_mask: int) -> int:
     """Return the enabled ultrasonic sensor after the last one, or NONE."""
     for offset in range(1, N_ULTRASONIC + 1):
@@ -164,9 +152,9 @@ def _measure_distance(
     robot: Khepera4State, scene: BeamScene, inputs: StepInputs, sensor: int, time_ns: int
 ) -> int:
     """Return the reading of an ultrasonic sensor in a scene at its burst."""
-    centre, beams, tables = _centre(scene, robot.pose), robot.beams, inputs.tables
-    return ultrasonic.measure(
-        scene, robot.sensors, centre, robot.sonar, beams, tables, robot.noise, time_ns, sensor
+    tables, number = inputs.tables, time_ns // ultrasonic.PERIOD_NS
+    return sonar.measure(
+        scene, robot.sensors, robot.pose, robot.sonar, robot.beams, tables, robot.noise, number, sensor
     )
 
 
@@ -184,9 +172,3 @@ def _evaluate_infrared(
     tables, noise, sensors, faults = inputs.tables, robot.noise, robot.sensors, robot.faults
     infrared.measure(scene, sensors, faults, robot.ground, light, powers, tables, noise, time_ns, memory)
     robot.times[INFRARED] = NONE
-
-
-@compilable
-def _centre(scene: BeamScene, pose: int) -> tuple[float, float, float]:
-    """Return the position of a robot."""
-    return joint_position(scene, pose), joint_position(scene, pose + 1), joint_position(scene, pose + 2)

@@ -7,19 +7,19 @@ import mujoco
 import numpy as np
 
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.khepera4 import dspic, gauge, inertial, ultrasonic
+from khep_twin.robots.khepera4 import dspic, gauge, inertial, infrared, ultrasonic
 from khep_twin.robots.khepera4.dspic import N_ULTRASONIC, DspicState
 from khep_twin.robots.khepera4.inertial import InertialState
-from khep_twin.robots.khepera4.infrared import Ground
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.server import N_VEHICLE
-from khep_twin.robots.khepera4.ultrasonic import Sonar
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.device_faults import DeviceFaults
+from khep_twin.sensing.ground import Ground
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Beams
+from khep_twin.sensing.sonar import Sonar
 from khep_twin.sensors import core_fields
 
 INFRARED, BURST, ECHO = 0, 1, 2
@@ -48,7 +48,7 @@ class Khepera4State(NamedTuple):
         sensors: Infrared sensors.
         faults: Faults of sensors and motors.
         ground: Those that look at the floor.
-        sonar: Rays of the ultrasonic sensors.
+        sonar: Ultrasonic sensors.
         beams: Buffers for them.
         dspic: State of the microcontroller.
         inertial: State of accelerometer and gyroscope.
@@ -97,8 +97,6 @@ def make_state(
     model: mujoco.MjModel, indices: RobotIndices, measured: Calibration, entry: RobotEntry, first_moment: int
 ) -> Khepera4State:
     """Return the state of a robot at power-up."""
-    ground = measured.ground
-    assert ground is not None  # checked with the playpen
     battery = np.zeros(gauge.N_GAUGE)
     battery[gauge.USED] = gauge.used_charge(entry.battery_used_min)
     return Khepera4State(
@@ -107,13 +105,7 @@ def make_state(
         idle_current=entry.body.idle_current,
         is_discharged=int(entry.battery_used_min is not None),
         first_moment=first_moment,
-        ground=Ground(
-            list(map(float, ground.white_counts)),
-            float(ground.nothing_counts),
-            float(ground.noise_counts),
-            ground.spot_mm * 1e-3,
-            int(measured.ambient.rises_with_light),
-        ),
+        ground=Ground.of(measured, infrared.HEIGHT, infrared.LENS),
         sonar=(sonar := ultrasonic.make_sonar()),
         beams=Beams.of(len(sonar.gains)),
         dspic=dspic.power_up(),
