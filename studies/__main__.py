@@ -9,7 +9,7 @@ STUDIES = {
     "behaviour": "behaviour",
     "infrared-fits": "infrared_fits",
     "khepera2-fits": "khepera2_fits",
-    "khepera4-programs": "khepera4_programs",
+    "public-programs": "public_programs",
     "khepera4-transfer": "khepera4_transfer",
     "infrared-picture": "infrared_picture",
     "lamp-fits": "lamp_fits",

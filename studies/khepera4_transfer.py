@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,10 @@ from khep_twin.lab.experiment.series import FreshTwins, run_series
 from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.twin import TwinOptions, open_twin
-from khep_twin.robots.khepera4.machine import BYTE_NS, Machine, MachineTime
+from khep_twin.programs.machine import Machine
+from khep_twin.programs.robot_program import RobotProgram, run_programs
 from khep_twin.robots.khepera4.model import KHEPERA_4
-from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
 from khep_twin.robots.khepera4.registers import DspicRegister
-from khep_twin.robots.khepera4.robot import Khepera4Robot
 from tools.command_table import command_line
 
 SEED = 100
@@ -34,14 +34,14 @@ SEED = 100
 class MeasuredMachine(Machine):
     """Machine that computes the fitness of each cycle, from the readings and the speeds of its program."""
 
-    def __init__(self, robot: Khepera4Robot, clock: MachineTime) -> None:
-        super().__init__(robot.dspic, clock)
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
         self.fitness: list[float] = []
         self._nearest: float | None = None
 
-    def transfer(self, messages: Sequence[tuple[int, int, bytes]], byte_ns: int = BYTE_NS) -> bytes:
+    def transfer(self, bus: int, messages: Sequence[tuple[int, int, bytes]], byte_ns: int) -> bytes:
         """Run messages on the bus."""
-        reply, content = super().transfer(messages, byte_ns), messages[0][2]
+        reply, content = super().transfer(bus, messages, byte_ns), messages[0][2]
         none, full = KHEPERA_4.episode_interface.counts
         if content[0] == DspicRegister.PROXIMITY:
             counts = np.frombuffer(reply[:16], "<u2")
@@ -88,9 +88,7 @@ class Transfer:
 
     def _execute(self, program: Path, seed: int, start: StartPose, vary: bool) -> float:
         with open_twin(at_start(self._playpen, 0, start), TwinOptions(seed, vary=vary)) as twin:
-            robot = twin.world.robots[0]
-            assert isinstance(robot, Khepera4Robot)
-            machine = MeasuredMachine(robot, twin.world)
+            machine = MeasuredMachine.of(twin.world.robots[0], twin.world)
             run_programs([RobotProgram([str(program)], machine)], until_ns=round(self._seconds * 1e9))
             return float(np.mean(machine.fitness))
 

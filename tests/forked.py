@@ -37,7 +37,7 @@ PRELOADED = (
     "khep_twin.ports.serve",
     "khep_twin.ports.twin",
     "khep_twin.robots.khepera.robot",
-    "khep_twin.robots.khepera4.command",
+    "khep_twin.cli.exec",
     "khep_twin.vision.k213_body",
     "serial.rfc2217",
 )

@@ -33,6 +33,7 @@ ORDER = [
     ["simulation"],
     ["vision"],
     ["robots.robot"],
+    ["programs"],
     ["robots.khepera"],
     ["stepper"],
     ["world"],
@@ -50,7 +51,6 @@ ORDER = [
     ["toolbox"],
     ["web"],
     ["cli"],
-    ["robots.khepera4.command"],
     ["__main__"],
 ]
 """Packages and the modules of the top level; each imports only from lines above its own."""

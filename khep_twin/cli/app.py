@@ -24,6 +24,7 @@ from khep_twin.cli.completion import complete_in_bash, explain_error
 from khep_twin.cli.conform import conform
 from khep_twin.cli.design import design
 from khep_twin.cli.drive import drive
+from khep_twin.cli.exec import execute
 from khep_twin.cli.fit import fit
 from khep_twin.cli.log import recover, repeat
 from khep_twin.cli.options import Commands, notify
@@ -42,27 +43,11 @@ from khep_twin.cli.view import view
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, user_error_text
 from khep_twin.process.signals import first_signal, handle_signals, leave
 from khep_twin.process.status_line import STATUS_LINE_VARIABLE, beside_status_line
-from khep_twin.robots.registry import installed_models
-
-
-class _RootCommands(Commands):
-    """Commands of `khep-twin`, with those of the models of robots."""
-
-    def __init__(self, **attributes: Any) -> None:
-        super().__init__(**attributes)
-        for model in installed_models().values():
-            for name in model.commands:
-                single = typer.Typer(
-                    add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
-                )
-                single.command(name)(model.load_command(name))
-                self.add_command(typer.main.get_command(single), name)
-
 
 app = typer.Typer(
     name="khep-twin",
     help="A physics-based digital twin of the Khepera miniature robot.",
-    cls=_RootCommands,
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -77,6 +62,7 @@ for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)
 app.command("compile")(compile_all)
 app.command()(conform)
+app.command("exec")(execute)
 
 
 def main() -> None:

@@ -67,6 +67,7 @@ class Robot(WiredBoard, ABC):
     Attributes:
         index: Index among the playpen's robots.
         name: Name in the scene, e.g. "khepera0".
+        robot_model: Its model.
         family: Family of its model.
         dialect: Protocol on its line.
         indices: Indices in the scene.
@@ -100,6 +101,7 @@ class Robot(WiredBoard, ABC):
             setup.make_rng("line") if setup.strict_line else None,
         )
         self.name = robot_name(index)
+        self.robot_model = model
         self.family = model.family
         self.dialect = model.dialect
         self.indices = indices

@@ -1,4 +1,4 @@
-"""`khep-twin exec`: programs compiled for a Khepera IV, from the command line."""
+"""`khep-twin exec`: programs compiled for the computers of robots, from the command line."""
 
 import os
 import shutil
@@ -12,13 +12,13 @@ import pytest
 from command_line import khep_twin
 
 from khep_twin.log.reader import read_log
-from khep_twin.robots.khepera4.preload import compiler_flags
+from khep_twin.programs.preload import compiler_flags
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux" or shutil.which("cc") is None, reason="there is no Linux with a C compiler"
 )
 
-PROGRAMS = Path(__file__).parents[1] / "khepera4" / "programs"
+PROGRAMS = Path(__file__).parents[1] / "programs" / "sources"
 
 
 @pytest.fixture(scope="module")
@@ -67,9 +67,18 @@ def test_two_programs_share_a_playpen_and_the_end_of_their_time(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--playpen", "obstacles"), "obstacles: no Khepera IV; expected a robot with model"),
-        (("--playpen", "arena4-two", "--robot", "2"), "--robot 2: not a Khepera IV of arena4-two; expected"),
-        (("--also", "true"), "2 programs; expected up to 1, the Khepera IVs of arena4 from robot 0 on"),
+        (
+            ("--playpen", "obstacles"),
+            "obstacles: Khepera; expected a robot with a computer: model = 'khepera4'",
+        ),
+        (
+            ("--playpen", "arena4-two", "--robot", "2"),
+            "--robot 2: Khepera in arena4-two; expected one with a computer: 0 (Khepera IV), 1 (K",
+        ),
+        (
+            ("--also", "true"),
+            "2 programs; expected up to 1, for the robots of arena4 with a computer from 0 on: 0 (K",
+        ),
         (("--also", "'true"), "expected a program and its arguments"),
     ],
 )

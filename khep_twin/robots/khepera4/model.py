@@ -122,8 +122,8 @@ KHEPERA_4 = RobotModel(
     ),
     parts={
         **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),
+        **parts_of("khep_twin.robots.khepera4", program="bus_source", computer="COMPUTER"),
         "conformance": "khep_twin.robots.khepera4.conformance.catalogue:KHEPERA_4_CHECKS",
-        "program": "khep_twin.robots.khepera4.programs:bus_source",
     },
     plots={
         "ultrasonic": "ultrasonic [cm]",
@@ -131,7 +131,6 @@ KHEPERA_4 = RobotModel(
         "gyroscope": "gyroscope [0.066 deg/s]",
     },
     rgb_leds=LEDS,
-    commands={"exec": "khep_twin.robots.khepera4.command:execute"},
     interface=_INTERFACE,
     terms=_TERMS,
     speed_modes={_FIRST["control"]: Control.SPEED},

@@ -12,8 +12,9 @@
 
 extern char **environ;
 
-static const char *const names[] = {"LD_PRELOAD", "KHEP_TWIN_SOCKET", "KHEP_TWIN_CLOCK", "KHEP_TWIN_ETC"};
-#define N_NAMES 4
+static const char *const names[] = {"LD_PRELOAD", "KHEP_TWIN_SOCKET", "KHEP_TWIN_CLOCK", "KHEP_TWIN_PATHS",
+                                    "KHEP_TWIN_NODES"};
+#define N_NAMES 5
 static char *variables[N_NAMES]; /* NAME=value; the program may remove them from its environment */
 
 void keep_variables(void) {

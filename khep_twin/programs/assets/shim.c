@@ -1,9 +1,9 @@
-/* Devices and clock of a Khepera IV for a program that was compiled on this machine.
+/* Devices and clock of a robot for a program that was compiled on this machine.
 
    A preload library: LD_PRELOAD loads it before the C library, so that its functions replace those of the
    same names. It answers the device nodes of the robot and, with a simulated clock, the functions that return
    the time or wait, by requests to the twin on a socket, named in KHEP_TWIN_SOCKET. The server and the
-   messages are in `khep_twin/robots/khepera4/device_server.py`. */
+   messages are in `khep_twin/programs/device_server.py`. */
 
 #include "shim.h"
 

@@ -1,4 +1,4 @@
-"""Programs in C for a Khepera IV, compiled once, and the cache folder of the preload library."""
+"""Programs in C, compiled once, and the cache folder of the preload library."""
 
 import subprocess
 from collections.abc import Iterator
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-FOLDER = Path(__file__).parent / "programs"
+FOLDER = Path(__file__).parent / "sources"
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ import struct
 import subprocess
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,9 +27,6 @@ PROCESSORS = {3: "x86", 8: "MIPS", 20: "PowerPC", 21: "PowerPC", 22: "s390", 40:
     258: "LoongArch",
 }
 """Names of processors, by `e_machine`."""
-
-NODES = b"/dev/i2c-", b"/dev/user-gpio", b"/dev/pwm"
-"""Starts of the paths of device nodes that the preload library emulates."""
 
 _X86, _X86_64 = 3, 62
 _OBJECT, _CORE = 1, 4  # e_type
@@ -215,13 +212,21 @@ class StartedPrograms:
         first: Header of the first program, whose loader loads the preload library; None if it is unknown.
         library: The preload library, as in LD_PRELOAD of the environment.
         environment: Environment of the first program.
+        nodes: Starts of the paths of device nodes that the library emulates.
     """
 
-    def __init__(self, first: Executable | None, library: Path, environment: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        first: Executable | None,
+        library: Path,
+        environment: Mapping[str, str],
+        nodes: Collection[bytes],
+    ) -> None:
         self._bits = 64 if first is None else first.bits
         self._loaders: set[str] = set() if first is None else {first.loader}
         self._library = library
         self._environment = environment
+        self._nodes = nodes
         self._checked: set[Path] = set()
 
     def check(self, process: int, name: str) -> None:
@@ -248,12 +253,11 @@ class StartedPrograms:
                 check_preload(str(path), executable.loader, self._library, self._environment)
                 self._loaders.add(executable.loader)
         except KhepTwinError as error:
-            if _contains_node(path):
+            if self._contains_node(path):
                 raise
             warnings.warn(f"{error}; it uses the devices and the clock of this computer", stacklevel=2)
 
-
-def _contains_node(path: Path) -> bool:
-    """Return whether a file contains the name of a device node."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        return any(content.find(node) >= 0 for node in NODES)
+    def _contains_node(self, path: Path) -> bool:
+        """Return whether a file contains the name of a device node."""
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            return any(content.find(node) >= 0 for node in self._nodes)

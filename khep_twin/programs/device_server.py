@@ -1,11 +1,12 @@
-"""Sockets that answer the device nodes of Khepera IVs, for programs that were compiled for the robot.
+"""Sockets that answer the device nodes of robots, for programs that were compiled for them.
 
 The preload library `assets/shim*.c`, which is loaded into a program before the C library, sends
 device calls and waits of the program to this server, on a connection for each thread. A request is three
 32-bit numbers (kind, number, length) and its content. A reply is a result (minus an error number after a
 failure), a length, a 64-bit value and its content. All are little-endian:
 
-    1 TRANSFER   number of I2C messages; each address, flags (bit 0: read) and length, 16 bits, then content
+    1 TRANSFER   number of I2C messages, and of the bus in bits 16 and up; each address, flags (bit 0: read)
+                 and length, 16 bits, then content
     2 GPIO_SET   pin; its value, 32 bits
     3 GPIO_GET   pin; the value is its level
     4 NOW        the value is the simulated time [ns]
@@ -33,9 +34,9 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from khep_twin.robots.khepera4.machine import BYTE_NS, READ_FLAG, Machine
-from khep_twin.robots.khepera4.scheduler import NEVER_NS, TIME_REQUEST_NS, Scheduler, ThreadConnection
-from khep_twin.robots.khepera4.thread_watch import ThreadWatch
+from khep_twin.programs.machine import READ_FLAG, Machine
+from khep_twin.programs.scheduler import NEVER_NS, TIME_REQUEST_NS, Scheduler, ThreadConnection
+from khep_twin.programs.thread_watch import ThreadWatch
 
 MAX_BYTES = 1 << 20
 """Longest content of a request; a client that sends more is no preload library, and is disconnected."""
@@ -192,8 +193,9 @@ class DeviceServer:
         elif kind == Request.NOW:
             machine.advance_to(machine.time_ns + TIME_REQUEST_NS)
         if kind == Request.TRANSFER:
-            byte_ns = BYTE_NS if self._clock is None else 0
-            return number, 0, machine.transfer(_parse_i2c_messages(number, content), byte_ns)
+            bus, count = divmod(number, 1 << 16)
+            byte_ns = machine.computer.byte_ns if self._clock is None else 0
+            return count, 0, machine.transfer(bus, _parse_i2c_messages(count, content), byte_ns)
         if kind == Request.GPIO_SET:
             machine.set_pin(number, int.from_bytes(content, "little"))
         elif kind == Request.GPIO_GET:

@@ -1,4 +1,4 @@
-"""`khep-twin exec`: programs compiled for a Khepera IV, run on its twins."""
+"""`khep-twin exec`: programs compiled for the computers of robots, run on their twins."""
 
 import shlex
 from contextlib import ExitStack
@@ -22,14 +22,15 @@ from khep_twin.cli.options import (
 )
 from khep_twin.clock import to_ns
 from khep_twin.errors import PlaypenError
+from khep_twin.robots.registry import installed_models
 
 if TYPE_CHECKING:
     from khep_twin.ports.twin import Twin
-    from khep_twin.robots.khepera4.programs import RobotProgram
+    from khep_twin.programs.robot_program import RobotProgram
 
 
 _SWITCH_STEP = 8_000
-"""Step after which compiled code saves a Khepera IV more time than its loading takes."""
+"""Step after which compiled code saves more time than its loading takes, measured with a Khepera IV."""
 
 
 class ProgramClock(StrEnum):
@@ -41,7 +42,7 @@ class ProgramClock(StrEnum):
 
 def _show_cflags(value: bool) -> None:
     if value:
-        from khep_twin.robots.khepera4.preload import compiler_flags
+        from khep_twin.programs.preload import compiler_flags
 
         typer.echo(" ".join(compiler_flags()))
         raise typer.Exit
@@ -66,7 +67,7 @@ def execute(
     viewer: Viewer = False,
     cflags: Annotated[bool, typer.Option("--cflags", callback=_show_cflags, is_eager=True)] = False,
 ) -> None:
-    """Run a program of the Khepera IV on a twin of it.
+    """Run a program of a robot's computer on a twin of the robot.
 
     Linux only. The program is a native build of the unchanged source. A preload library, compiled once by
     your C compiler, emulates its device nodes and, with the simulated clock, its time and wait functions.
@@ -75,20 +76,20 @@ def execute(
 
     Args:
         program: Program and its arguments.
-        playpen: Playpen with a Khepera IV: a shipped name, or a path.
+        playpen: Playpen with a robot that has a computer: a shipped name, or a path.
         robot: Number of the program's robot, counted from 0.
-        other_programs: Run this program, in quotes with its arguments, on the next Khepera IV; repeatable.
+        other_programs: Run this program, in quotes with its arguments, on the next robot; repeatable.
         clock: simulated: time passes while the programs wait; real: the wall clock.
         seconds: End after this time [s]: SIGTERM, and 2 s later SIGKILL.
         extra_s: Continue for this time after the programs' end [s].
         seed: Seed of every random stream of the run.
         noise: Add noise to the sensors, as on the robot.
         vary: Draw another robot of the same model, by the seed.
-        cflags: Print the options of cc for K-Team's library and programs, and exit.
+        cflags: Print the options of cc for K-Team's libraries and programs, and exit.
     """
     from khep_twin.log.recorded import PROGRAM
     from khep_twin.ports.twin import TwinOptions, open_twin
-    from khep_twin.robots.khepera4.programs import run_programs
+    from khep_twin.programs.robot_program import run_programs
 
     check_new(logging.force, logging.log)
     commands = [program, *_split_commands(other_programs or [])]
@@ -139,25 +140,29 @@ def _split_commands(command_lines: list[str]) -> list[list[str]]:
 
 
 def _assign_robots(twin: "Twin", first_robot: int, commands: list[list[str]]) -> list["RobotProgram"]:
-    """Assign programs to the Khepera IVs of a twin, starting with robot `first_robot`."""
-    from khep_twin.robots.khepera4.machine import Machine
-    from khep_twin.robots.khepera4.programs import RobotProgram
-    from khep_twin.robots.khepera4.robot import Khepera4Robot
+    """Assign programs to the robots of a twin that have a computer, starting with robot `first_robot`."""
+    from khep_twin.programs.machine import Machine
+    from khep_twin.programs.robot_program import RobotProgram
 
     name, robots = twin.world.playpen.name, twin.world.robots
-    candidates = [robot for robot in robots if isinstance(robot, Khepera4Robot)]
-    indices = [robot.index for robot in candidates]
+    candidates = [robot for robot in robots if "computer" in robot.robot_model.parts]
+    listing = ", ".join(f"{robot.index} ({robot.robot_model.title})" for robot in candidates)
     if not candidates:
-        raise PlaypenError(f'{name}: no Khepera IV; expected a robot with model = "khepera4", as in arena4')
-    if first_robot not in indices:
-        raise usage(f"--robot {first_robot}: not a Khepera IV of {name}; expected one of {indices}")
-    targets = candidates[indices.index(first_robot) :]
+        titles = ", ".join(dict.fromkeys(robot.robot_model.title for robot in robots))
+        models = [name for name, model in installed_models().items() if "computer" in model.parts]
+        raise PlaypenError(
+            f"{name}: {titles}; expected a robot with a computer: model = {' or '.join(map(repr, models))}"
+        )
+    targets = [robot for robot in candidates if robot.index >= first_robot]
+    if not targets or targets[0].index != first_robot:
+        title = robots[first_robot].robot_model.title if first_robot in range(len(robots)) else "missing"
+        raise usage(f"--robot {first_robot}: {title} in {name}; expected one with a computer: {listing}")
     if len(commands) > len(targets):
         raise usage(
-            f"{len(commands)} programs; expected up to {len(targets)}, the Khepera IVs of {name} "
-            f"from robot {first_robot} on"
+            f"{len(commands)} programs; expected up to {len(targets)}, for the robots of {name} with a "
+            f"computer from {first_robot} on: {listing}"
         )
     return [
-        RobotProgram(command, Machine(robot.dspic, twin.world), robot.index + 1)
+        RobotProgram(command, Machine.of(robot, twin.world), robot.index + 1)
         for command, robot in zip(commands, targets, strict=False)
     ]

@@ -34,8 +34,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from operator import attrgetter
 
-from khep_twin.robots.khepera4.machine import Machine
-from khep_twin.robots.khepera4.thread_watch import ThreadWatch
+from khep_twin.programs.machine import Machine
+from khep_twin.programs.thread_watch import ThreadWatch
 
 TIME_REQUEST_NS = 10_000
 """Simulated time of a request for the time and the code around it in a loop [ns] (assumed)."""

@@ -1,4 +1,4 @@
-"""Programs compiled for a Khepera IV: device nodes, clock, threads, networks, and errors."""
+"""Programs compiled for a robot's computer: device nodes, clock, threads, networks, and errors."""
 
 import os
 import shutil
@@ -17,8 +17,9 @@ from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
-from khep_twin.robots.khepera4.machine import BYTE_NS, CHARGER_PIN, Machine
-from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
+from khep_twin.programs.machine import Machine
+from khep_twin.programs.robot_program import RobotProgram, run_programs
+from khep_twin.robots.khepera4.computer import CHARGER_PIN
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
@@ -46,9 +47,7 @@ Kind = TypeVar("Kind", bound=Machine)
 
 
 def machine_of(world: World, kind: type[Kind] = Machine) -> Kind:
-    robot = world.robots[0]
-    assert isinstance(robot, Khepera4Robot)
-    return kind(robot.dspic, world)
+    return kind.of(world.robots[0], world)
 
 
 def python(source: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
@@ -88,11 +87,11 @@ class ObservedMachine(Machine):
 
     speeds: tuple[bytes, ...] = ()
 
-    def transfer(self, messages: Sequence[tuple[int, int, bytes]], byte_ns: int = BYTE_NS) -> bytes:
+    def transfer(self, bus: int, messages: Sequence[tuple[int, int, bytes]], byte_ns: int) -> bytes:
         content = messages[0][2]
         if content[0] == DspicRegister.SPEED_ORDER_LEFT:
             self.speeds += (content[1:],)
-        return super().transfer(messages, byte_ns)
+        return super().transfer(bus, messages, byte_ns)
 
 
 def test_a_networks_program_drives_at_the_speeds_of_its_rollout(

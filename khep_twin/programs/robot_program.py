@@ -1,7 +1,7 @@
-"""Programs that were compiled for a Khepera IV, run on this machine against a twin of it.
+"""Programs that were compiled for a robot's computer, run on this computer against a twin of the robot.
 
     world = World("arena4")
-    program = RobotProgram(["./program", "argument"], Machine(world.robots[0].dspic, world))
+    program = RobotProgram(["./program", "argument"], Machine.of(world.robots[0], world))
     (code,) = run_programs([program])
 
 The program is a native build of the unmodified source. A preload library (`assets/shim*.c`),
@@ -25,15 +25,12 @@ from types import FrameType
 from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.robots.khepera4.device_server import DeviceServer
-from khep_twin.robots.khepera4.executable import Executable, StartedPrograms, check_executable, check_preload
-from khep_twin.robots.khepera4.machine import Machine
-from khep_twin.robots.khepera4.measurements import WORDS
-from khep_twin.robots.khepera4.preload import SOURCES, find_temporary_folder, preload_library
-from khep_twin.robots.khepera4.scheduler import NEVER_NS
-
-CONFIGURATION = "section Khepera4\ndevice dsPic i2c 0x30\n"
-"""The robot's `/etc/libkhepera/khepera4.knc`, by which K-Team's library finds the dsPIC."""
+from khep_twin.programs.computer import MEMORY_PATH, PAGE, Computer
+from khep_twin.programs.device_server import DeviceServer
+from khep_twin.programs.executable import Executable, StartedPrograms, check_executable, check_preload
+from khep_twin.programs.machine import Machine
+from khep_twin.programs.preload import find_temporary_folder, preload_library
+from khep_twin.programs.scheduler import NEVER_NS
 
 TERMINATE_S = 2.0
 """Time from SIGTERM to SIGKILL for programs, simulated or of the wall clock [s]."""
@@ -42,26 +39,13 @@ ORPHANS_S = 0.3
 """Time of the wall clock until children without a twin are killed [s]; most end on their own."""
 
 
-def bus_source(registers: Sequence[int]) -> str:
-    """Return C functions that start the robot, read registers of 2 bytes, and drive."""
-    places = [first + number * stride for first, _, _, stride, count in WORDS for number in range(count)]
-    reads: list[list[int]] = []
-    for place in map(places.__getitem__, registers):
-        if reads and reads[-1][0] + 2 * reads[-1][1] == place:
-            reads[-1][1] += 1
-        else:
-            reads.append([place, 1])
-    table = ", ".join(f"{place}, {count}" for place, count in reads)
-    return f"static unsigned char READS[] = {{{table}}};\n{(SOURCES / 'bus.c').read_text()}"
-
-
 class RobotProgram(NamedTuple):
     """A program on a robot.
 
     Attributes:
         arguments: The program and its arguments.
         machine: Machine that answers its device nodes.
-        robot_id: Number of the robot, in `/etc/khepera/robotid`.
+        robot_id: Number of the robot, for `Computer.files`.
     """
 
     arguments: Sequence[str]
@@ -119,16 +103,18 @@ def run_programs(
         for program, executable, library, path in zip(programs, executables, libraries, paths, strict=True):
             link = path.with_suffix(".so")
             link.symlink_to(library)
+            computer = program.machine.computer
             environment = os.environ | {
                 # Behind the user's libraries: a sanitizer's must come first.
                 "LD_PRELOAD": ":".join(filter(None, (os.environ.get("LD_PRELOAD"), str(link)))),
                 "KHEP_TWIN_SOCKET": str(path),
                 "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
-                "KHEP_TWIN_ETC": str(_write_configuration(path.with_suffix(".etc"), program.robot_id)),
+                "KHEP_TWIN_PATHS": _write_files(path.with_suffix(".files"), computer, program.robot_id),
+                "KHEP_TWIN_NODES": computer.node_table,
             }
             if executable is not None:
                 check_preload(program.arguments[0], executable.loader, link, environment)
-            started_programs.append(StartedPrograms(executable, link, environment))
+            started_programs.append(StartedPrograms(executable, link, environment, computer.node_starts))
             try:
                 processes.append(subprocess.Popen([*program.arguments], env=environment))
             except OSError as error:
@@ -224,13 +210,24 @@ def _pin_to_one_processor() -> Generator[None, None, None]:
             os.sched_setaffinity(0, affinity)
 
 
-def _write_configuration(folder: Path, robot_id: int) -> Path:
-    """Write the files of the robot's /etc that programs read; return the folder."""
-    for name in ("khepera", "libkhepera"):
-        (folder / name).mkdir(parents=True)
-    (folder / "khepera" / "robotid").write_text(f"{robot_id}\n")
-    (folder / "libkhepera" / "khepera4.knc").write_text(CONFIGURATION)
-    return folder
+def _write_files(folder: Path, computer: Computer, robot_id: int) -> str:
+    """Write files and memory of a computer; return the folder and the paths that are redirected to it."""
+    files = computer.files(robot_id)
+    paths = {str(Path(name).parent) for name in files}
+    for name, text in files.items():
+        path = Path(f"{folder}{name}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    if computer.memory:
+        paths.add(MEMORY_PATH)
+        path = Path(f"{folder}{MEMORY_PATH}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as memory:  # a sparse file
+            memory.truncate((max(computer.memory) // PAGE + 1) * PAGE)
+            for address, word in computer.memory.items():
+                memory.seek(address)
+                memory.write(word.to_bytes(4, "little"))
+    return ":".join([str(folder), *sorted(paths)])
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from test_compiled_programs import machine, machine_of, output_of, pytestmark, run_program
 
-from khep_twin.robots.khepera4.programs import RobotProgram, run_programs
+from khep_twin.programs.robot_program import RobotProgram, run_programs
 from khep_twin.world import World
 
 __all__ = ["pytestmark"]
@@ -105,7 +105,7 @@ def test_waits_of_c11_futexes_and_sockets_take_simulated_time(
 def test_waits_of_futures_semaphores_and_atomics_of_c_plus_plus_take_simulated_time(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    source = Path(__file__).parent / "programs" / "futures.cpp"
+    source = Path(__file__).parent / "sources" / "futures.cpp"
     subprocess.run(["c++", "-std=c++20", "-o", tmp_path / "futures", source, "-lpthread"], check=True)
     assert output_of(tmp_path / "futures", capfd) == [
         "in vain 1 0.30",

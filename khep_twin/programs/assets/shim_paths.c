@@ -1,4 +1,4 @@
-/* Functions of a path: device nodes of the robot, and its configuration files. */
+/* Functions of a path: device nodes of the robot, its memory, and its configuration files. */
 
 #include "shim.h"
 
@@ -24,28 +24,34 @@ const char *copy_path(const char *path, char *copy) {
     return path;
 }
 
-enum node node_of_path(const char *path) {
-    char copy[PATH_MAX];
-    if (copy_path(path, copy) != copy || strncmp(copy, "/dev/", 5))
-        return NOTHING;
-    if (!strncmp(copy, "/dev/i2c-", 9))
-        return I2C;
-    if (!strcmp(copy, "/dev/user-gpio"))
-        return GPIO;
-    return strncmp(copy, "/dev/pwm", 8) ? NOTHING : PWM;
+/* Return the node of a path by the table: number and path of each, separated by colons; `*` is any end. */
+int node_of_path(const char *path) {
+    char copy[PATH_MAX], *start;
+    const char *entry = twin_variable(NODES);
+    if (!entry || copy_path(path, copy) != copy)
+        return 0;
+    while (*entry) {
+        int node = strtol(entry, &start, 10);
+        size_t length = strcspn(start, ":");
+        int is_start = length && start[length - 1] == '*';
+        if (!strncmp(copy, start, length - is_start) && (is_start || !copy[length]))
+            return node;
+        entry = start + length + (start[length] == ':');
+    }
+    return 0;
 }
 
-/* Redirect the robot's configuration files to a folder of the twin. */
+/* Redirect paths of the robot to a folder of the twin: the first of a list, whose others are the paths. */
 static const char *redirect(const char *path, char *buffer) {
     char copy[PATH_MAX];
-    const char *folder = twin_variable(ETC);
-    static const char *const folders[] = {"/etc/libkhepera", "/etc/khepera"};
+    const char *folder = twin_variable(PATHS), *start;
     if (!folder || copy_path(path, copy) != copy)
         return path;
-    for (int i = 0; i < 2; i++) {
-        size_t length = strlen(folders[i]);
-        if (!strncmp(copy, folders[i], length) && (!copy[length] || copy[length] == '/') &&
-            snprintf(buffer, PATH_MAX, "%s%s", folder, copy + 4) < PATH_MAX)
+    int folder_length = strcspn(folder, ":");
+    for (start = folder + folder_length; *start++ == ':'; start += strcspn(start, ":")) {
+        size_t length = strcspn(start, ":");
+        if (!strncmp(copy, start, length) && (!copy[length] || copy[length] == '/') &&
+            snprintf(buffer, PATH_MAX, "%.*s%s", folder_length, folder, copy) < PATH_MAX)
             return buffer;
     }
     return path;
@@ -54,7 +60,7 @@ static const char *redirect(const char *path, char *buffer) {
 #define DEFINE_OPEN(name, lead, pass)                                                                        \
     int name(lead const char *path, int flags, ...) {                                                        \
         char buffer[PATH_MAX];                                                                               \
-        enum node node = node_of_path(path);                                                                 \
+        int node = node_of_path(path);                                                                       \
         va_list rest;                                                                                        \
         va_start(rest, flags);                                                                               \
         mode_t mode = flags & (O_CREAT | __O_TMPFILE) ? va_arg(rest, mode_t) : 0;                            \
@@ -80,7 +86,7 @@ int creat64(const char *path, mode_t mode) { return open64(path, O_CREAT | O_WRO
 #define DEFINE_FOPEN(fopen, freopen)                                                                         \
     FILE *fopen(const char *path, const char *mode) {                                                        \
         char buffer[PATH_MAX];                                                                               \
-        enum node node = node_of_path(path);                                                                 \
+        int node = node_of_path(path);                                                                       \
         if (!node)                                                                                           \
             return REAL(fopen)(redirect(path, buffer), mode);                                                \
         int fd = open_node(node, strchr(mode, 'e') ? O_CLOEXEC : 0);                                         \
@@ -91,14 +97,14 @@ int creat64(const char *path, mode_t mode) { return open64(path, O_CREAT | O_WRO
     }                                                                                                        \
     FILE *freopen(const char *path, const char *mode, FILE *stream) {                                        \
         char buffer[PATH_MAX];                                                                               \
-        enum node node = node_of_path(path);                                                                 \
+        int node = node_of_path(path);                                                                       \
         if (!node)                                                                                           \
             return REAL(freopen)(path ? redirect(path, buffer) : path, mode, stream);                        \
         int fd = open_node(node, O_CLOEXEC);                                                                 \
         snprintf(buffer, sizeof buffer, "/proc/self/fd/%d", fd);                                             \
         stream = fd < 0 ? NULL : REAL(freopen)(buffer, mode, stream);                                        \
         if (stream)                                                                                          \
-            mark_node(fd, node, 0); /* which mode "w" removes */                                             \
+            mark_node(fd, node); /* which mode "w" removes */                                                \
         if (fd >= 0)                                                                                         \
             close(fd);                                                                                       \
         return stream;                                                                                       \
@@ -144,7 +150,7 @@ PATH_CALL(int, __lstat64_time64, (const char *path, void *status), , COMMA statu
 #define FD_CALL(name, lead, type, pass)                                                                      \
     extern int name(lead int fd, type *status);                                                              \
     int name(lead int fd, type *status) {                                                                    \
-        int null = node_of_fd(fd, NULL) ? REAL(open)("/dev/null", O_PATH | O_CLOEXEC) : -1;                  \
+        int null = node_of_fd(fd) ? REAL(open)("/dev/null", O_PATH | O_CLOEXEC) : -1;                        \
         int result = REAL(name)(pass null < 0 ? fd : null, status);                                          \
         if (null >= 0)                                                                                       \
             REAL(close)(null);                                                                               \

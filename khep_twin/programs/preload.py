@@ -1,4 +1,4 @@
-"""The preload library and the compiler options for programs of a Khepera IV, and the folders of both."""
+"""The preload library and the compiler options for programs of robots, and the folders of both."""
 
 import contextlib
 import hashlib
@@ -15,7 +15,7 @@ COMPILERS = "cc", "gcc", "clang"
 """C compilers; the first that is installed is used. CC in the environment names another."""
 
 SOURCES = Path(__file__).parent / "assets"
-"""Folder of the preload library; `include` has a header that published copies of K-Team's library lack."""
+"""Folder of the preload library; `include` has headers for K-Team's libraries that this computer may lack."""
 
 TEMPORARY_FOLDERS = "/tmp", "/var/tmp", "/dev/shm"
 """Folders for temporary files if the path of the usual one is unusable."""
@@ -42,9 +42,9 @@ def find_temporary_folder() -> str:
 
 
 def compiler_flags() -> list[str]:
-    """Return the options of `cc` for K-Team's library and its programs.
+    """Return the options of `cc` for K-Team's libraries and their programs.
 
-    The library stores pointers in 32 bits and defines variables in its headers; the robot's `char` is
+    The libraries store pointers in 32 bits and define variables in their headers; the robots' `char` is
     unsigned. No option has a character that a shell treats specially, as a shell splits the options.
 
     Raises:
@@ -88,11 +88,11 @@ def preload_library(bits: int = 64) -> Path:
         KhepTwinError: This is not Linux, there is no C compiler, or it fails.
     """
     if sys.platform != "linux":
-        raise KhepTwinError(f"programs of a Khepera IV on {sys.platform}; expected Linux")
+        raise KhepTwinError(f"programs of robots on {sys.platform}; expected Linux")
     cache = _cache_folder()
     sources = sorted(SOURCES.glob("shim*"))
     content = b"".join(source.read_bytes() for source in sources)
-    library_path = cache / f"khepera4-{bits}-{hashlib.sha256(content).hexdigest()[:14]}.so"
+    library_path = cache / f"preload-{bits}-{hashlib.sha256(content).hexdigest()[:14]}.so"
     if library_path.exists():
         return library_path
     chosen_compiler = os.environ.get("CC")

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from khep_twin.robots.khepera4 import scheduler
-from khep_twin.robots.khepera4.scheduler import BUSY_S, NEVER_NS, Scheduler
+from khep_twin.programs import scheduler
+from khep_twin.programs.scheduler import BUSY_S, NEVER_NS, Scheduler
 
 POLL_S = 0.25
 """Time of the wall clock that a poll takes [s]."""

@@ -12,9 +12,9 @@ import pytest
 from test_compiled_programs import machine, pytestmark, run_program
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.robots.khepera4 import preload
-from khep_twin.robots.khepera4.device_server import DeviceServer
-from khep_twin.robots.khepera4.executable import check_executable, read_executable
+from khep_twin.programs import preload
+from khep_twin.programs.device_server import DeviceServer
+from khep_twin.programs.executable import check_executable, read_executable
 
 __all__ = ["pytestmark"]
 

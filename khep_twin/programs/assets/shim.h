@@ -25,10 +25,16 @@
 #include <time.h>
 #include <unistd.h>
 
-enum node { NOTHING, I2C, GPIO, PWM };
+/* A node: kind, whether its adapter sends messages of length 0, bus, address of the slave; 0 for other files. */
+enum kind { I2C = 1, GPIO, PWM };
+#define KIND(node) ((node) >> 16)
+#define SENDS_EMPTY(node) ((node) >> 15 & 1)
+#define BUS(node) ((node) >> 8 & 0x7F)
+#define SLAVE(node) ((node) & 0x7F)
+
 enum request { TRANSFER = 1, GPIO_SET, GPIO_GET, NOW, SLEEP, HELLO, CANCEL, WAKE, EXEC };
 enum sleep { RELATIVE, ABSOLUTE, EXTERNAL };
-enum variable { PRELOAD, SOCKET, CLOCK, ETC };
+enum variable { PRELOAD, SOCKET, CLOCK, PATHS, NODES };
 
 #define BILLION 1000000000LL
 #define NEVER INT64_MAX
@@ -84,10 +90,10 @@ HIDDEN const char *copy_path(const char *path, char *copy);
 HIDDEN const char *twin_variable(enum variable);
 HIDDEN void keep_variables(void);
 
-HIDDEN enum node node_of_fd(int fd, int *slave);
-HIDDEN enum node node_of_path(const char *path);
-HIDDEN int open_node(enum node node, int flags);
-HIDDEN void mark_node(int fd, enum node node, int slave);
+HIDDEN int node_of_fd(int fd);
+HIDDEN int node_of_path(const char *path);
+HIDDEN int open_node(int node, int flags);
+HIDDEN void mark_node(int fd, int node);
 
 HIDDEN int64_t now(void);
 HIDDEN int64_t to_ns(int64_t seconds, int64_t ns);

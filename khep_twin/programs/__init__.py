@@ -1,0 +1,1 @@
+"""Programs that were compiled for a robot's computer, run on this computer against a twin of the robot."""
