@@ -342,10 +342,10 @@ class RobotModel:
         return RobotModelError(f"model {self.name}: part {part} is {value!r}; expected {expected}")
 
 
-def bars_of(dark: int, speed: int) -> dict[str, Bar]:
-    """Return the bars of a panel by the counts of light in the dark, and by a speed [register]."""
+def bars_of(dark: int, speed: int, counts: int = COUNTS_LIMIT) -> dict[str, Bar]:
+    """Return the bars of a panel by the counts of light in the dark, a speed [register], and the most counts."""
     return {
-        "proximity": Bar(COUNTS_LIMIT, f"proximity, 0 to {COUNTS_LIMIT}"),
+        "proximity": Bar(counts, f"proximity, 0 to {counts}"),
         # The count of ambient light decreases with the light.
         "light": Bar(dark, f"light, {dark} dark to 0 bright"),
         "speed": Bar(speed, f"speed, -{speed} to {speed}", lowest=-1.0),

@@ -169,7 +169,7 @@ class MotorCalibration(TomlTable):
     """
 
     supply_v: Annotated[float, Field(ge=1, le=24)] = SUPPLY_VOLTAGE
-    no_load_speed_rad_s: Annotated[float, Field(ge=20, le=1000)] = MOTOR_NO_LOAD_SPEED
+    no_load_speed_rad_s: Annotated[float, Field(ge=5, le=1000)] = MOTOR_NO_LOAD_SPEED
     stall_torque_n_m: Annotated[float, Field(ge=0.0005, le=0.2)] = MOTOR_STALL_TORQUE
     friction_torque_n_m: Annotated[float, Field(ge=0, le=0.05)] = MOTOR_FRICTION_TORQUE
 

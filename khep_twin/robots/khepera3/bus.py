@@ -99,7 +99,7 @@ class MotorController:
             halt(motors, self._motor)
         memory[place] = byte
         if register == MotorRegister.MODE:
-            self._enter(byte)
+            self.enter(byte)
         elif register == MotorRegister.SET_POINT:
             motors[self._motor + Motor.SET_POINT] = read_number(memory, place, 4)
             motors[self._motor + Motor.ON_TARGET] = 0
@@ -129,7 +129,7 @@ class MotorController:
         for offset in reversed(range(size)):
             self.write(bytes([register + offset, value >> 8 * offset & 0xFF]))
 
-    def _enter(self, mode: int) -> None:
+    def enter(self, mode: int) -> None:
         """Enter a mode. A search of limits ends at once, and settings are not saved (assumed)."""
         memory, motors = self._state.memory, self._state.controllers
         if mode == Mode.STOP:
