@@ -27,9 +27,11 @@ from khep_twin.robots.khepera3.registers import (
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import TICK_NS
 
-_SPEED_SCALE, _POSITION_SCALE, _SUM_SCALE, _CURRENT_GAIN = 512, 32, 64, 20
-"""Divisors of the gains of speed and position and of the sum of positions, and gain of the current [PWM/mA]
-(assumed)."""
+_SPEED_SCALE, _POSITION_SCALE, _CURRENT_GAIN = 320, 32, 20
+"""Divisors of the gains of speed and position, and gain of the current [PWM/mA] (assumed)."""
+
+_SUM_SCALE, _SUM_PART = 16, 32
+"""Further divisor of the sum of position errors, and part of the PWM to which it is limited (assumed)."""
 
 _TICKS = TICK_NS // 1600
 """Timer's ticks in a control period."""
@@ -83,6 +85,7 @@ _LOWEST, _HIGHEST, _MARGIN = int(MotorRegister.LOWEST), int(MotorRegister.HIGHES
 _ACCELERATION, _TOP_SPEED = int(MotorRegister.ACCELERATION), int(MotorRegister.TOP_SPEED)
 _LEAST_SPEED, _BLOCKED_TIME = int(MotorRegister.LEAST_SPEED), int(MotorRegister.BLOCKED_TIME)
 _CURRENT_LIMIT, _WINDUP_OPTION = int(MotorRegister.CURRENT_LIMIT), int(Option.ANTI_WINDUP)
+_SET_POINT_BYTES = int(MotorRegister.SET_POINT)
 _BLOCKED_OPTION, _INVERTED = int(Option.STOP_WHEN_BLOCKED), int(Option.INVERTED)
 _LOWEST_OPTION, _HIGHEST_OPTION = int(Option.STOP_AT_LOWEST), int(Option.STOP_AT_HIGHEST)
 _ERROR_OPTION, _BRAKING = int(Option.ERROR_AT_STOPS), round(2000 / PULSES_PER_SPEED)
@@ -129,7 +132,7 @@ def set_order(memory: Vector[int], motors: Vector[int], side: int, control: int,
     memory[first + _MODE], memory[first + _CONTROL] = _NORMAL, control
     motors[motor + _SET_POINT] = wrap(order)
     motors[motor + _ON_TARGET] = 0
-    write_number(memory, first + int(MotorRegister.SET_POINT), 4, order)
+    write_number(memory, first + _SET_POINT_BYTES, 4, order)
 
 
 @compilable
@@ -179,7 +182,7 @@ def control_motor(memory: Vector[int], motors: Vector[int], side: int) -> None:
 def _regulate(memory: Vector[int], motors: Vector[int], first: int, motor: int, order: int) -> None:
     """Set the PWM for a speed."""
     error = order - motors[motor + _SPEED]
-    _drive(memory, motors, first, first + _SPEED_GAINS, motor, error, _SPEED_SCALE, 1)
+    _drive(memory, motors, first, first + _SPEED_GAINS, motor, error, _SPEED_SCALE, 1, 1)
 
 
 @compilable
@@ -187,7 +190,7 @@ def _hold(memory: Vector[int], motors: Vector[int], first: int, motor: int, dist
     """Set the PWM for a position at a distance [pulses]."""
     is_there = abs(distance) <= memory[first + _MARGIN]
     motors[motor + _ON_TARGET] = 1 if is_there else 0
-    _drive(memory, motors, first, first + _POSITION_GAINS, motor, distance, _POSITION_SCALE, _SUM_SCALE)
+    _drive(memory, motors, first, first + _POSITION_GAINS, motor, distance, _POSITION_SCALE, _SUM_SCALE, _SUM_PART)
 
 
 @compilable
@@ -200,15 +203,16 @@ def _drive(
     error: int,
     scale: int,
     sum_scale: int,
+    sum_part: int,
 ) -> None:
-    """Set the PWM by an error; the sum of errors is limited to full PWM (anti-windup)."""
+    """Set the PWM by an error; the sum of errors is limited to a part of the PWM (anti-windup)."""
     kp, kd, ki = (
         read_number(memory, gains, 2),
         read_number(memory, gains + 2, 2),
         read_number(memory, gains + 4, 2),
     )
     sample_time = max(read_number(memory, first + _SAMPLE_TIME, 2) & 0xFFFF, 1)
-    limit = PWM_LIMIT * scale * sum_scale
+    limit = PWM_LIMIT * scale * sum_scale // sum_part
     if ki:
         change = divide(ki * error * _TICKS, sample_time)
         motors[motor + _ERROR_SUM] = clip(motors[motor + _ERROR_SUM] + change, limit)

@@ -10,7 +10,7 @@ import numpy as np
 from khep_twin.board import lithium_cells
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.khepera3.channels import ULTRASONIC
-from khep_twin.robots.khepera3.model import KHEPERA_3, SONAR
+from khep_twin.robots.khepera3.model import GROUND_HEIGHT, KHEPERA_3, SONAR
 from khep_twin.robots.khepera3.motor_control import N_MOTOR, write_number
 from khep_twin.robots.khepera3.registers import DEFAULTS, N_BYTES, SETTINGS
 from khep_twin.sensing.buffers import Vector
