@@ -180,7 +180,10 @@ def control_motor(memory: Vector[int], motors: Vector[int], side: int) -> None:
 
 @compilable
 def _regulate(memory: Vector[int], motors: Vector[int], first: int, motor: int, order: int) -> None:
-    """Set the PWM for a speed."""
+    """Set the PWM for a speed; a wheel at rest that shall rest gets none (assumed)."""
+    if order == 0 and motors[motor + _SPEED] == 0:
+        halt(motors, motor)
+        return
     error = order - motors[motor + _SPEED]
     _drive(memory, motors, first, first + _SPEED_GAINS, motor, error, _SPEED_SCALE, 1, 1)
 
