@@ -351,10 +351,10 @@ class RobotModel:
         return RobotModelError(f"model {self.name}: part {part} is {value!r}; expected {expected}")
 
 
-def bars_of(dark: int, speed: int) -> dict[str, Bar]:
-    """Return the bars of a panel by the counts of light in the dark, and by a speed [register]."""
+def bars_of(dark: int, speed: int, largest: int = COUNTS_LIMIT) -> dict[str, Bar]:
+    """Return the bars of a panel by the counts in the dark, a speed [register], and the largest count."""
     return {
-        "proximity": Bar(COUNTS_LIMIT, f"proximity, 0 to {COUNTS_LIMIT}"),
+        "proximity": Bar(largest, f"proximity, 0 to {largest}"),
         # The count of ambient light decreases with the light.
         "light": Bar(dark, f"light, {dark} dark to 0 bright"),
         "speed": Bar(speed, f"speed, -{speed} to {speed}", lowest=-1.0),
