@@ -6,8 +6,9 @@ the numbers are in assets/calibration):
     counts = clip(gain light - threshold + noise, idle, limit)
 
 with the light of `sensing.reflection`, an integral over all visible surfaces, seen from the chip, `offset`
-behind its face. `idle` is the noise with nothing in reach. No reading is below the calibration's floor, which
-is 0 except for a Khepera II. Ambient counts are high in the dark, and saturate:
+behind its face. `idle` is the noise with nothing in reach. No reading is below the calibration's floor; a
+negative one, of reflected less ambient light with a sign, is added to `idle`. Ambient counts are high in the
+dark, and saturate:
 
     counts = clip(max(dark - light, floor) + noise, 0, ceiling)
 

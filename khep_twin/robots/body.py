@@ -9,15 +9,17 @@ PER_METRE = {"m": 1, "cm": 100, "mm": 1000}
 
 @dataclass(frozen=True, slots=True)
 class SonarRing:
-    """Ultrasonic sensors on a circle around the robot's centre, which look outwards.
+    """Ultrasonic sensors around the robot's centre, which look outwards.
 
     Attributes:
         names: Names of the sensors, in the order of the channel "ultrasonic".
         headings_deg: Heading of each sensor.
-        radius: Distance of the sensors from the centre [m].
+        radius: Distance of the sensors from the centre [m]; not used with `positions`.
         height: Height of the sensors above the ground [m].
         codes: Readings without a distance: too near, no echo, disabled.
         lag: Mean age of a distance when it is read [s].
+        positions: Positions of the sensors, x forward and y left of the centre [m]; empty if they lie on a
+            circle, each in the direction of its heading.
     """
 
     names: tuple[str, ...]
@@ -26,12 +28,15 @@ class SonarRing:
     height: float
     codes: tuple[int, ...]
     lag: float = 0.0
+    positions: tuple[tuple[float, float], ...] = ()
 
     @property
     def places(self) -> list[tuple[float, float, float, float]]:
         """Position x, y, z [m] and heading [rad] of each sensor on the robot."""
         headings = [math.radians(heading) for heading in self.headings_deg]
-        return [(self.radius * math.cos(a), self.radius * math.sin(a), self.height, a) for a in headings]
+        circle = [(self.radius * math.cos(a), self.radius * math.sin(a)) for a in headings]
+        pairs = zip(self.positions or circle, headings, strict=True)
+        return [(x, y, self.height, heading) for (x, y), heading in pairs]
 
 
 @dataclass(frozen=True, slots=True)

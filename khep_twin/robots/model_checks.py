@@ -91,6 +91,11 @@ def _body_rules(body: Body) -> Iterator[_Rule]:
         n_sonars = f"a tuple of {len(sonar.headings_deg)} names, one for each of headings_deg"
         is_named = _is_tuple(sonar.names, len(sonar.headings_deg))
         yield _Rule(is_named, "body.sonar.names", sonar.names, n_sonars)
+        n_positions = (
+            f"a tuple of {len(sonar.headings_deg)} positions, one for each of headings_deg, or an empty one"
+        )
+        is_placed = _is_tuple(sonar.positions, len(sonar.headings_deg)) or sonar.positions == ()
+        yield _Rule(is_placed, "body.sonar.positions", sonar.positions, n_positions)
         yield _Rule(_is_tuple(sonar.codes), "body.sonar.codes", sonar.codes, "a tuple of readings")
 
 

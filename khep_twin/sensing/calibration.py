@@ -5,7 +5,7 @@ assets/calibration are used by bare name, others by path. `khep_twin.sensors` ex
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from statistics import mode
 from typing import Annotated, Self, TypeVar, cast
 
@@ -31,8 +31,6 @@ from khep_twin.units import (
 
 _Table = TypeVar("_Table", bound=TomlTable)
 _Gain = Annotated[float, Field(gt=0, le=1e8)]
-_Counts = Annotated[float, Field(ge=0, le=COUNTS_LIMIT)]
-_Threshold = Annotated[float, Field(ge=-COUNTS_LIMIT, le=2 * COUNTS_LIMIT)]
 _Exponent = Annotated[float, Field(ge=0, le=20)]
 _Offset = Annotated[float, Field(ge=0.01, le=50)]
 _LampOffset = Annotated[float, Field(ge=-100, le=50)]
@@ -55,25 +53,24 @@ class ProximityCalibration(TomlTable):
         offset_mm: Offset of the chip behind the sensor's face.
         lobe_exponent: Exponent of the cosine off the sensor's axis, in azimuth.
         limit_counts: Highest reading.
-        floor_counts: Lowest reading, also where ambient light saturates the sensor.
+        floor_counts: Lowest reading, also where ambient light saturates the sensor; may be below 0.
         quantum_counts: Step between readings.
         noise_counts: Standard deviation of one reading; one number applies to all sensors.
         idle_counts: Mean of the noise with nothing in range.
     """
 
     gain_counts_mm2: Annotated[tuple[_Gain, ...], _PerSensor]
-    threshold_counts: Annotated[tuple[_Threshold, ...], _PerSensor]
+    threshold_counts: Annotated[tuple[float, ...], _PerSensor]
     threshold_spread: Annotated[float, Field(ge=0, le=1)] = THRESHOLD_SPREAD
     offset_mm: Annotated[tuple[_Offset, ...], _PerSensor]
     lobe_exponent: Annotated[tuple[_Exponent, ...], _PerSensor]
-    limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
-    floor_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
+    limit_counts: int = COUNTS_LIMIT
+    floor_counts: int = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1
     noise_counts: Annotated[
-        tuple[_Counts, ...],
-        Field(description=f"a number from 0 to {COUNTS_LIMIT}, or a list of numbers, one per sensor"),
+        tuple[float, ...], Field(description="a number from 0, or a list of numbers, one per sensor")
     ]
-    idle_counts: _Counts
+    idle_counts: float
 
     @model_validator(mode="before")
     @classmethod
@@ -83,7 +80,7 @@ class ProximityCalibration(TomlTable):
             return table
         values = cast(Mapping[str, object], table)
         noise, gains = values.get("noise_counts"), values.get("gain_counts_mm2")
-        if not isinstance(noise, int | float) or not 0 <= noise <= COUNTS_LIMIT:
+        if not isinstance(noise, int | float) or not math.isfinite(noise):
             return values
         n_sensors = len(cast(Sequence[object], gains)) if isinstance(gains, list | tuple) else 1
         return {**values, "noise_counts": (noise,) * n_sensors}
@@ -110,10 +107,10 @@ class AmbientCalibration(TomlTable):
     lobe_exponent: Annotated[tuple[_Exponent, ...], _PerSensor]
     diffuse: Annotated[float, Field(ge=0, le=1)] = 0.0
     offset_mm: _LampOffset = 0.0
-    dark_counts: _Counts
-    floor_counts: _Counts
-    ceiling_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)]
-    noise_counts: _Counts
+    dark_counts: float
+    floor_counts: float
+    ceiling_counts: int
+    noise_counts: float
     rises_with_light: bool = False
 
 
@@ -127,13 +124,10 @@ class GroundCalibration(TomlTable):
         noise_counts: Standard deviation of one reading.
     """
 
-    white_counts: Annotated[
-        tuple[_Counts, ...],
-        _PerSensor,
-    ]
-    nothing_counts: _Counts
+    white_counts: Annotated[tuple[float, ...], _PerSensor]
+    nothing_counts: float
     spot_mm: Annotated[float, Field(ge=0.1, le=50)]
-    noise_counts: _Counts
+    noise_counts: float
 
 
 class WheelCalibration(TomlTable):
@@ -186,17 +180,36 @@ class MotorCalibration(TomlTable):
 
 
 class Calibration(TomlTable):
-    """Sensors, wheels and motors of one robot; headings [deg] counter-clockwise from the front, as for N."""
+    """Sensors, wheels and motors of one robot; headings [deg] counter-clockwise from the front, as for N.
+
+    No reading exceeds `largest_count`, that of the converter.
+    """
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
     source: str
+    largest_count: Annotated[int, Field(ge=1, le=2**16 - 1)] = COUNTS_LIMIT
     heading_deg: Annotated[tuple[_Heading, ...], _PerSensor]
     proximity: ProximityCalibration
     ambient: AmbientCalibration
     wheels: WheelCalibration = WheelCalibration()
     motors: MotorCalibration = MotorCalibration()
     ground: GroundCalibration | None = None
+
+    @model_validator(mode="after")
+    def _check_ranges(self) -> Self:
+        """Check that counts are in the range of the converter."""
+        problems: list[Problem] = []
+        for table in ("proximity", "ambient", "ground"):
+            for key, value in cast(Iterable[tuple[str, object]], getattr(self, table) or ()):
+                if key.endswith("_counts") and key != "quantum_counts":
+                    problems += _out_of_range(self.largest_count, table, key, value)
+        if self.largest_count > COUNTS_LIMIT and "limit_counts" not in self.proximity.model_fields_set:
+            text = "proximity: limit_counts is missing"
+            problems.append(Problem.of(("proximity", "limit_counts"), text, f"at most {self.largest_count}"))
+        if problems:
+            raise Problems(problems)
+        return self
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:
@@ -230,6 +243,27 @@ class Calibration(TomlTable):
         if problems:
             raise Problems(problems)
         return self
+
+
+def _out_of_range(largest: int, table: str, key: str, value: object) -> Iterator[Problem]:
+    """Yield the problems of counts out of the range of a converter: of a number, or of numbers in a list."""
+    low, high = {"limit_counts": 1, "threshold_counts": -largest}.get(key, 0), largest
+    if key == "threshold_counts":
+        high = 2 * largest
+    elif (table, key) == ("proximity", "floor_counts"):
+        low = -largest
+    numbers = cast(tuple[float, ...], value if isinstance(value, tuple) else (value,))
+    expected = f"{'an integer' if isinstance(value, int) else 'a number'} from {low} to {high}"
+    if key == "noise_counts" and table == "proximity":
+        expected += ", or a list of numbers, one per sensor"
+        numbers = numbers if len({*numbers}) > 1 else numbers[:1]  # one for all sensors
+    elif isinstance(value, tuple):
+        expected = "a list of numbers, one per sensor"
+    for index, number in enumerate(numbers):
+        if not low <= number <= high:
+            is_listed = isinstance(value, tuple) and len(numbers) > 1
+            place, name = ((index,), f"{key} {index + 1}") if is_listed else ((), key)
+            yield Problem.of((table, key, *place), f"{table}: {name} = {number:g}", expected)
 
 
 COMMON_GAIN_SPREAD = 0.3

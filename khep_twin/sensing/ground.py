@@ -20,7 +20,6 @@ from khep_twin.sensing.noise import Draws, ambient_noise
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import BeamScene, position, ray, sensor_frame
-from khep_twin.units import COUNTS_LIMIT
 
 _ANGLES = [octant * (math.pi / 4) for octant in range(8)]
 _SPOT_POINTS = ((0.0, 0.0), *((0.7 * math.cos(angle), 0.7 * math.sin(angle)) for angle in _ANGLES))
@@ -55,11 +54,7 @@ class Ground(NamedTuple):
     @classmethod
     def of(cls, measured: Calibration, height: float, lens: float) -> Self:
         """Return the sensors of a robot with a calibration, at a height above the floor [m]."""
-        ground, rises, darkest = (
-            measured.ground,
-            measured.ambient.rises_with_light,
-            measured.ambient.ceiling_counts,
-        )
+        ground, ambient, largest = measured.ground, measured.ambient, measured.largest_count
         assert ground is not None  # checked with the playpen
         return cls(
             list(map(float, ground.white_counts)),
@@ -68,9 +63,9 @@ class Ground(NamedTuple):
             ground.spot_mm * 1e-3,
             height,
             lens,
-            COUNTS_LIMIT,
-            int(rises),
-            COUNTS_LIMIT - darkest if rises else darkest,
+            largest,
+            int(ambient.rises_with_light),
+            largest - ambient.ceiling_counts if ambient.rises_with_light else ambient.ceiling_counts,
         )
 
 

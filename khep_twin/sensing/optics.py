@@ -92,4 +92,4 @@ def proximity_counts(
         level += gain * reflected_light(buffer, count, sensor_chip, lobe)
     limit = int(proximity.limit * range_left)
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
-    return max(counts, min(idle, limit), proximity.floor)
+    return max(counts, min(idle + min(proximity.floor, 0), limit), proximity.floor)

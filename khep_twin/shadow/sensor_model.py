@@ -38,7 +38,7 @@ class SensorModel:
     """Likelihood of proximity readings.
 
     Attributes:
-        quiet: Highest reading with nothing in reach [counts]; below 0 of sensors that rest above 0.
+        quiet: Highest reading with nothing in reach [counts]; below all readings of sensors that rest above 0.
         limit: Highest reading [counts].
         usable_range: Part of each sensor's range that the lamps left at the last reply (8,).
     """
@@ -52,7 +52,8 @@ class SensorModel:
         self._expected: Floats = np.zeros(8)
         # A sensor that rests above 0 has no quiet reading: 0 is that of a dead one.
         is_resting = proximity["threshold"].max() < 0
-        self.quiet = -1.0 if is_resting else 10 * max(float(proximity["idle"]), float(proximity["floor"]))
+        idle, floor = float(proximity["idle"]), float(proximity["floor"])
+        self.quiet = min(floor, 0.0) - 1 if is_resting else 10 * max(idle, floor)
         noise = np.square(proximity["noise"]) + quantum * quantum / 12
         self._law = SensorLaw(
             proximity["threshold"].astype(np.float64),

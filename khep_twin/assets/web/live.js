@@ -65,7 +65,7 @@ export class LivePlan {
       robot.turrets.forEach((points, turretPart) => turrets[turretPart]?.setAttribute("d", closedPath(points)));
       robot.more?.ultrasonic?.forEach((reading, sensor) => beams[sensor].setAttribute("d", sectorPath(beamLength(shape, reading))));
       if (robot.leds.length === 3 * leds.length) leds.forEach((led, number) => setLed(led, robot.leds.slice(3 * number, 3 * number + 3)));
-      robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
+      robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + 0.6 * Math.min(Math.max(count / shape.bars.proximity.full, 0), 1)));
     });
     message.lamps.forEach(({ power_w }, index) => this.drawing.nodes.get(`lamp:${index}`)?.classList.toggle("off", power_w === 0));
     for (const kind of Object.keys(OBJECTS))

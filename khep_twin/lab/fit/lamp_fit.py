@@ -59,13 +59,18 @@ class LampPositions:
         return cls(np.column_stack(positions), test.power or 0.0, body.sensor_positions)
 
 
-def ambient_counts(lamp: LampPositions, channel: int, calibration: AmbientCalibration) -> Floats:
-    """Return the readings of a receiver without noise, for an unobstructed lamp, not rounded (n,)."""
+def ambient_counts(
+    lamp: LampPositions, channel: int, calibration: AmbientCalibration, largest: int = COUNTS_LIMIT
+) -> Floats:
+    """Return the readings of a receiver without noise, for an unobstructed lamp, not rounded (n,).
+
+    `largest` is the converter's largest count.
+    """
     columns = (calibration.heading_deg, calibration.gain_counts_mm2_per_w, calibration.lobe_exponent)
     receiver = tuple(column[channel] for column in columns)
     levels = calibration.dark_counts, calibration.floor_counts, calibration.diffuse
     counts = _counts(lamp, channel, receiver, levels, calibration.offset_mm)
-    return COUNTS_LIMIT - counts if calibration.rises_with_light else counts
+    return largest - counts if calibration.rises_with_light else counts
 
 
 def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> SensorsFit:
@@ -83,7 +88,7 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
     names = tests[0].placement.model.body.ring_sensors
     counts = np.concatenate([test.counts for test in tests])
     if initial.rises_with_light:
-        counts = COUNTS_LIMIT - counts
+        counts = start.largest_count - counts
     for name, readings in zip(names, counts.T, strict=True):
         if np.ptp(readings) < _MIN_RANGE:
             raise FitError(
@@ -92,7 +97,7 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
             )
     # Without saturated readings, the level of the brightest light keeps its initial value.
     is_saturated = bool((counts < initial.floor_counts + 4 * initial.noise_counts).sum() >= n_sensors)
-    shared = _shared_parameters(initial, is_saturated)
+    shared = _shared_parameters(initial, is_saturated, start.largest_count)
     n_shared = len(shared)
     n_levels = n_shared + _N_PARAMETERS * n_sensors
 
@@ -149,11 +154,11 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
     return SensorsFit(calibration, tuple(values), rms, tuple(misplacements(estimate.values[n_levels:])))
 
 
-def _shared_parameters(initial: AmbientCalibration, is_saturated: bool) -> list[Parameter]:
+def _shared_parameters(initial: AmbientCalibration, is_saturated: bool, largest: int) -> list[Parameter]:
     """Return the parameters that all receivers share."""
-    floor = Parameter("level of the brightest light", initial.floor_counts, 20, 20, " counts", 0, 1023)
+    floor = Parameter("level of the brightest light", initial.floor_counts, 20, 20, " counts", 0, largest)
     return [
-        Parameter("dark level", initial.dark_counts, 20, 20, " counts", 0, 1023),
+        Parameter("dark level", initial.dark_counts, 20, 20, " counts", 0, largest),
         Parameter("diffuse part", initial.diffuse, 0.1, 0.1, "", 0, 1),
         *([floor] if is_saturated else []),
     ]

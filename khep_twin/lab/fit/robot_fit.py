@@ -209,7 +209,9 @@ def simulate_readings(test: SensorData, robot: Calibration, misplacement: Mispla
     if test.power is not None:
         lamp = LampPositions.of(readings, misplacement)
         channels = range(len(robot.heading_deg))
-        return np.column_stack([ambient_counts(lamp, channel, robot.ambient) for channel in channels])
+        return np.column_stack(
+            [ambient_counts(lamp, channel, robot.ambient, robot.largest_count) for channel in channels]
+        )
     means = mean_counts(readings.placement, robot, misplacement)
     return expected_readings(means, np.array(proximity.noise_counts), proximity.limit_counts)
 

@@ -18,7 +18,7 @@ from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, draw_strip
 from khep_twin.log.reader import TimeSeries
-from khep_twin.units import COUNTS_LIMIT, SENSOR_LABELS
+from khep_twin.units import SENSOR_LABELS
 
 POINT_LIMIT = 2000
 """Largest number of points of a curve; longer ones are drawn as the extremes of this many intervals."""
@@ -39,7 +39,7 @@ WIDTH = 7.1
 def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
     """Draw proximity and ambient light, a strip for each sensor; the corner is the lower left [inch]."""
     sensor_kinds = (
-        ("proximity", robot.proximity, _PROXIMITY, (0, COUNTS_LIMIT)),
+        ("proximity", robot.proximity, _PROXIMITY, (0, robot.model.bars["proximity"].full)),
         ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _max_value(robot.ambient)))),
     )
     titles = [f"{name} [counts]" for name, *_ in sensor_kinds]

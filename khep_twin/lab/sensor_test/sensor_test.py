@@ -39,6 +39,7 @@ class Quantity(NamedTuple):
         topic: Channel in logs.
         title: Name and unit of a reading.
         limit: Largest reading.
+        lowest: Smallest reading.
         reader: Function that takes a robot and returns the function that reads all sensors.
     """
 
@@ -47,6 +48,7 @@ class Quantity(NamedTuple):
     title: str
     limit: int
     reader: Callable[[Any], Callable[[], Sequence[int]]]
+    lowest: int = 0
 
 
 def _image_reader(robot: Khepera) -> Callable[[], Sequence[int]]:
@@ -161,7 +163,10 @@ class SensorTest:
         quantity, model = QUANTITIES[self.what], find_family(self.model)
         if self.model == default_model().family:
             return quantity
-        return quantity._replace(names=model.body.sensors, reader=partial(_channel_reader, quantity.topic))
+        limit, reader = model.bars["proximity"].full, partial(_channel_reader, quantity.topic)
+        # Proximity may be reflected less ambient light, with a sign.
+        lowest = -limit if self.what == "proximity" else 0
+        return quantity._replace(names=model.body.sensors, limit=limit, reader=reader, lowest=lowest)
 
     @property
     def pulses_per_unit(self) -> float:
@@ -214,12 +219,12 @@ class SensorRun:
         width = 2 + len(self.test.quantity.names)
         if self.dv.shape != (len(self.times), width) or self.times.ndim != 1:
             raise ValueError(f"shapes {self.dv.shape} and {self.times.shape}; expected (n, {width}) and (n,)")
-        limit = self.test.quantity.limit
-        is_invalid = (self.dv[:, 2:] < 0) | (self.dv[:, 2:] > limit)
+        lowest, limit = self.test.quantity.lowest, self.test.quantity.limit
+        is_invalid = (self.dv[:, 2:] < lowest) | (self.dv[:, 2:] > limit)
         if is_invalid.any():
             row, column = (int(indices[0]) for indices in np.nonzero(is_invalid))
             name, count = self.test.quantity.names[column], self.dv[row, 2 + column]
-            raise SensorTestError(f"row {row + 1}: {name} = {count}; expected 0 to {limit}")
+            raise SensorTestError(f"row {row + 1}: {name} = {count}; expected {lowest} to {limit}")
         if not np.isnan(self.times).all():
             is_unordered = ~np.isfinite(self.times) | (np.diff(self.times, prepend=0.0) < 0)
             if is_unordered.any():

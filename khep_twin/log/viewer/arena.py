@@ -24,7 +24,7 @@ from khep_twin.log.attached import compile_shapes, playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.viewer.collected import Collector, Poses, Samples, time_column
-from khep_twin.units import COUNTS_LIMIT, metres
+from khep_twin.units import metres
 
 Floats = NDArray[np.float64]
 
@@ -81,7 +81,9 @@ class Rays:
         strips = np.empty((n, len(names), _N_RAYS, 2, 3), np.float32)
         starts = [self._model.camera(f"{robot}/{name}").pos for name in names]
         strips[..., 0, :], strips[..., 1, :] = np.array(starts)[None, :, None], ends
-        intensity = np.sqrt(np.clip(samples.proximity / COUNTS_LIMIT, 0, 1))[..., None]
+        intensity = np.sqrt(np.clip(samples.proximity / self._models[robot].bars["proximity"].full, 0, 1))[
+            ..., None
+        ]
         colours = np.empty((n, len(names), _N_RAYS, 4), np.uint8)
         colours[..., :3] = (_FAR_RGB + intensity * (_NEAR_RGB - _FAR_RGB))[:, :, None]
         colours[..., 3] = 255

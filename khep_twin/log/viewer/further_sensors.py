@@ -51,8 +51,7 @@ def _beams(
     headings = np.radians(sonar.headings_deg)
     angles = headings[:, None] + np.linspace(-_HALF_BEAM, _HALF_BEAM, _ARC_POINTS)
     directions = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
-    x, y = sonar.radius * np.cos(headings), sonar.radius * np.sin(headings)
-    origins = np.stack([x, y, np.full(count, sonar.height)], axis=-1)
+    origins = np.array(sonar.places)[:, :3]
     is_valid = ~np.isin(readings, sonar.codes)
     strips = np.repeat(origins[None, :, None], n, axis=0).repeat(_ARC_POINTS + 2, axis=2)
     strips[:, :, 1:-1] += np.where(is_valid, readings * unit, 0)[..., None, None] * directions

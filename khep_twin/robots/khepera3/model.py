@@ -110,7 +110,7 @@ KHEPERA_3 = RobotModel(
     calibration=str(ASSETS / "khepera3.toml"),
     roms={name: Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)}) for name in ("3.0", SERVER)},
     channels=parse_channels(CHANNELS),
-    bars=bars_of(dark=4000, speed=20_000, counts=COUNTS_LIMIT),
+    bars=bars_of(dark=4000, speed=20_000, largest=COUNTS_LIMIT),
     dialect=Dialect(
         robot_name="a Khepera III",
         host_class="khep_twin.host.Khepera3",
