@@ -141,7 +141,7 @@ def _split_commands(command_lines: list[str]) -> list[list[str]]:
 
 def _assign_robots(twin: "Twin", first_robot: int, commands: list[list[str]]) -> list["RobotProgram"]:
     """Assign programs to the robots of a twin that have a computer, starting with robot `first_robot`."""
-    from khep_twin.programs.machine import Machine
+    from khep_twin.programs.computer import Machine
     from khep_twin.programs.robot_program import RobotProgram
 
     name, robots = twin.world.playpen.name, twin.world.robots
@@ -163,6 +163,6 @@ def _assign_robots(twin: "Twin", first_robot: int, commands: list[list[str]]) ->
             f"computer from {first_robot} on: {listing}"
         )
     return [
-        RobotProgram(command, Machine.of(robot, twin.world), robot.index + 1)
+        RobotProgram(command, Machine(robot, twin.world), robot.index + 1)
         for command, robot in zip(commands, targets, strict=False)
     ]
