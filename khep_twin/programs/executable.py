@@ -252,5 +252,5 @@ class StartedPrograms:
     def _contains_node(self, path: Path) -> bool:
         """Return whether a file contains the name of a device node."""
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            paths = self._environment["KHEP_TWIN_NODES"] + self._environment["KHEP_TWIN_PATHS"]
-            return any(content.find(path.encode()) >= 0 for path in re.findall("/dev/[^:*]+", paths))
+            nodes = re.findall("/dev/[^:*]+", self._environment["KHEP_TWIN_PATHS"])
+            return any(content.find(node.encode()) >= 0 for node in nodes)

@@ -82,35 +82,32 @@ def run_programs(
         for program, executable in zip(programs, executables, strict=True)
     ]
     with (
-        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=find_temporary_folder()) as folder,
+        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=find_temporary_folder()) as temporary,
         contextlib.ExitStack() as stack,
     ):
-        paths = [Path(folder, f"devices{index}") for index in range(len(programs))]
+        paths = [Path(temporary, f"devices{index}") for index in range(len(programs))]
         machines = [program.machine for program in programs]
         offset_ns = machines[0].time_ns - time.monotonic_ns()
         clock = None if simulated else lambda: time.monotonic_ns() + offset_ns
         started_programs: list[StartedPrograms] = []
-
-        def check_started(robot: int, process: int, path: str) -> None:
-            started_programs[robot].check(process, path)
-
-        server = DeviceServer(machines, paths, clock, on_wall_clock, check_started)
+        server = DeviceServer(
+            machines, paths, clock, on_wall_clock, lambda robot, *start: started_programs[robot].check(*start)
+        )
         stack.enter_context(contextlib.closing(server))
         if simulated:
             stack.enter_context(_pin_to_one_processor())
         processes: list[subprocess.Popen[bytes]] = []
         stack.callback(_kill, processes)
         for program, executable, library, path in zip(programs, executables, libraries, paths, strict=True):
-            link = path.with_suffix(".so")
+            link, folder = path.with_suffix(".so"), path.with_suffix(".files")
             link.symlink_to(library)
-            computer = program.machine.computer
             environment = os.environ | {
                 # Behind the user's libraries: a sanitizer's must come first.
                 "LD_PRELOAD": ":".join(filter(None, (os.environ.get("LD_PRELOAD"), str(link)))),
                 "KHEP_TWIN_SOCKET": str(path),
                 "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
-                "KHEP_TWIN_PATHS": _write_files(path.with_suffix(".files"), computer, program.robot_id),
-                "KHEP_TWIN_NODES": ":".join(f"{node}{path}" for path, node in computer.nodes.items()),
+                "KHEP_TWIN_PATHS": _write_files(folder, program.machine.computer, program.robot_id),
+                "KHEP_TWIN_FILES": str(folder),
             }
             if executable is not None:
                 check_preload(program.arguments[0], executable.loader, link, environment)
@@ -211,9 +208,9 @@ def _pin_to_one_processor() -> Generator[None, None, None]:
 
 
 def _write_files(folder: Path, computer: Computer, robot_id: int) -> str:
-    """Write files and memory of a computer; return the folder and the paths that are redirected to it."""
+    """Write files and memory of a computer; return the table of its paths for the preload library."""
     files, memory = {**computer.files(robot_id)}, computer.memory
-    paths = sorted({str(Path(name).parent) for name in files})
+    paths = [f"{Path(name).parent}{end}" for name in files for end in ("", "/*")]
     if memory:
         files[MEMORY_NODE] = ""
         paths.append(MEMORY_NODE)
@@ -227,7 +224,7 @@ def _write_files(folder: Path, computer: Computer, robot_id: int) -> str:
             for address, word in memory.items():
                 file.seek(address)
                 file.write(word.to_bytes(4, "little"))
-    return ":".join([str(folder), *paths])
+    return ":".join(f"{node}{path}" for path, node in {**computer.nodes, **dict.fromkeys(paths, 0)}.items())
 
 
 @contextlib.contextmanager

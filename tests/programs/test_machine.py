@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from khep_twin.programs.computer import READ_FLAG, Computer, Devices, Machine
 
 BUS, ADDRESS, BYTE_NS = 2, 0x30, 25_000
+COMPUTER = Computer({}, lambda robot: robot.devices, lambda number: {}, BYTE_NS)
 
 
 class Clock:
@@ -46,12 +47,12 @@ MESSAGES = st.lists(
 class Robot:
     """A robot with these devices alone, which is its model, too."""
 
-    def __init__(self, devices: Devices) -> None:
-        self.robot_model, self.devices = self, devices
+    def __init__(self, devices: Devices, computer: Computer = COMPUTER) -> None:
+        self.robot_model, self.devices, self.computer = self, devices, computer
 
     def load(self, *part: object) -> Computer:
         """Return its computer."""
-        return Computer({}, lambda robot: robot.devices, lambda number: {}, BYTE_NS)
+        return self.computer
 
 
 def machine_of(chip: Chip, clock: Clock) -> Machine:
