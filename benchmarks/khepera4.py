@@ -13,7 +13,7 @@ from benchmarks.table import Row, Table, measure, timed
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Network
 from khep_twin.playpen import Playpen
-from khep_twin.programs.machine import Machine
+from khep_twin.programs.computer import Machine
 from khep_twin.programs.robot_program import RobotProgram, run_programs
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
@@ -59,7 +59,7 @@ def read_sensors(seconds: float, reads: bool = True, compiled: bool = True) -> N
 def run_program(program: Path, seconds: float) -> None:
     """Run the program that reads them."""
     world, robot = open_world()
-    (code,) = run_programs([RobotProgram([str(program), str(round(seconds))], Machine.of(robot, world))])
+    (code,) = run_programs([RobotProgram([str(program), str(round(seconds))], Machine(robot, world))])
     assert code == 0
 
 

@@ -22,7 +22,7 @@ from khep_twin.lab.experiment.series import FreshTwins, run_series
 from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.twin import TwinOptions, open_twin
-from khep_twin.programs.machine import Machine
+from khep_twin.programs.computer import Machine
 from khep_twin.programs.robot_program import RobotProgram, run_programs
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import DspicRegister
@@ -88,7 +88,7 @@ class Transfer:
 
     def _execute(self, program: Path, seed: int, start: StartPose, vary: bool) -> float:
         with open_twin(at_start(self._playpen, 0, start), TwinOptions(seed, vary=vary)) as twin:
-            machine = MeasuredMachine.of(twin.world.robots[0], twin.world)
+            machine = MeasuredMachine(twin.world.robots[0], twin.world)
             run_programs([RobotProgram([str(program)], machine)], until_ns=round(self._seconds * 1e9))
             return float(np.mean(machine.fitness))
 

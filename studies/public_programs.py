@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 
-from khep_twin.programs.machine import Machine
+from khep_twin.programs.computer import Machine
 from khep_twin.programs.robot_program import RobotProgram, run_programs
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
@@ -71,7 +71,7 @@ def run(folder: Path, seconds: float, seed: int, playpen: str = "arena4") -> str
     with TemporaryFile() as output:
         os.dup2(follower, 0)
         os.dup2(output.fileno(), 1)
-        program = RobotProgram([str(folder / "prog"), *words], Machine.of(robot, clock))
+        program = RobotProgram([str(folder / "prog"), *words], Machine(robot, clock))
         (code,) = run_programs([program], until_ns=round(seconds * 1e9))
         os.dup2(saved_stdout, 1)
         written = os.fstat(output.fileno()).st_size

@@ -21,7 +21,6 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.clock import to_ns
-from khep_twin.errors import PlaypenError
 from khep_twin.robots.registry import installed_models
 
 if TYPE_CHECKING:
@@ -139,30 +138,26 @@ def _split_commands(command_lines: list[str]) -> list[list[str]]:
     return commands
 
 
-def _assign_robots(twin: "Twin", first_robot: int, commands: list[list[str]]) -> list["RobotProgram"]:
-    """Assign programs to the robots of a twin that have a computer, starting with robot `first_robot`."""
-    from khep_twin.programs.machine import Machine
+def _assign_robots(twin: "Twin", first: int, commands: list[list[str]]) -> list["RobotProgram"]:
+    """Assign programs to the robots of a twin that have a computer, starting with robot `first`."""
+    from khep_twin.programs.computer import Machine
     from khep_twin.programs.robot_program import RobotProgram
 
-    name, robots = twin.world.playpen.name, twin.world.robots
-    candidates = [robot for robot in robots if "computer" in robot.robot_model.parts]
-    listing = ", ".join(f"{robot.index} ({robot.robot_model.title})" for robot in candidates)
-    if not candidates:
-        titles = ", ".join(dict.fromkeys(robot.robot_model.title for robot in robots))
-        models = [name for name, model in installed_models().items() if "computer" in model.parts]
-        raise PlaypenError(
-            f"{name}: {titles}; expected a robot with a computer: model = {' or '.join(map(repr, models))}"
-        )
-    targets = [robot for robot in candidates if robot.index >= first_robot]
-    if not targets or targets[0].index != first_robot:
-        title = robots[first_robot].robot_model.title if first_robot in range(len(robots)) else "missing"
-        raise usage(f"--robot {first_robot}: {title} in {name}; expected one with a computer: {listing}")
+    robots = twin.world.robots
+    targets = [robot for robot in robots if "computer" in robot.robot_model.parts]
+    listing = ", ".join(f"{robot.index} ({robot.robot_model.title})" for robot in targets)
+    if not targets:
+        models = [repr(name) for name, model in installed_models().items() if "computer" in model.parts]
+        listing = f"a playpen with model = {' or '.join(models)}"
+    if first not in [robot.index for robot in targets]:
+        title = robots[first].robot_model.title if first in range(len(robots)) else "no robot"
+        place = f"--robot {first}: {title} in {twin.world.playpen.name}"
+        raise usage(f"{place}; expected one with a computer: {listing}")
+    targets = [robot for robot in targets if robot.index >= first]
     if len(commands) > len(targets):
-        raise usage(
-            f"{len(commands)} programs; expected up to {len(targets)}, for the robots of {name} with a "
-            f"computer from {first_robot} on: {listing}"
-        )
+        count = f"{len(commands)} programs; expected up to {len(targets)}"
+        raise usage(f"{count}, from robot {first} on: {listing}")
     return [
-        RobotProgram(command, Machine.of(robot, twin.world), robot.index + 1)
+        RobotProgram(command, Machine(robot, twin.world), robot.index + 1)
         for command, robot in zip(commands, targets, strict=False)
     ]

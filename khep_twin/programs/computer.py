@@ -1,51 +1,38 @@
-"""The computer of a robot, as its programs see it: device nodes, buses, pins, files and memory.
+"""The computer of a robot, as its programs see it: device nodes, buses, pins, files, memory and time.
 
 The part `computer` of `RobotModel.parts` is a `Computer`. That of a robot with a sensor on its only bus:
 
     COMPUTER = Computer(
-        nodes={"/dev/i2c-0": Node(Kind.I2C, bus=0), "/dev/i2c/0": Node(Kind.I2C, bus=0)},
-        connect=lambda robot: Devices({(0, 0x31): Sensor(robot)}),
+        nodes={"/dev/i2c-0": i2c_bus(0), "/dev/i2c/0": i2c_bus(0), "/dev/pwm*": PWM},
+        connect=lambda robot: Devices({(0, 0x31): Sensor(robot)}),  # a `Slave` at an address of bus 0
         files=lambda number: {"/etc/robot/number": str(number)},
         byte_ns=90_000,
         memory={0x40E00004: 1 << 8},
     )
 
-`Sensor` is a `Slave`. `Machine.of(robot, clock)` is the computer of a robot of a world, for `run_programs`.
+`Machine(robot, world)` is the computer of a robot of a world, for `robot_program.run_programs`.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from enum import IntEnum
+import errno
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
-MEMORY_PATH = "/dev/mem"
-"""Node of the memory."""
+from khep_twin.robots.robot import Robot
+from khep_twin.world import World
 
-PAGE = 4096
-"""Size of a page of the memory [bytes]."""
+PINS, PWM = 2 << 16, 3 << 16
+"""Nodes of pins (`assets/include/user-gpio-drv.h` has their requests), and of PWM, which take any request."""
 
+MEMORY_NODE = "/dev/mem"
+"""Path of the memory."""
 
-class Kind(IntEnum):
-    """Kind of a device node, by its number in the preload library."""
-
-    I2C = 1
-    GPIO = 2  # pins, by the requests of `assets/include/user-gpio-drv.h`
-    PWM = 3  # which accepts any request
+READ_FLAG = 1
+"""Flag of a read message."""
 
 
-class Node(NamedTuple):
-    """A device node.
-
-    Attributes:
-        kind: Kind.
-        bus: Number of its I2C bus, 0 to 127.
-        sends_empty: Whether the adapter of the bus sends messages of length 0, by which programs look for
-            slaves; otherwise it refuses them (EINVAL).
-    """
-
-    kind: Kind
-    bus: int = 0
-    sends_empty: bool = False
+def i2c_bus(number: int = 0, sends_empty: bool = False) -> int:
+    """Return a node of an I2C bus, 0 to 127, whose adapter sends or refuses (EINVAL) messages of length 0."""
+    return 1 << 16 | sends_empty << 15 | number << 8
 
 
 class Slave(Protocol):
@@ -68,8 +55,8 @@ class Devices(NamedTuple):
     """Devices of a robot.
 
     Attributes:
-        slaves: Slaves by number of the bus and address.
-        levels: Levels of the pins at the start; those of other pins are 0.
+        slaves: Slaves by the number of their bus and their address.
+        levels: Levels of pins at the start; those of others are 0 (assumed).
         on_pin: Function that is called when a program sets a pin, with its number and level, 0 or 1.
     """
 
@@ -78,35 +65,81 @@ class Devices(NamedTuple):
     on_pin: Callable[[int, int], None] = lambda pin, level: None
 
 
-@dataclass(frozen=True, slots=True)
-class Computer:
+class Computer(NamedTuple):
     """The computer of a model of robot.
 
     Attributes:
-        nodes: Nodes by their paths; `*` at the end of a path stands for any end.
+        nodes: Device nodes by path; `*` at the end of a path stands for any end.
         connect: Function that returns the devices of a robot of the model.
-        files: Function that returns texts of files by path, for the robot's number, from 1. Programs see no
+        files: Function of the robot's number, from 1, that returns texts of files by path. Programs see no
             other file in the folders of these files.
         byte_ns: Time of a byte on a bus [ns].
-        memory: 32-bit words by their physical addresses, below 2 GiB. Each names its page of the node
-            `MEMORY_PATH`; other words are 0. Without words there is no such node.
+        memory: 32-bit words by physical address, below 2 GiB, in the node `MEMORY_NODE`. Others up to the
+            end of the last page are 0.
     """
 
-    nodes: Mapping[str, Node]
+    nodes: Mapping[str, int]
     connect: Callable[[Any], Devices]
-    files: Callable[[int], Mapping[str, str]] = lambda number: {}
-    byte_ns: int = 90_000
-    memory: Mapping[int, int] = field(default_factory=dict[int, int])
+    files: Callable[[int], Mapping[str, str]]
+    byte_ns: int
+    memory: Mapping[int, int] = {}
+
+
+class Machine:
+    """The computer of a robot of a world.
+
+    Args:
+        robot: The robot.
+        world: Its world, or another clock.
+
+    Attributes:
+        computer: The computer of its model.
+    """
+
+    def __init__(self, robot: Robot, world: World) -> None:
+        self.computer = robot.robot_model.load("computer", Computer)
+        self._devices = self.computer.connect(robot)
+        self._levels = {**self._devices.levels}
+        self._world = world
 
     @property
-    def node_starts(self) -> list[bytes]:
-        """Starts of the paths of all nodes."""
-        return [path.rstrip("*").encode() for path in (*self.nodes, *([MEMORY_PATH] if self.memory else []))]
+    def time_ns(self) -> int:
+        """Simulated time [ns]."""
+        return self._world.time_ns
 
-    @property
-    def node_table(self) -> str:
-        """Nodes for the preload library: number and path of each, separated by colons."""
-        return ":".join(
-            f"{node.kind << 16 | node.sends_empty << 15 | node.bus << 8}{path}"
-            for path, node in self.nodes.items()
-        )
+    def advance_to(self, time_ns: int) -> None:
+        """Advance to a time [ns]; do nothing if it has passed."""
+        if time_ns > self._world.time_ns:
+            self._world.advance_to(time_ns)
+
+    def transfer(self, bus: int, messages: Sequence[tuple[int, int, bytes]], byte_ns: int) -> bytes:
+        """Run messages on a bus; return the content of the read messages.
+
+        Args:
+            bus: Number of the bus.
+            messages: Address, flags and content of each; of a read message only the length counts.
+            byte_ns: Simulated time of a byte [ns].
+
+        Raises:
+            OSError: No device has the address.
+        """
+        reply = b""
+        for address, flags, content in messages:
+            slave = self._devices.slaves.get((bus, address))
+            if slave is None or not slave.is_powered:
+                raise OSError(errno.ENXIO, "no device has answered")
+            self.advance_to(self.time_ns + (len(content) + 1) * byte_ns)
+            if flags & READ_FLAG and content:
+                reply += slave.read(len(content))
+            elif content:
+                slave.write(content)
+        return reply
+
+    def set_pin(self, pin: int, level: int) -> None:
+        """Set an output."""
+        self._levels[pin] = int(bool(level))
+        self._devices.on_pin(pin, self._levels[pin])
+
+    def pin(self, pin: int) -> int:
+        """Return the level of a pin."""
+        return self._levels.get(pin, 0)

@@ -34,7 +34,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from khep_twin.programs.machine import READ_FLAG, Machine
+from khep_twin.programs.computer import READ_FLAG, Machine
 from khep_twin.programs.scheduler import NEVER_NS, TIME_REQUEST_NS, Scheduler, ThreadConnection
 from khep_twin.programs.thread_watch import ThreadWatch
 

@@ -15,7 +15,7 @@ import struct
 import subprocess
 import sys
 import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -212,21 +212,13 @@ class StartedPrograms:
         first: Header of the first program, whose loader loads the preload library; None if it is unknown.
         library: The preload library, as in LD_PRELOAD of the environment.
         environment: Environment of the first program.
-        nodes: Starts of the paths of device nodes that the library emulates.
     """
 
-    def __init__(
-        self,
-        first: Executable | None,
-        library: Path,
-        environment: Mapping[str, str],
-        nodes: Collection[bytes],
-    ) -> None:
+    def __init__(self, first: Executable | None, library: Path, environment: Mapping[str, str]) -> None:
         self._bits = 64 if first is None else first.bits
         self._loaders: set[str] = set() if first is None else {first.loader}
         self._library = library
         self._environment = environment
-        self._nodes = nodes
         self._checked: set[Path] = set()
 
     def check(self, process: int, name: str) -> None:
@@ -260,4 +252,5 @@ class StartedPrograms:
     def _contains_node(self, path: Path) -> bool:
         """Return whether a file contains the name of a device node."""
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            return any(content.find(node) >= 0 for node in self._nodes)
+            nodes = re.findall("/dev/[^:*]+", self._environment["KHEP_TWIN_PATHS"])
+            return any(content.find(node.encode()) >= 0 for node in nodes)

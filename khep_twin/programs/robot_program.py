@@ -1,7 +1,7 @@
 """Programs that were compiled for a robot's computer, run on this computer against a twin of the robot.
 
     world = World("arena4")
-    program = RobotProgram(["./program", "argument"], Machine.of(world.robots[0], world))
+    program = RobotProgram(["./program", "argument"], Machine(world.robots[0], world))
     (code,) = run_programs([program])
 
 The program is a native build of the unmodified source. A preload library (`assets/shim*.c`),
@@ -11,6 +11,7 @@ with a simulated clock, the functions that return the time or wait.
 
 import contextlib
 import errno
+import mmap
 import os
 import shutil
 import signal
@@ -25,10 +26,9 @@ from types import FrameType
 from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.programs.computer import MEMORY_PATH, PAGE, Computer
+from khep_twin.programs.computer import MEMORY_NODE, Computer, Machine
 from khep_twin.programs.device_server import DeviceServer
 from khep_twin.programs.executable import Executable, StartedPrograms, check_executable, check_preload
-from khep_twin.programs.machine import Machine
 from khep_twin.programs.preload import find_temporary_folder, preload_library
 from khep_twin.programs.scheduler import NEVER_NS
 
@@ -82,39 +82,36 @@ def run_programs(
         for program, executable in zip(programs, executables, strict=True)
     ]
     with (
-        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=find_temporary_folder()) as folder,
+        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=find_temporary_folder()) as temporary,
         contextlib.ExitStack() as stack,
     ):
-        paths = [Path(folder, f"devices{index}") for index in range(len(programs))]
+        paths = [Path(temporary, f"devices{index}") for index in range(len(programs))]
         machines = [program.machine for program in programs]
         offset_ns = machines[0].time_ns - time.monotonic_ns()
         clock = None if simulated else lambda: time.monotonic_ns() + offset_ns
         started_programs: list[StartedPrograms] = []
-
-        def check_started(robot: int, process: int, path: str) -> None:
-            started_programs[robot].check(process, path)
-
-        server = DeviceServer(machines, paths, clock, on_wall_clock, check_started)
+        server = DeviceServer(
+            machines, paths, clock, on_wall_clock, lambda robot, *start: started_programs[robot].check(*start)
+        )
         stack.enter_context(contextlib.closing(server))
         if simulated:
             stack.enter_context(_pin_to_one_processor())
         processes: list[subprocess.Popen[bytes]] = []
         stack.callback(_kill, processes)
         for program, executable, library, path in zip(programs, executables, libraries, paths, strict=True):
-            link = path.with_suffix(".so")
+            link, folder = path.with_suffix(".so"), path.with_suffix(".files")
             link.symlink_to(library)
-            computer = program.machine.computer
             environment = os.environ | {
                 # Behind the user's libraries: a sanitizer's must come first.
                 "LD_PRELOAD": ":".join(filter(None, (os.environ.get("LD_PRELOAD"), str(link)))),
                 "KHEP_TWIN_SOCKET": str(path),
                 "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
-                "KHEP_TWIN_PATHS": _write_files(path.with_suffix(".files"), computer, program.robot_id),
-                "KHEP_TWIN_NODES": computer.node_table,
+                "KHEP_TWIN_PATHS": _write_files(folder, program.machine.computer, program.robot_id),
+                "KHEP_TWIN_FILES": str(folder),
             }
             if executable is not None:
                 check_preload(program.arguments[0], executable.loader, link, environment)
-            started_programs.append(StartedPrograms(executable, link, environment, computer.node_starts))
+            started_programs.append(StartedPrograms(executable, link, environment))
             try:
                 processes.append(subprocess.Popen([*program.arguments], env=environment))
             except OSError as error:
@@ -211,23 +208,23 @@ def _pin_to_one_processor() -> Generator[None, None, None]:
 
 
 def _write_files(folder: Path, computer: Computer, robot_id: int) -> str:
-    """Write files and memory of a computer; return the folder and the paths that are redirected to it."""
-    files = computer.files(robot_id)
-    paths = {str(Path(name).parent) for name in files}
+    """Write files and memory of a computer; return the table of its paths for the preload library."""
+    files, memory = {**computer.files(robot_id)}, computer.memory
+    paths = [f"{Path(name).parent}{end}" for name in files for end in ("", "/*")]
+    if memory:
+        files[MEMORY_NODE] = ""
+        paths.append(MEMORY_NODE)
     for name, text in files.items():
         path = Path(f"{folder}{name}")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    if computer.memory:
-        paths.add(MEMORY_PATH)
-        path = Path(f"{folder}{MEMORY_PATH}")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as memory:  # a sparse file
-            memory.truncate((max(computer.memory) // PAGE + 1) * PAGE)
-            for address, word in computer.memory.items():
-                memory.seek(address)
-                memory.write(word.to_bytes(4, "little"))
-    return ":".join([str(folder), *sorted(paths)])
+    if memory:
+        with open(f"{folder}{MEMORY_NODE}", "r+b") as file:
+            file.truncate((max(memory) // mmap.PAGESIZE + 1) * mmap.PAGESIZE)  # without room on the disk
+            for address, word in memory.items():
+                file.seek(address)
+                file.write(word.to_bytes(4, "little"))
+    return ":".join(f"{node}{path}" for path, node in {**computer.nodes, **dict.fromkeys(paths, 0)}.items())
 
 
 @contextlib.contextmanager

@@ -34,7 +34,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from operator import attrgetter
 
-from khep_twin.programs.machine import Machine
+from khep_twin.programs.computer import Machine
 from khep_twin.programs.thread_watch import ThreadWatch
 
 TIME_REQUEST_NS = 10_000

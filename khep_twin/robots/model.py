@@ -12,6 +12,7 @@ This module knows no model. A package registers its models under the entry point
     host            subclass of `khep_twin.host.HostRobot`: the robot at the other end of a line
     conformance     `khep_twin.lab.conformance.port.conform.Checks`: checks at a port
     program         function that returns C functions for programs on the robot, of networks' registers
+    computer        `khep_twin.programs.computer.Computer`: what programs on the robot's computer use
 """
 
 import re
@@ -218,7 +219,6 @@ class RobotModel:
         tasks: Further tasks of environments by name, each a `khep_twin.envs.Task` as "module:object".
         vehicle: Function that returns the setpoints of its Braitenberg vehicle [register], by the readings of
             proximity; None without a vehicle.
-        commands: Further commands of `khep-twin`, functions for Typer as "module:function".
         template: First text of a controller for it: a file in assets, or a path; empty for a straight drive.
         bench: Tests that calibrate it; None without a fit.
     """
@@ -241,7 +241,6 @@ class RobotModel:
     speed_modes: Mapping[int, int] = field(default_factory=dict[int, int])
     tasks: Mapping[str, str] = field(default_factory=dict[str, str])
     vehicle: Callable[[Sequence[int]], tuple[int, int]] | None = None
-    commands: Mapping[str, str] = field(default_factory=dict[str, str])
     template: str = ""
     bench: Bench | None = None
 
@@ -265,14 +264,6 @@ class RobotModel:
         if isinstance(value, type) and issubclass(cast(type[object], value), base):
             return value
         raise self._part_error(part, cast(object, value), f"a subclass of {base.__name__}")
-
-    def load_command(self, name: str) -> Callable[..., None]:
-        """Return the function of a command.
-
-        Raises:
-            RobotModelError: It cannot be loaded.
-        """
-        return cast(Callable[..., None], self._load(self.commands[name]))
 
     @property
     def episode_interface(self) -> Interface:

@@ -69,16 +69,14 @@ def test_two_programs_share_a_playpen_and_the_end_of_their_time(
     [
         (
             ("--playpen", "obstacles"),
-            "obstacles: Khepera; expected a robot with a computer: model = 'khepera4'",
+            "robot 0: Khepera in obstacles; expected one with a computer: a playpen with model = ",
         ),
         (
             ("--playpen", "arena4-two", "--robot", "2"),
-            "--robot 2: Khepera in arena4-two; expected one with a computer: 0 (Khepera IV), 1 (K",
+            "robot 2: Khepera in arena4-two; expected one with a computer: 0 (Khepera IV), 1 (Khepera IV)",
         ),
-        (
-            ("--also", "true"),
-            "2 programs; expected up to 1, for the robots of arena4 with a computer from 0 on: 0 (K",
-        ),
+        (("--robot", "-1"), "robot -1: no robot in arena4; expected one with a computer: 0 (Khepera IV)"),
+        (("--also", "true"), "2 programs; expected up to 1, from robot 0 on: 0 (Khepera IV)"),
         (("--also", "'true"), "expected a program and its arguments"),
     ],
 )

@@ -10,7 +10,7 @@ from khep_twin.errors import CalibrationError
 from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
-from khep_twin.programs.machine import Machine
+from khep_twin.programs.computer import Machine
 from khep_twin.robots.khepera4.channels import COUNTS_PER_G, DEGREES_PER_COUNT
 from khep_twin.robots.khepera4.core import PULSES_PER_TURN
 from khep_twin.robots.khepera4.inertial import at_rest, measure
@@ -271,7 +271,7 @@ def test_a_brown_out_resets_the_robot_and_with_an_empty_battery_it_does_not_repl
     world.advance(0.1)
     assert world.robots[0].uart.tx.read(world.time_ns) == b""
     with pytest.raises(OSError, match="no device has answered"):
-        Machine.of(robot_of(world), world).transfer(0, [(0x30, 0, b"\0")], 25_000)
+        Machine(robot_of(world), world).transfer(0, [(0x30, 0, b"\0")], 25_000)
 
 
 def test_a_scan_and_a_moved_wall_are_measured_immediately() -> None:

@@ -17,7 +17,7 @@ from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
-from khep_twin.programs.machine import Machine
+from khep_twin.programs.computer import Machine
 from khep_twin.programs.robot_program import RobotProgram, run_programs
 from khep_twin.robots.khepera4.computer import CHARGER_PIN
 from khep_twin.robots.khepera4.registers import DspicRegister
@@ -47,7 +47,7 @@ Kind = TypeVar("Kind", bound=Machine)
 
 
 def machine_of(world: World, kind: type[Kind] = Machine) -> Kind:
-    return kind.of(world.robots[0], world)
+    return kind(world.robots[0], world)
 
 
 def python(source: str, *words: str | Path) -> subprocess.CompletedProcess[str]:

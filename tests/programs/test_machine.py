@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from khep_twin.programs.computer import Computer, Devices
-from khep_twin.programs.machine import READ_FLAG, Machine
+from khep_twin.programs.computer import READ_FLAG, Computer, Devices, Machine
 
 BUS, ADDRESS, BYTE_NS = 2, 0x30, 25_000
+COMPUTER = Computer({}, lambda robot: robot.devices, lambda number: {}, BYTE_NS)
 
 
 class Clock:
@@ -42,11 +42,21 @@ class Chip:
 MESSAGES = st.lists(
     st.tuples(st.just(ADDRESS), st.sampled_from((0, READ_FLAG)), st.binary(max_size=80)), max_size=8
 )
-COMPUTER = Computer({}, lambda chip: Devices({(BUS, ADDRESS): chip}))
+
+
+class Robot:
+    """A robot with these devices alone, which is its model, too."""
+
+    def __init__(self, devices: Devices, computer: Computer = COMPUTER) -> None:
+        self.robot_model, self.devices, self.computer = self, devices, computer
+
+    def load(self, *part: object) -> Computer:
+        """Return its computer."""
+        return self.computer
 
 
 def machine_of(chip: Chip, clock: Clock) -> Machine:
-    return Machine(COMPUTER, COMPUTER.connect(chip), clock)
+    return Machine(Robot(Devices({(BUS, ADDRESS): chip})), clock)  # type: ignore[arg-type]
 
 
 @given(messages=MESSAGES, byte_ns=st.sampled_from((BYTE_NS, 1, 90_000)))
@@ -74,7 +84,7 @@ def test_a_message_without_an_answer_takes_no_time(fault: str) -> None:
 def test_slaves_of_the_same_address_on_two_buses_are_two() -> None:
     chips = [Chip(), Chip()]
     devices = Devices({(bus, ADDRESS): chip for bus, chip in enumerate(chips)})
-    machine = Machine(COMPUTER, devices, Clock())
+    machine = Machine(Robot(devices), Clock())  # type: ignore[arg-type]
     for bus, chip in enumerate(chips):
         machine.transfer(bus, [(ADDRESS, 0, bytes([bus + 7]))], 0)
         assert chip.content == machine.transfer(bus, [(ADDRESS, READ_FLAG, b"\0")], 0) == bytes([bus + 7])
@@ -83,7 +93,7 @@ def test_slaves_of_the_same_address_on_two_buses_are_two() -> None:
 def test_pins_keep_their_levels_and_the_devices_see_each_new_one() -> None:
     calls: list[tuple[int, int]] = []
     devices = Devices({}, {65: 1}, lambda pin, level: calls.append((pin, level)))
-    machine = Machine(COMPUTER, devices, Clock())
+    machine = Machine(Robot(devices), Clock())  # type: ignore[arg-type]
     assert (machine.pin(65), machine.pin(3)) == (1, 0)
     machine.set_pin(3, 5)
     machine.set_pin(65, 0)

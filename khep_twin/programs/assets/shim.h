@@ -25,7 +25,7 @@
 #include <time.h>
 #include <unistd.h>
 
-/* A node: kind, whether its adapter sends messages of length 0, bus, address of the slave; 0 for other files. */
+/* A node: kind, whether its adapter sends messages of length 0, bus, address of the slave; 0 is none. */
 enum kind { I2C = 1, GPIO, PWM };
 #define KIND(node) ((node) >> 16)
 #define SENDS_EMPTY(node) ((node) >> 15 & 1)
@@ -34,7 +34,7 @@ enum kind { I2C = 1, GPIO, PWM };
 
 enum request { TRANSFER = 1, GPIO_SET, GPIO_GET, NOW, SLEEP, HELLO, CANCEL, WAKE, EXEC };
 enum sleep { RELATIVE, ABSOLUTE, EXTERNAL };
-enum variable { PRELOAD, SOCKET, CLOCK, PATHS, NODES };
+enum variable { PRELOAD, SOCKET, CLOCK, PATHS, FILES };
 
 #define BILLION 1000000000LL
 #define NEVER INT64_MAX
@@ -91,7 +91,6 @@ HIDDEN const char *twin_variable(enum variable);
 HIDDEN void keep_variables(void);
 
 HIDDEN int node_of_fd(int fd);
-HIDDEN int node_of_path(const char *path);
 HIDDEN int open_node(int node, int flags);
 HIDDEN void mark_node(int fd, int node);
 

@@ -24,48 +24,38 @@ const char *copy_path(const char *path, char *copy) {
     return path;
 }
 
-/* Return the node of a path by the table: number and path of each, separated by colons; `*` is any end. */
-int node_of_path(const char *path) {
+/* Number of a node, or 0, and the path of a file. */
+struct place { int node; const char *path; };
+
+/* Find a path in the table of the robot's paths: number and path of each, separated by colons; `*` stands for
+   any end. The number of a file is 0; the twin's folder has it. A node is a character device as /dev/null. */
+static struct place find(const char *path, char *buffer) {
     char copy[PATH_MAX], *start;
-    const char *entry = twin_variable(NODES);
-    if (!entry || copy_path(path, copy) != copy)
-        return 0;
+    const char *entry = twin_variable(PATHS), *folder = twin_variable(FILES);
+    if (!entry || !folder || !path || copy_path(path, copy) != copy)
+        return (struct place){0, path};
     while (*entry) {
         int node = strtol(entry, &start, 10);
         size_t length = strcspn(start, ":");
-        int is_start = length && start[length - 1] == '*';
-        if (!strncmp(copy, start, length - is_start) && (is_start || !copy[length]))
-            return node;
+        int is_open = length && start[length - 1] == '*';
+        if (!strncmp(copy, start, length - is_open) && (is_open || !copy[length])) {
+            int fits = snprintf(buffer, PATH_MAX, "%s%s", folder, copy) < PATH_MAX;
+            return (struct place){node, node ? "/dev/null" : fits ? buffer : path};
+        }
         entry = start + length + (start[length] == ':');
     }
-    return 0;
-}
-
-/* Redirect paths of the robot to a folder of the twin: the first of a list, whose others are the paths. */
-static const char *redirect(const char *path, char *buffer) {
-    char copy[PATH_MAX];
-    const char *folder = twin_variable(PATHS), *start;
-    if (!folder || copy_path(path, copy) != copy)
-        return path;
-    int folder_length = strcspn(folder, ":");
-    for (start = folder + folder_length; *start++ == ':'; start += strcspn(start, ":")) {
-        size_t length = strcspn(start, ":");
-        if (!strncmp(copy, start, length) && (!copy[length] || copy[length] == '/') &&
-            snprintf(buffer, PATH_MAX, "%.*s%s", folder_length, folder, copy) < PATH_MAX)
-            return buffer;
-    }
-    return path;
+    return (struct place){0, path};
 }
 
 #define DEFINE_OPEN(name, lead, pass)                                                                        \
     int name(lead const char *path, int flags, ...) {                                                        \
         char buffer[PATH_MAX];                                                                               \
-        int node = node_of_path(path);                                                                       \
+        struct place place = find(path, buffer);                                                             \
         va_list rest;                                                                                        \
         va_start(rest, flags);                                                                               \
         mode_t mode = flags & (O_CREAT | __O_TMPFILE) ? va_arg(rest, mode_t) : 0;                            \
         va_end(rest);                                                                                        \
-        return node ? open_node(node, flags) : REAL(name)(pass redirect(path, buffer), flags, mode);         \
+        return place.node ? open_node(place.node, flags) : REAL(name)(pass place.path, flags, mode);         \
     }
 #define NONE
 #define FOLDER int folder,
@@ -86,10 +76,10 @@ int creat64(const char *path, mode_t mode) { return open64(path, O_CREAT | O_WRO
 #define DEFINE_FOPEN(fopen, freopen)                                                                         \
     FILE *fopen(const char *path, const char *mode) {                                                        \
         char buffer[PATH_MAX];                                                                               \
-        int node = node_of_path(path);                                                                       \
-        if (!node)                                                                                           \
-            return REAL(fopen)(redirect(path, buffer), mode);                                                \
-        int fd = open_node(node, strchr(mode, 'e') ? O_CLOEXEC : 0);                                         \
+        struct place place = find(path, buffer);                                                             \
+        if (!place.node)                                                                                     \
+            return REAL(fopen)(place.path, mode);                                                            \
+        int fd = open_node(place.node, strchr(mode, 'e') ? O_CLOEXEC : 0);                                   \
         FILE *stream = fd < 0 ? NULL : fdopen(fd, mode);                                                     \
         if (fd >= 0 && !stream)                                                                              \
             close(fd);                                                                                       \
@@ -97,14 +87,14 @@ int creat64(const char *path, mode_t mode) { return open64(path, O_CREAT | O_WRO
     }                                                                                                        \
     FILE *freopen(const char *path, const char *mode, FILE *stream) {                                        \
         char buffer[PATH_MAX];                                                                               \
-        int node = node_of_path(path);                                                                       \
-        if (!node)                                                                                           \
-            return REAL(freopen)(path ? redirect(path, buffer) : path, mode, stream);                        \
-        int fd = open_node(node, O_CLOEXEC);                                                                 \
+        struct place place = find(path, buffer);                                                             \
+        if (!place.node)                                                                                     \
+            return REAL(freopen)(place.path, mode, stream);                                                  \
+        int fd = open_node(place.node, O_CLOEXEC);                                                           \
         snprintf(buffer, sizeof buffer, "/proc/self/fd/%d", fd);                                             \
         stream = fd < 0 ? NULL : REAL(freopen)(buffer, mode, stream);                                        \
         if (stream)                                                                                          \
-            mark_node(fd, node); /* which mode "w" removes */                                                \
+            mark_node(fd, place.node); /* which mode "w" removes */                                          \
         if (fd >= 0)                                                                                         \
             close(fd);                                                                                       \
         return stream;                                                                                       \
@@ -112,11 +102,10 @@ int creat64(const char *path, mode_t mode) { return open64(path, O_CREAT | O_WRO
 DEFINE_FOPEN(fopen, freopen)
 DEFINE_FOPEN(fopen64, freopen64)
 
-/* Functions of a path: a node exists, and is a character device as /dev/null. */
 #define PATH_CALL(type, name, parameters, before, after)                                                     \
     type name parameters {                                                                                   \
         char buffer[PATH_MAX];                                                                               \
-        return REAL(name)(before node_of_path(path) ? "/dev/null" : redirect(path, buffer) after);           \
+        return REAL(name)(before find(path, buffer).path after);                                             \
     }
 #define COMMA ,
 PATH_CALL(int, access, (const char *path, int mode), , COMMA mode)

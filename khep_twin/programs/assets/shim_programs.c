@@ -13,7 +13,7 @@
 extern char **environ;
 
 static const char *const names[] = {"LD_PRELOAD", "KHEP_TWIN_SOCKET", "KHEP_TWIN_CLOCK", "KHEP_TWIN_PATHS",
-                                    "KHEP_TWIN_NODES"};
+                                    "KHEP_TWIN_FILES"};
 #define N_NAMES 5
 static char *variables[N_NAMES]; /* NAME=value; the program may remove them from its environment */
 

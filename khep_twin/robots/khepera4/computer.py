@@ -1,9 +1,11 @@
-"""The computer of a Khepera IV: the dsPIC on its I2C bus, its pins, and its configuration files."""
+"""The computer of a Khepera IV: the dsPIC on its bus, its pins and files; C functions for its programs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-from khep_twin.programs.computer import Computer, Devices, Kind, Node
+from khep_twin.programs.computer import PINS, PWM, Computer, Devices, i2c_bus
 from khep_twin.robots.khepera4.dspic import Dspic
+from khep_twin.robots.khepera4.measurements import WORDS
 from khep_twin.robots.khepera4.registers import ADDRESS
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 
@@ -12,16 +14,10 @@ RESET_PIN, CHARGER_PIN = 90, 65
 
 
 class DspicSlave:
-    """A dsPIC on the bus: a write sets the register at which reads begin.
-
-    Args:
-        dspic: The dsPIC.
-    """
+    """A dsPIC on the bus: a write names the register at which reads begin."""
 
     def __init__(self, dspic: Dspic) -> None:
-        self._dspic = dspic
-        self._next_register = 0
-        self._is_held = False
+        self._dspic, self._next_register, self._is_held = dspic, 0, False
 
     @property
     def is_powered(self) -> bool:
@@ -41,7 +37,7 @@ class DspicSlave:
         """Reset the dsPIC and hold it while `RESET_PIN` is 0."""
         if pin == RESET_PIN:
             self._is_held = not level
-            if not level:
+            if self._is_held:
                 self._dspic.reset()
 
 
@@ -53,19 +49,27 @@ def connect(robot: Khepera4Robot) -> Devices:
 
 def files(number: int) -> Mapping[str, str]:
     """Return the robot's number, and the file by which K-Team's library finds the dsPIC."""
-    return {
-        "/etc/khepera/robotid": f"{number}\n",
-        "/etc/libkhepera/khepera4.knc": f"section Khepera4\ndevice dsPic i2c {ADDRESS:#x}\n",
-    }
+    knc = f"section Khepera4\ndevice dsPic i2c {ADDRESS:#x}\n"
+    return {"/etc/khepera/robotid": f"{number}\n", "/etc/libkhepera/khepera4.knc": knc}
 
 
 COMPUTER = Computer(
-    nodes={
-        "/dev/i2c-*": Node(Kind.I2C),
-        "/dev/user-gpio": Node(Kind.GPIO),
-        "/dev/pwm*": Node(Kind.PWM),
-    },
+    nodes={"/dev/i2c-*": i2c_bus(), "/dev/user-gpio": PINS, "/dev/pwm*": PWM},
     connect=connect,
     files=files,
     byte_ns=25_000,  # 9 bits at 400 kHz and a pause (assumed)
 )
+
+
+def bus_source(registers: Sequence[int]) -> str:
+    """Return C functions that start the robot, read registers of 2 bytes, and drive."""
+    places = [first + number * stride for first, _, _, stride, count in WORDS for number in range(count)]
+    reads: list[list[int]] = []
+    for place in map(places.__getitem__, registers):
+        if reads and reads[-1][0] + 2 * reads[-1][1] == place:
+            reads[-1][1] += 1
+        else:
+            reads.append([place, 1])
+    table = ", ".join(f"{place}, {count}" for place, count in reads)
+    source = (Path(__file__).parent / "assets" / "bus.c").read_text()
+    return f"static unsigned char READS[] = {{{table}}};\n{source}"

@@ -122,7 +122,8 @@ KHEPERA_4 = RobotModel(
     ),
     parts={
         **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),
-        **parts_of("khep_twin.robots.khepera4", program="bus_source", computer="COMPUTER"),
+        "computer": "khep_twin.robots.khepera4.computer:COMPUTER",
+        "program": "khep_twin.robots.khepera4.computer:bus_source",
         "conformance": "khep_twin.robots.khepera4.conformance.catalogue:KHEPERA_4_CHECKS",
     },
     plots={

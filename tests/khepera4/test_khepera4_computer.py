@@ -2,9 +2,10 @@
 
 import pytest
 
-from khep_twin.programs.machine import READ_FLAG, Machine
+from khep_twin.programs.computer import READ_FLAG, Machine
 from khep_twin.robots.khepera4.computer import CHARGER_PIN, COMPUTER, RESET_PIN
 from khep_twin.robots.khepera4.dspic import Dspic
+from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import ADDRESS, DspicRegister
 
 
@@ -21,12 +22,14 @@ class Clock:
 class Robot:
     """The part of a robot that is on the bus."""
 
+    robot_model = KHEPERA_4
+
     def __init__(self) -> None:
         self.dspic = Dspic()
 
 
 def machine_of(robot: Robot) -> Machine:
-    return Machine(COMPUTER, COMPUTER.connect(robot), Clock())
+    return Machine(robot, Clock())  # type: ignore[arg-type]
 
 
 def test_a_read_begins_at_the_register_of_the_last_write_of_any_program() -> None:
