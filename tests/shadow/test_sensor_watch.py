@@ -20,7 +20,7 @@ class Watched:
     """A watch that sees replies every 60 ms: sound ones have noise, like those of a robot that drives."""
 
     def __init__(self, levels: Sequence[float], has_lamps: bool = False) -> None:
-        self.watch = SensorWatch(20.0, LIMIT, has_lamps)
+        self.watch = SensorWatch(len(levels), 20.0, LIMIT, has_lamps)
         self._levels, self._rng = np.array(levels), np.random.default_rng(0)
         self.time_ns = 0
         self.ended: list[Alarm] = []
