@@ -91,7 +91,7 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
     scene, timing, groups = simulated.scene, simulated.timing, simulated.groups
     # MuJoCo's rangefinders, which turrets may need, have values from the second step on.
     step(scene)
-    for first in range(-units.N_SENSORS, 0, timing.conversions):
+    for first in range(-units.SCAN_STEPS, 0, timing.conversions):
         step(scene)
         _scan(groups, simulated, inputs, first)
     stopped = _start(groups, simulated, inputs)

@@ -25,6 +25,9 @@ TICK_NS = 10_000_000
 SCAN_NS = 20_000_000
 """Period of the scan of all eight sensors [ns] (manual, 3.1.5: 20 ms)."""
 
+SCAN_STEPS = SCAN_NS // STEP_NS
+"""Steps of a scan, each with a conversion."""
+
 # Body --------------------------------------------------------------------------------------------------
 
 BODY_RADIUS = 0.0275
@@ -105,6 +108,7 @@ DUTY_LIMIT = 255
 # Sensors -----------------------------------------------------------------------------------------------
 
 N_SENSORS = 8
+"""Number of infrared sensors of a Khepera; `Body.sensor_positions` has those of each model."""
 
 
 class Sensor(IntEnum):

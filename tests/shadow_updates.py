@@ -18,17 +18,17 @@ ALARM = Alarm("stuck sensor 2", "proximity", 800 * MS, 1000 * MS, 0.975)
 SUSPICION = Suspicion(("stuck sensor 2", "dead sensor 2"), "proximity", 800 * MS, 0.6)
 
 
-def updates() -> Iterator[Update]:
-    """Yield an update every 50 ms for 3 s."""
-    nothing: Floats = np.full(8, np.nan)
-    expected: Floats = np.arange(0.0, 800.0, 100.0)
-    measured: Floats = np.arange(0.0, 808.0, 101.0)
+def updates(n_sensors: int = 8) -> Iterator[Update]:
+    """Yield an update every 50 ms for 3 s, of a robot with this number of sensors around."""
+    nothing: Floats = np.full(n_sensors, np.nan)
+    expected: Floats = 100.0 * np.arange(n_sensors)
+    measured: Floats = 101.0 * np.arange(n_sensors)
     for time_ns in range(0, 3001 * MS, 50 * MS):
         x = 0.2 + 0.02 * time_ns * 1e-9
         covariance = np.array([[4e-6, 1e-6, 0], [1e-6, 9e-6, 0], [0, 0, 1e-3]])
         particles = np.tile((x, 0.15, math.pi / 2), (250, 1)) + np.linspace(-0.01, 0.01, 250)[:, None]
         has_light = time_ns % (100 * MS) == 0
-        proximity = np.arange(8.0) if has_light else nothing
+        proximity = np.arange(float(n_sensors)) if has_light else nothing
         yield Update(
             time_ns,
             PoseEstimate(time_ns, (x, 0.15, 0.25), covariance),
@@ -44,10 +44,11 @@ def updates() -> Iterator[Update]:
         )
 
 
-def written(path: Path, parent: Path | None = None) -> Path:
-    """Write a log of these updates; return its path."""
-    log = ShadowLog(path, Playpen.load("obstacles"), ShadowSettings(seed=7), parent=parent)
-    for update in updates():
+def written(path: Path, parent: Path | None = None, playpen: Playpen | None = None) -> Path:
+    """Write a log of these updates in a playpen, by default `obstacles`; return its path."""
+    playpen = playpen or Playpen.load("obstacles")
+    log = ShadowLog(path, playpen, ShadowSettings(seed=7), parent=parent)
+    for update in updates(len(playpen.robots[0].body.sensor_positions)):
         log.write(update)
     log.close()
     return path

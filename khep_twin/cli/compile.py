@@ -67,8 +67,10 @@ def _compile_part(part: str) -> None:
         playpen = playpen.model_copy(update={"lamps": lamps})
         setup, rng = EpisodeSetup(playpen, planar=True), np.random.default_rng(0)
         particles = draw_particles(setup, None, PUBLISHED, 1, rng)
-        particles.twins.command("D", 0, 0)
-        particles.twins.advance(1)
-        SensorModel(particles.twins).observe(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
+        twins = particles.twins
+        twins.command("D", 0, 0)
+        twins.advance(1)
+        readings = np.zeros(twins.n_sensors, np.int64)
+        SensorModel(twins).observe(particles, readings, readings == 0)
     else:
         Episode(EpisodeSetup(playpen, planar=kind == "plane"), compiled=True).begin()

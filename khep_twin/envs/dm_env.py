@@ -19,13 +19,12 @@ time limit, with 0 when the charge has run out.
 # pyright: reportUnknownArgumentType=false, reportUntypedBaseClass=false, reportIncompatibleMethodOverride=false
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
 from khep_twin.copies import CopiedByArguments, NotCopied
 from khep_twin.envs.arguments import check_mapping, check_switch
 from khep_twin.envs.reset_options import validate_seed
@@ -72,16 +71,19 @@ class Physics(NotCopied, mujoco.Physics):
         super().__init__(wrapper.MjData(episode.data))
 
     def proximity(self) -> NDArray[np.int64]:
-        """Return the counts of command N (8,)."""
-        return self.episode.registers[0][PROXIMITY]
+        """Return the counts of the sensors (n_sensors,)."""
+        return self._read(range(*self.episode.setup.interface.proximity))
 
     def ambient(self) -> NDArray[np.int64]:
-        """Return the counts of command O (8,), low in bright light."""
-        return self.episode.registers[0][AMBIENT]
+        """Return the counts of ambient light (n_sensors,), of a Khepera low in bright light."""
+        return self._read(range(*self.episode.setup.interface.ambient))
 
     def setpoints(self) -> NDArray[np.int64]:
-        """Return the speed setpoints of the wheels (2,) [pulses/10 ms]."""
-        return self.episode.registers[0][SETPOINTS]
+        """Return the speed setpoints of the wheels (2,) [register]."""
+        return self._read(self.episode.setup.interface.setpoints)
+
+    def _read(self, registers: Sequence[int]) -> NDArray[np.int64]:
+        return self.episode.registers[0][list(registers)]
 
     def pose(self) -> NDArray[np.float64]:
         """Return the true x, y [m] and heading [rad] (3,)."""

@@ -4,8 +4,8 @@
     /channel_names              std_msgs/String             meaning of each channel's numbers, once
     /scene                      foxglove.SceneUpdate        the scene for Foxglove, once (`foxglove_scene`)
     /tf                         tf2_msgs/TFMessage          poses of all bodies
-    /khepera0/proximity         std_msgs/Float64MultiArray  eight counts, in the order of N
-    /khepera0/ambient           std_msgs/Float64MultiArray  eight counts, in the order of O
+    /khepera0/proximity         std_msgs/Float64MultiArray  counts, of a Khepera in the order of N
+    /khepera0/ambient           std_msgs/Float64MultiArray  counts, of a Khepera in the order of O
     /khepera0/speed             std_msgs/Float64MultiArray  left, right; setpoint left, right [pulses/10 ms]
     /khepera0/position          std_msgs/Float64MultiArray  left, right [pulses], in logs of sensor tests
     /khepera0/duty              std_msgs/Float64MultiArray  left, right, -255 to 255

@@ -43,8 +43,8 @@ class RobotTrack:
     Attributes:
         times_ns: Times of the samples (n,) [ns].
         pose: Positions x, y [m] and headings [rad] (n, 3).
-        proximity: Counts in the order of N (n, 8); of a Khepera IV (n, 12).
-        ambient: Counts in the order of O (n, 8); of a Khepera IV (n, 12).
+        proximity: Counts of the sensors in the order of the channel (n, n_sensors).
+        ambient: Counts in the same order (n, n_sensors).
         speed: Speeds left, right, setpoint left, setpoint right (n, 4) [pulses/10 ms].
         duty: Duties left, right (n, 2) [-255 to 255]; of a Khepera IV [-2940 to 2940].
         registers: Complete state of the board (n, n_registers).

@@ -5,7 +5,7 @@
     /shadow/particles   std_msgs/Float64MultiArray               x, y [m], heading [rad] of some particles
     /shadow/expected    std_msgs/Float64MultiArray               expected proximity of the twins
     /shadow/measured    std_msgs/Float64MultiArray               last replied proximity
-    /shadow/residuals   std_msgs/Float64MultiArray               deviations of the replies (`RESIDUALS`)
+    /shadow/residuals   std_msgs/Float64MultiArray               deviations of the replies (`residual_names`)
     /shadow/learned     std_msgs/Float64MultiArray               ratios of wheels and gains, at intervals
     /shadow/state       rcl_interfaces/Log                       state of the estimate, at changes
     /shadow/suspected   rcl_interfaces/Log                       suspected faults, at changes
@@ -23,7 +23,6 @@ from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.log.channels import Level, TextLine
 from khep_twin.log.decoding import DecodeError, printable
 from khep_twin.log.entries import Label
-from khep_twin.units import SENSOR_LABELS
 
 TOPIC_PREFIX = "/shadow/"
 """Prefix of all topics of a shadow."""
@@ -32,17 +31,15 @@ LINE_TOPICS = STATE, SUSPECTED, ALARMS = tuple(f"/shadow/{name}" for name in ("s
 """Topics with lines."""
 
 
+RESIDUALS = "proximity", "light", "wheels", "timing"
+"""Kinds of residuals, in the order of a message."""
+
+
 def residual_names(sensors: Sequence[str]) -> list[str]:
-    """Return the names of the residuals of a robot with these sensors."""
+    """Return the names of the residuals of a robot with these sensors; they are NaN without a reply."""
     counts = [f"{kind} {sensor} [counts]" for kind in ("proximity", "light") for sensor in sensors]
     return [*counts, "wheel left [pulses]", "wheel right [pulses]", "timing [s]"]
 
-
-RESIDUALS = residual_names(SENSOR_LABELS)
-"""Numbers of a message of residuals, in order; NaN without a reply."""
-
-PROXIMITY, LIGHT, WHEELS, TIMING = slice(0, 8), slice(8, 16), slice(16, 18), 18
-"""Columns of these residuals in a message."""
 
 PARTICLES = 100
 """Number of particles in a message, a regular subsample."""

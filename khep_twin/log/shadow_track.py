@@ -1,6 +1,6 @@
 """A shadow's log as arrays, with its alarms, states and suspected faults."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
+from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import PLANAR_ROWS
 from khep_twin.log.decoding import DecodeError, Decoder, read_all, read_line, stack_arrays
 from khep_twin.log.entries import Label
@@ -26,8 +27,8 @@ from khep_twin.log.shadow_channels import (
     parse_alarms,
     parse_state,
     parse_suspicions,
+    residual_names,
 )
-from khep_twin.units import SENSOR_LABELS
 
 Floats = NDArray[np.float64]
 
@@ -43,13 +44,14 @@ class ShadowTrack:
 
     Attributes:
         label: Metadata and attachments of the log.
+        sensors: Names of the infrared sensors around the robot.
         times_ns: Times of the updates (n,) [ns].
         pose: Estimated x, y [m] and heading [rad] (n, 3).
         covariance: Covariances of `pose` (n, 3, 3).
         reckoned: x, y [m] and heading [rad] by dead reckoning of the commands (n, 3).
-        expected: Expected proximity (n, 8) [counts].
-        measured: Measured proximity (n, 8) [counts]; NaN before the first.
-        residuals: Deviations of the replies (n, 19), as `RESIDUALS` names them.
+        expected: Expected proximity (n, n_sensors) [counts].
+        measured: Measured proximity (n, n_sensors) [counts]; NaN before the first.
+        residuals: Deviations of the replies, by their kinds (`RESIDUALS`).
         particles_ns: Times of the particles (m,) [ns].
         particles: x, y [m] and heading [rad] of particles (m, 100, 3).
         alarms: Alarms in order of their starts.
@@ -58,13 +60,14 @@ class ShadowTrack:
     """
 
     label: Label
+    sensors: tuple[str, ...]
     times_ns: NDArray[np.int64]
     pose: Floats
     covariance: Floats
     reckoned: Floats
     expected: Floats
     measured: Floats
-    residuals: Floats
+    residuals: Mapping[str, Floats]
     particles_ns: NDArray[np.int64]
     particles: Floats
     alarms: list[Alarm]
@@ -117,21 +120,33 @@ def read_shadow(path: Path) -> ShadowTrack:
 
     covariances = poses[:, 7:].reshape(-1, 6, 6)[:, PLANAR_ROWS][:, :, PLANAR_ROWS]
     particles_ns, particles = read_channel("particles", partial(_read_floats, width=3 * PARTICLES))
+    reckoned = read_synchronous("reckoned", partial(_read_poses, width=_POSE_WIDTHS["reckoned"]))
+    sensors = playpen_of(label.attachments, path).robots[0].body.ring_sensors
     return ShadowTrack(
         label,
+        sensors,
         times_ns,
         planar_poses(poses),
         covariances,
-        planar_poses(read_synchronous("reckoned", partial(_read_poses, width=_POSE_WIDTHS["reckoned"]))),
-        read_synchronous("expected", partial(_read_floats, width=len(SENSOR_LABELS))),
-        read_synchronous("measured", partial(_read_floats, width=len(SENSOR_LABELS))),
-        read_synchronous("residuals", partial(_read_floats, width=len(RESIDUALS))),
+        planar_poses(reckoned),
+        read_synchronous("expected", partial(_read_floats, width=len(sensors))),
+        read_synchronous("measured", partial(_read_floats, width=len(sensors))),
+        split_residuals(
+            read_synchronous("residuals", partial(_read_floats, width=len(residual_names(sensors))))
+        ),
         particles_ns,
         particles.reshape(-1, PARTICLES, 3),
         parse_alarms(read_channel("alarms", partial(read_all, read_line))[1]),
         read_lines("state", parse_state),
         read_lines("suspected", parse_suspicions),
     )
+
+
+def split_residuals(residuals: Floats) -> dict[str, Floats]:
+    """Return the residuals of each kind, of those of all sensors, wheels and timing (n, 2 n_sensors + 3)."""
+    n_sensors = residuals.shape[1] // 2 - 1
+    ends = n_sensors, 2 * n_sensors, 2 * n_sensors + 2
+    return dict(zip(RESIDUALS, np.split(residuals, ends, axis=1), strict=True))
 
 
 def planar_poses(poses: Floats) -> Floats:

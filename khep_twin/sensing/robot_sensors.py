@@ -10,23 +10,23 @@ from khep_twin.sensing.seen_surfaces import Chip
 
 
 class Proximity(NamedTuple):
-    """Reflected light; per-sensor parameters in the order of the command N.
+    """Reflected light; parameters of each sensor around the robot, in the order of its cameras.
 
     Attributes:
-        gain: Counts per light (8,) [counts m^2].
-        bound: Upper bound of the counts of any object at 1 m (8,) [counts m^2].
-        threshold: Subtracted counts (8,) [counts].
-        offset: Offset of the chip behind the sensor's face (8,) [m].
-        reach: Range (8,) [m].
-        exponent: Integer part of each lobe's exponent (8,).
-        fraction: Fractional part of it (8,).
-        norm: Norm of each lobe (8,).
-        width: Width of each lobe, over its norm (8,).
-        table: Cumulative light of faces, from `lobes.table` (8, N_CELLS + 1, 4).
+        gain: Counts per light (n_sensors,) [counts m^2].
+        bound: Upper bound of the counts of any object at 1 m (n_sensors,) [counts m^2].
+        threshold: Subtracted counts (n_sensors,) [counts].
+        offset: Offset of the chip behind the sensor's face (n_sensors,) [m].
+        reach: Range (n_sensors,) [m].
+        exponent: Integer part of each lobe's exponent (n_sensors,).
+        fraction: Fractional part of it (n_sensors,).
+        norm: Norm of each lobe (n_sensors,).
+        width: Width of each lobe, over its norm (n_sensors,).
+        table: Cumulative light of faces, from `lobes.table` (n_sensors, N_CELLS + 1, 4).
         limit: Highest reading [counts].
         floor: Lowest reading [counts].
         quantum: Step between readings [counts].
-        noise: Standard deviation of one reading (8,) [counts].
+        noise: Standard deviation of one reading (n_sensors,) [counts].
         idle: Mean of the noise with nothing in range [counts].
         surfaces: Buffer for the surfaces that a sensor sees (N_SURFACES * N_COLUMNS,).
     """
@@ -50,13 +50,13 @@ class Proximity(NamedTuple):
 
 
 class Ambient(NamedTuple):
-    """Light of lamps; per-sensor parameters in the order of the command O.
+    """Light of lamps; parameters of each sensor around the robot, in the order of its cameras.
 
     Attributes:
-        cosine: Cosine of each receiver's heading (8,).
-        sine: Sine of each receiver's heading (8,).
-        gain_mm2: Counts per light of a lamp (8,) [counts mm^2/W].
-        lobe_exponent: Exponent of the cosine off the receiver's axis (8,).
+        cosine: Cosine of each receiver's heading (n_sensors,).
+        sine: Sine of each receiver's heading (n_sensors,).
+        gain_mm2: Counts per light of a lamp (n_sensors,) [counts mm^2/W].
+        lobe_exponent: Exponent of the cosine off the receiver's axis (n_sensors,).
         diffuse: Diffuse part of the sensitivity.
         offset_mm: Offset in the light's inverse square law [mm].
         dark: Reading in the dark [counts].
@@ -82,7 +82,7 @@ class RobotSensors(NamedTuple):
 
     Attributes:
         base: Body of the robot, which its rays ignore.
-        cameras: Cameras of the sensors (8,).
+        cameras: Cameras of the sensors (n_cameras,), those that look at the floor last.
         proximity: Parameters of proximity.
         ambient: Parameters of ambient light.
     """

@@ -57,7 +57,7 @@ class Silence(NamedTuple):
 
 
 class ProximityReply(NamedTuple):
-    """A reply to N: proximity (8,) [counts], earliest and latest time [ns], if an obstacle is in sight."""
+    """A reply to N: proximity (s,) [counts], earliest and latest time [ns], if an obstacle is in sight."""
 
     time_ns: int
     readings: Integers

@@ -95,7 +95,7 @@ def _illuminate(obstacles, order, near, empty, robots, sensors, turns, light, sl
     for twin in range(len(robots)):
         scene = Plane(obstacles[twin], order[twin], near, empty, empty, empty, robots[twin])
         motion.find_near(scene)
-        for channel in range(units.N_SENSORS):
+        for channel in range(len(sensors[0].proximity.gain)):
             face, turn = chip(scene, sensors[0], channel), turns[twin, channel]
             light[twin, channel] = straight = _light(scene, sensors[0], channel, face, turn)
             slope[twin, channel] = 0.0
@@ -123,7 +123,7 @@ def _observe(
     light, slope, usable, readings, is_used, novelty, law, traits, covariances, counts, spreads, likelihoods
 ):
     for twin in range(len(traits)):
-        for channel in range(units.N_SENSORS):
+        for channel in range(len(readings)):
             estimate, covariance = traits[twin, channel], covariances[twin, channel]
             gain = math.exp(estimate[0])
             by_gain, by_turn = gain * light[twin, channel], gain * slope[twin, channel]
@@ -176,7 +176,7 @@ def _observe(
 def _lamplight(obstacles, order, near, empty, robots, sensors, law, bulbs, hidden, powers, min_count, light):
     for twin in range(len(robots)):
         scene = Plane(obstacles[twin], order[twin], near, empty, empty, empty, robots[twin])
-        for channel in range(units.N_SENSORS):
+        for channel in range(len(sensors[0].ambient.gain_mm2)):
             for lamp in range(len(bulbs)):
                 bulb, ambient = bulbs[lamp], sensors[0].ambient
                 x, y, _ = position(scene, sensors[0], channel)
@@ -215,7 +215,7 @@ def run_of(family: str) -> Callable[..., None]:
 
 
 illuminate: Any = compiled(_illuminate, _SOURCES)
-"""Compute the light at each sensor, at the calibration's gains, and its slope (n, 8) [counts, counts/rad]."""
+"""Compute the light at each sensor, at the calibration's gains, and its slope (n, s) [counts, counts/rad]."""
 
 observe: Any = compiled(_observe, _SOURCES)
 """Compute the expected reading of each sensor and the likelihood of the reading; update the sensor's traits.
@@ -223,7 +223,7 @@ The reading is an observation of log gain, turn and threshold for a Kalman filte
 variance of the normal tail beyond the limit replace it."""
 
 lamplight: Any = compiled(_lamplight, _SOURCES)
-"""Compute the light of each lamp at each receiver, below its dark level (n, 8, n_lamps) [counts]; light that
+"""Compute the light of each lamp at each receiver, below its dark level (n, s, n_lamps) [counts]; light that
 cannot reach `min_count`, even without obstacles, is 0."""
 
 clear: Any = compiled(_clear, _SOURCES)

@@ -52,7 +52,7 @@ class Diagnosis:
         self.ended: tuple[Alarm, ...] = ()
         self._has_lamps = bool(twins.lamps.names)
         self._quiet = model.quiet
-        self._sensors = SensorWatch(model.quiet, model.limit, self._has_lamps)
+        self._sensors = SensorWatch(twins.n_sensors, model.quiet, model.limit, self._has_lamps)
         self._wheels = WheelWatch(setup.entry.body.pulse_length, twins.motor_lag)
         self._lamps = LampWatch(setup.playpen, twins)
         self._line = LineWatch(setup.entry.robot_model.dialect)
@@ -98,7 +98,8 @@ class Diagnosis:
         residual = self.filter.follow(action, is_used)
         if isinstance(action, ProximityReply):
             usable_range = self._usable_range(action.time_ns)
-            self.ended += self._sensors.update(action, usable_range, self.filter.surprisal[:8])
+            surprisal = self.filter.surprisal[: len(action.readings)]
+            self.ended += self._sensors.update(action, usable_range, surprisal)
         if isinstance(action, RangeReply):
             self._update(action)
         elif isinstance(action, CounterReply):
@@ -109,7 +110,7 @@ class Diagnosis:
         return residual
 
     def update_lamps(self, time_ns: int, readings: NDArray[np.int64]) -> Floats:
-        """Update lamps by a reply to O; return expected readings (8,) [counts], NaN at an unsure pose."""
+        """Update lamps by a reply to O; return expected readings (s,) [counts], NaN at an unsure pose."""
         self.filter.follow(Silence(time_ns), self._sensors.is_sound)
         is_followed = self.state is PoseState.FOLLOWED
         if not (is_followed and self._is_within(THRESHOLDS.lamp_place, THRESHOLDS.lamp_turn)):
@@ -118,7 +119,7 @@ class Diagnosis:
         return self._lamps.expected
 
     def _usable_range(self, time_ns: int) -> Floats:
-        """Return the part of each sensor's range that the lamps leave at the least (8,)."""
+        """Return the part of each sensor's range that the lamps leave at the least (s,)."""
         usable_range = self.filter.usable_range
         is_certain = self.state is PoseState.FOLLOWED and self._pose.is_proven
         is_certain &= time_ns - self._schedule.last_ns > THRESHOLDS.window_ns

@@ -103,7 +103,7 @@ class LampBeliefs:
         return changed, marginal
 
     def light(self, twins: Twins, model: LightModel) -> tuple[Floats, Floats]:
-        """Return the light of all lamps with its slope (2, n, 8, m + 1), and its variance (n, 8, m + 1).
+        """Return the light of all lamps with its slope (2, n, s, m + 1), and its variance (n, s, m + 1).
 
         In each of the first m, one lamp is in another state with that variance; the last is as believed.
         """
@@ -112,7 +112,7 @@ class LampBeliefs:
         is_used[:, MOVED] = self.state == MOVED
         lamps, states = np.nonzero(is_used)
         places, powers = self._places[lamps, states], twins.powers[lamps]
-        lamplight = np.zeros((2, len(twins), 8, *is_used.shape))
+        lamplight = np.zeros((2, len(twins), twins.n_sensors, *is_used.shape))
         for light, turns in zip(lamplight, model.turns, strict=True):
             light[..., NOMINAL] = twins.lamplight(_MIN_LIGHT, turns)
             light[:, :, lamps, states] = twins.lamplight_from(places, powers, _MIN_LIGHT, turns)

@@ -63,7 +63,7 @@ class LampWatch:
         twins: Twins of its robot.
 
     Attributes:
-        expected: Expected ambient readings of the last reply (8,) [counts]; NaN for alternating lamps.
+        expected: Expected ambient readings of the last reply (s,) [counts]; NaN for alternating lamps.
         suspected: Faults that are suspected without an alarm, the most probable first.
     """
 
@@ -71,11 +71,11 @@ class LampWatch:
         self._names = [] if twins.lamps_are_unknown else twins.lamps.names
         self._model = LightModel(twins)
         self._beliefs = LampBeliefs(playpen, twins) if self._names else None
-        self.expected = self._model.expected(np.full(8, math.nan if twins.lamps.names else 0.0))
+        self.expected = self._model.expected(np.full(twins.n_sensors, math.nan if twins.lamps.names else 0.0))
         self.suspected: tuple[Suspicion, ...] = ()
         self._evidence: dict[tuple[int, int], _Evidence] = {}
         self._alarms: dict[tuple[int, int], Alarm] = {}
-        self._last_reply: tuple[NDArray[np.int64], Floats] = np.zeros(8, np.int64), np.zeros(3)
+        self._last_reply: tuple[NDArray[np.int64], Floats] = np.zeros(twins.n_sensors, np.int64), np.zeros(3)
         self._last_ns = 0
         self._pose_log_weights: Floats = np.zeros((_N_POSES, 1))
         """Log weights of the poses for each hypothesis (n, m)."""
@@ -86,7 +86,7 @@ class LampWatch:
         return list(self._alarms.values())
 
     def update(self, time_ns: int, readings: NDArray[np.int64], particles: Particles) -> tuple[Alarm, ...]:
-        """Update by a reply to O (8,) [counts] and the particles at its time; return the alarms that end."""
+        """Update by a reply to O (s,) [counts] and the particles at its time; return the alarms that end."""
         beliefs, model = self._beliefs, self._model
         if beliefs is None:
             return ()

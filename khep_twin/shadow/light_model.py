@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from khep_twin.sensing.calibration import HEADING_SPREAD_DEG, LAMP_SPREAD
 from khep_twin.shadow.planes import Booleans, Floats, Twins
-from khep_twin.units import N_SENSORS
 
 MODEL_DEVIATION = 0.08
 """Relative deviation of a lamp's light from the model's, besides the sensors' traits (assumed)."""
@@ -51,34 +50,34 @@ class LightModel:
         twins: Twins of the robot.
 
     Attributes:
-        traits: Logarithm of each sensor's gain and its turn [rad], beyond those of the calibration (8, 2).
-        covariances: Their covariances (8, 2, 2).
+        traits: Logarithm of each sensor's gain and its turn [rad], beyond those of the calibration (s, 2).
+        covariances: Their covariances (s, 2, 2).
     """
 
     def __init__(self, twins: Twins) -> None:
         ambient = twins.ambient
         self._dark, self._floor = float(ambient["dark"]), float(ambient["floor"])
         self._noise = float(ambient["noise"])
-        self.traits: Floats = np.zeros((N_SENSORS, 2))
+        self.traits: Floats = np.zeros((twins.n_sensors, 2))
         spread = np.diag(np.square([LAMP_SPREAD, math.radians(HEADING_SPREAD_DEG)]))
-        self.covariances: Floats = np.tile(spread, (N_SENSORS, 1, 1))
+        self.covariances: Floats = np.tile(spread, (twins.n_sensors, 1, 1))
 
     @property
     def turns(self) -> tuple[Floats, Floats]:
-        """Turns of the sensors for which `light` needs the light (8,) [rad]."""
+        """Turns of the sensors for which `light` needs the light (s,) [rad]."""
         return self.traits[:, 1], self.traits[:, 1] + _TURN
 
     def light(self, straight: Floats, turned: Floats) -> Floats:
-        """Return the light, of these values for both turns (n, 8, ...), with its slope (2, n, 8, ...)."""
+        """Return the light, of these values for both turns (n, s, ...), with its slope (2, n, s, ...)."""
         gains = np.exp(self.traits[:, 0]).reshape(-1, *[1] * (straight.ndim - 2))
         return np.stack([straight * gains, (turned - straight) * (gains / _TURN)])
 
     def expected(self, light: Floats) -> Floats:
-        """Return the readings for light (8,) [counts]."""
+        """Return the readings for light (s,) [counts]."""
         return np.maximum(self._dark - light, self._floor)
 
     def novelty(self, light: Floats) -> Floats:
-        """Return the novelty of each reading (8,), by the spread of light with its slope (2, n, 8)."""
+        """Return the novelty of each reading (s,), by the spread of light with its slope (2, n, s)."""
         pose_variance = light[0].var(axis=0)
         sensor_variance = self._variance(light.mean(axis=1)[..., None])[:, 0]
         return 1 - (1 - MIN_POSE_NOVELTY) * pose_variance / (pose_variance + sensor_variance)
@@ -86,15 +85,15 @@ class LightModel:
     def log_likelihoods(
         self, readings: NDArray[np.int64], light: Floats, novelty: Floats, variance: Floats | float = 0.0
     ) -> Floats:
-        """Return the log likelihoods of a reply for light with its slope (2, n, 8, m), of each twin (n, m).
+        """Return the log likelihoods of a reply for light with its slope (2, n, s, m), of each twin (n, m).
 
-        `novelty` is that of each reading (8,), `variance` that of the light (n, 8, m).
+        `novelty` is that of each reading (s,), `variance` that of the light (n, s, m).
         """
         likelihood = self._likelihoods(readings, light, variance)[0]
         return np.einsum("nsm,s->nm", np.log(likelihood), novelty)
 
     def learn(self, readings: NDArray[np.int64], light: Floats, probability: float, novelty: float) -> None:
-        """Update the traits by a reply for light (2, n, 8) of a belief: a Kalman filter for each sensor."""
+        """Update the traits by a reply for light (2, n, s) of a belief: a Kalman filter for each sensor."""
         mean, pose_variance = light.mean(axis=1), light[0].var(axis=0)
         mean_light = mean[:, None, :, None]
         likelihood, inlier, is_clipped = self._likelihoods(readings, mean_light, pose_variance[:, None])
@@ -112,7 +111,7 @@ class LightModel:
             np.maximum(variance, min_deviation * min_deviation, out=variance)
 
     def _variance(self, light: Floats) -> Floats:
-        """Return the variances of readings for light with its slope (2, ..., 8, m)."""
+        """Return the variances of readings for light with its slope (2, ..., s, m)."""
         (gain, gain_turn), (_, turn) = self.covariances.transpose(1, 2, 0)[:, :, :, None]
         bright, slope = light
         relative = MODEL_DEVIATION * MODEL_DEVIATION + gain
@@ -122,7 +121,7 @@ class LightModel:
     def _likelihoods(
         self, readings: NDArray[np.int64], light: Floats, extra_variance: Floats | float
     ) -> tuple[Floats, Floats, Booleans]:
-        """Return likelihoods of readings, those of inliers (n, 8, m), and whether they are clipped (8,)."""
+        """Return likelihoods of readings, those of inliers (n, s, m), and whether they are clipped (s,)."""
         bright = light[0]
         variance = self._variance(light) + extra_variance
         clip_limit = self._floor + _CLIP_DEVIATIONS * self._noise

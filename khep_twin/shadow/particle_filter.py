@@ -66,9 +66,9 @@ class ParticleFilter:
         particles: Particles.
         changes: Changes that are considered, with the numbers 1, 2, ... in `Particles.changes`.
         evidence: Logarithm of the marginal likelihood of all replies so far.
-        expected: Proximity expected at the last reply to N, mean over the particles (8,) [counts].
-        surprisal: Log likelihood ratio of the most probable reading and the last one, by sensor (8,); of a
-            robot with ultrasonic sensors (9,), with the second largest of theirs, as one may fail.
+        expected: Proximity expected at the last reply to N, mean over the particles (s,) [counts].
+        surprisal: Log likelihood ratio of the most probable reading and the last one, by sensor (s,); of a
+            robot with ultrasonic sensors (s + 1,), with the second largest of theirs last, as one may fail.
         novelty: Novelty of the last reply that weighted the particles.
     """
 
@@ -83,8 +83,7 @@ class ParticleFilter:
         self._turn_radius = 1, 1, SENSOR_RADIUS * particles.twins.scale
         self.changes: list[FaultChange] = []
         self.evidence = 0.0
-        self.expected: Floats = np.zeros(8)
-        self.surprisal: Floats = np.zeros(8)
+        self.expected, self.surprisal = np.zeros((2, particles.twins.n_sensors))
         self.novelty = 1.0
         self._is_in_sight = False
         """Whether something was in reach of a sensor at the last reply to N."""
@@ -103,7 +102,7 @@ class ParticleFilter:
         return type(self)(self._setup, particles, self._rng, self._count)
 
     def follow(self, action: Action, is_used: Booleans) -> Floats:
-        """Follow an action, with sensors to rely on (8,); return the residual of counters (2,), or NaN."""
+        """Follow an action, with sensors to rely on (s,); return the residual of counters (2,), or NaN."""
         residual = self.weigh(action, is_used)
         if isinstance(action, RangeReply):
             self._resample()
@@ -142,7 +141,7 @@ class ParticleFilter:
 
     @property
     def usable_range(self) -> Floats:
-        """Part of each sensor's range that the lamps left at the last reply (8,)."""
+        """Part of each sensor's range that the lamps left at the last reply (s,)."""
         return self._model.usable_range
 
     def consider_changes(self, requested: Sequence[FaultChange]) -> None:
@@ -179,13 +178,13 @@ class ParticleFilter:
         self._add_noise(np.zeros(3))
 
     def _weigh_reply(self, reply: RangeReply, is_used: Booleans) -> None:
-        """Weight the particles by a reply, with sensors for N to rely on (8,)."""
+        """Weight the particles by a reply, with sensors for N to rely on (s,)."""
         particles, power = self.particles, self.novelty
         if isinstance(reply, SonarReply):
             likelihoods, largest = sonar_likelihoods(particles.twins.echoes(), reply.readings)
             log_likelihoods = np.log(likelihoods)
             surprisal = np.sort(np.log(largest / (self.weights @ likelihoods)).clip(0))
-            self.surprisal = np.append(np.zeros(8), surprisal[-2:][0])
+            self.surprisal = np.append(np.zeros(len(is_used)), surprisal[-2:][0])
         else:
             self._is_in_sight = bool((reply.readings > self._model.quiet).any())
             values = self._model.observe(particles, reply.readings, is_used, power)

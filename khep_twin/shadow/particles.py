@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.shadow.planes import Floats, Twins
-from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 FORGETTING_S = 60.0
 """Time constant of the decay of learned values, which contain model errors, to the prior (assumed) [s]."""
@@ -21,7 +20,7 @@ class Prior(NamedTuple):
     Attributes:
         wheels: Standard deviations of wheels' mean radius, ratio and base, as parts (3,).
         gain: Standard deviation of the logarithm of the sensors' common gain.
-        traits: Covariances of each sensor's traits (8, 3, 3).
+        traits: Covariances of each sensor's traits (s, 3, 3).
     """
 
     wheels: Floats
@@ -37,18 +36,14 @@ def value_names(sensors: Sequence[str]) -> list[str]:
     return wheels + [f"{part}gain {name}" for part in ("", "deviation of log ") for name in sensors]
 
 
-VALUE_NAMES = value_names(SENSOR_LABELS)
-"""Names for a Khepera."""
-
-
 class LearnedValues(NamedTuple):
     """Wheels and gains as multiples of those of the calibration, with standard deviations.
 
     Attributes:
         wheels: Mean radius, ratio right over left, and base (3,).
         wheel_deviations: Their standard deviations (3,).
-        gains: Gains of the sensors' proximity, geometric means (8,).
-        gain_deviations: Standard deviations of their logarithms (8,).
+        gains: Gains of the sensors' proximity, geometric means (s,).
+        gain_deviations: Standard deviations of their logarithms (s,).
     """
 
     wheels: Floats
@@ -58,13 +53,13 @@ class LearnedValues(NamedTuple):
 
     @property
     def row(self) -> Floats:
-        """Row of all values (22,), as `VALUE_NAMES` names them."""
+        """Row of all values (6 + 2 s,), as `value_names` names them."""
         return np.concatenate(self)
 
     @classmethod
     def from_row(cls, row: Floats) -> Self:
         """Return the values of a row."""
-        return cls(*np.split(row, np.cumsum([3, 3, N_SENSORS])))
+        return cls(*np.split(row, [3, 6, 3 + len(row) // 2]))
 
 
 @dataclass(slots=True)
@@ -77,8 +72,8 @@ class Particles:
         log_weights: Logarithms of their weights (n,).
         wheels: Wheels' mean radius, ratio and base, as multiples of the calibration's (n, 3).
         traits: Logarithm of each sensor's gain, its turn [rad] and its threshold [counts], beyond those of
-            the calibration (n, 8, 3).
-        covariances: Their covariances (n, 8, 3, 3).
+            the calibration (n, s, 3).
+        covariances: Their covariances (n, s, 3, 3).
         counter_offsets: Counters of the last reply less those of the twins (n, 2) [pulses]; NaN before any.
         changes: Number of the change (of `ParticleFilter.changes`) that each has; 0 for none (n,).
         since_ns: Time since when each has its change (n,) [ns].

@@ -12,7 +12,6 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.planes import Booleans, Floats, Twins
 from khep_twin.shadow.sensor_model import usable_range
 from khep_twin.shadow.start import are_inside
-from khep_twin.units import N_SENSORS
 
 Integers = NDArray[np.int64]
 
@@ -39,7 +38,7 @@ _MAX_MISFIT = 60.0
 
 
 class Sighting(NamedTuple):
-    """Readings (8,) [counts] at a reply, and the robot's move since the start: x, y [m], heading [rad]."""
+    """Readings (s,) [counts] at a reply, and the robot's move since the start: x, y [m], heading [rad]."""
 
     moved: tuple[float, float, float]
     readings: Integers
@@ -67,14 +66,14 @@ class PlaceMap:
         self.poses[:, 2] = np.tile(np.arange(N_HEADINGS) * (math.tau / N_HEADINGS), int(is_free.sum()))
         self._pose_rows = np.full((nx, ny, N_HEADINGS), -1)
         self._pose_rows[*cells[is_free].T] = np.arange(len(self.poses)).reshape(-1, N_HEADINGS)
-        outside = np.full((1, N_SENSORS), np.inf)  # or without room
+        outside = np.full((1, twins.n_sensors), np.inf)  # or without room
         log_readings = _apply_in_chunks(partial(_log_readings_at, twins), self.poses)
         self._log_readings = np.concatenate([log_readings, outside]).astype(np.float32)
 
     def draw(
         self, count: int, sightings: Sequence[Sighting], is_used: Booleans, rng: np.random.Generator
     ) -> tuple[Floats, Floats]:
-        """Draw start poses by later sightings, with sensors to rely on (8,).
+        """Draw start poses by later sightings, with sensors to rely on (s,).
 
         Returns poses x, y [m], heading [rad] (count, 3), and log importance weights (count,), by which they
         represent a uniform distribution.
@@ -112,9 +111,9 @@ def _apply_in_chunks(function: Callable[[Floats], NDArray[Any]], poses: Floats) 
 
 
 def _log_readings_at(twins: Twins, poses: Floats) -> Floats:
-    """Return the logarithms of readings at poses, plus SOFT_COUNTS (n, 8)."""
+    """Return the logarithms of readings at poses, plus SOFT_COUNTS (n, s)."""
     twins.reset_poses(poses)
-    light, _ = twins.illuminate(np.zeros((len(twins), N_SENSORS)))
+    light, _ = twins.illuminate(np.zeros((len(twins), twins.n_sensors)))
     limit = float(twins.proximity["limit"])
     counts = np.clip(light - twins.proximity["threshold"], 0, limit * usable_range(twins))
     return np.log(counts + SOFT_COUNTS)

@@ -13,7 +13,6 @@ from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, HiddenSector
 from khep_twin.shadow.planar_bodies import TICK_NS, Booleans, Floats, PlanarBodies
-from khep_twin.units import N_SENSORS
 
 REACH = 1.5
 """Reach of the twins' sensors, as a multiple of the calibration's (assumed): that of a robot with a ratio of
@@ -24,8 +23,8 @@ class SensorLaw(NamedTuple):
     """Constants of the likelihood of all sensors' readings; see `sensor_model`.
 
     Attributes:
-        threshold: Thresholds (8,) [counts].
-        noise: Variances of the noise (8,) [counts^2].
+        threshold: Thresholds (s,) [counts].
+        noise: Variances of the noise (s,) [counts^2].
         min_variances: Least variances of the traits (3,).
         limit: Highest reading [counts].
         quiet: Highest reading with nothing in reach [counts].
@@ -52,6 +51,7 @@ class Twins(PlanarBodies):
         count: Number of twins.
 
     Attributes:
+        n_sensors: Number of infrared sensors around the robot, s in the shapes of arrays.
         lamps: Lamps of the playpen.
         has_other_robots: Whether other robots, which the twins lack, drive in the playpen.
     """
@@ -62,6 +62,7 @@ class Twins(PlanarBodies):
         forms = PlanarForms(setup.scene_model, setup.planar_scene)
         forms.place_robot(None)
         super().__init__(setup, forms, count)
+        self.n_sensors = len(setup.entry.body.sensor_positions)
         sensors = forms.robot_states()[0].sensors
         self._sensors: Any = as_records([sensors], sensors)
         self._sensors["proximity"]["reach"] *= REACH
@@ -93,10 +94,10 @@ class Twins(PlanarBodies):
     def illuminate(self, turns: Floats) -> tuple[Floats, Floats]:
         """Return the light at each sensor at the start of the last step, and its slope as the sensor turns.
 
-        Both are (n, 8) [counts, counts/rad], with the gains of the calibration. The sensors are turned to the
-        left from their headings there (n, 8) [rad].
+        Both are (n, s) [counts, counts/rad], with the gains of the calibration. The sensors are turned to the
+        left from their headings there (n, s) [rad].
         """
-        light, slope = np.zeros((2, len(self), N_SENSORS))
+        light, slope = np.zeros((2, len(self), self.n_sensors))
         self._compiled.illuminate(*self._scene_arrays, self._sensors, turns, light, slope)
         return light, slope
 
@@ -110,28 +111,28 @@ class Twins(PlanarBodies):
         is_used: Booleans,
         novelty: float,
     ) -> tuple[Floats, Floats, Floats]:
-        """Return expected counts, their deviations and the likelihoods of readings (n, 8); update the traits.
+        """Return expected counts, their deviations and the likelihoods of readings (n, s); update the traits.
 
         Args:
-            traits: Traits of the sensors (n, 8, 3), changed in place.
-            covariances: Their covariances (n, 8, 3, 3), changed in place.
+            traits: Traits of the sensors (n, s, 3), changed in place.
+            covariances: Their covariances (n, s, 3, 3), changed in place.
             law: Constants of all sensors.
-            usable_range: Part of each sensor's range that the lamps leave (n, 8).
-            readings: Proximity (8,) [counts].
-            is_used: Whether to update the traits of each sensor (8,).
+            usable_range: Part of each sensor's range that the lamps leave (n, s).
+            readings: Proximity (s,) [counts].
+            is_used: Whether to update the traits of each sensor (s,).
             novelty: Novelty of the readings.
         """
         light, slope = self.illuminate(traits[:, :, 1])
-        counts, deviations, likelihoods = np.zeros((3, len(self), N_SENSORS))
+        counts, deviations, likelihoods = np.zeros((3, len(self), self.n_sensors))
         inputs = light, slope, usable_range, readings, is_used, novelty
         self._compiled.observe(*inputs, law, traits, covariances, counts, deviations, likelihoods)
         return counts, deviations, likelihoods
 
     def lamplight(self, min_count: float, turns: Floats | float = 0.0) -> Floats:
-        """Return the light of each lamp at each sensor, below the dark level (n, 8, n_lamps) [counts].
+        """Return the light of each lamp at each sensor, below the dark level (n, s, n_lamps) [counts].
 
         It holds at the start of the last step; of alternating lamps, each may be the one that is on. Light
-        that cannot reach `min_count` [counts] is 0. Sensors are turned left from their headings (8,) [rad].
+        that cannot reach `min_count` [counts] is 0. Sensors are turned left from their headings (s,) [rad].
         """
         return self._lamplight(self._light, self.powers, min_count, turns)
 
@@ -155,7 +156,7 @@ class Twins(PlanarBodies):
     def _lamplight(
         self, light: tuple[Any, Any, Any], powers: Floats, min_count: float, turns: Floats | float
     ) -> Floats:
-        lamplight = np.zeros((len(self), N_SENSORS, len(powers)))
+        lamplight = np.zeros((len(self), self.n_sensors, len(powers)))
         sensors = self._sensors
         if np.any(turns):
             sensors = sensors.copy()

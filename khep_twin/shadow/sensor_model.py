@@ -40,7 +40,7 @@ class SensorModel:
     Attributes:
         quiet: Highest reading with nothing in reach [counts]; below all readings of sensors that rest above 0.
         limit: Highest reading [counts].
-        usable_range: Part of each sensor's range that the lamps left at the last reply (8,).
+        usable_range: Part of each sensor's range that the lamps left at the last reply (s,).
     """
 
     def __init__(self, twins: Twins) -> None:
@@ -48,8 +48,8 @@ class SensorModel:
         quantum = int(proximity["quantum"])
         self.limit = int(proximity["limit"])
         self._near = twins.entry.body.near_counts
-        self.usable_range: Floats = np.ones(8)
-        self._expected: Floats = np.zeros(8)
+        self.usable_range: Floats = np.ones(twins.n_sensors)
+        self._expected: Floats = np.zeros(twins.n_sensors)
         # A sensor that rests above 0 has no quiet reading: 0 is that of a dead one.
         is_resting = proximity["threshold"].max() < 0
         idle, floor = float(proximity["idle"]), float(proximity["floor"])
@@ -69,12 +69,12 @@ class SensorModel:
     def observe(
         self, particles: Particles, readings: NDArray[np.int64], is_used: Booleans, novelty: float = 1.0
     ) -> tuple[Floats, Floats, Floats]:
-        """Update the traits of the particles' sensors by readings (8,) [counts] with a novelty.
+        """Update the traits of the particles' sensors by readings (s,) [counts] with a novelty.
 
-        Sensors that are not used (8,) have likelihood 1.
+        Sensors that are not used (s,) have likelihood 1.
 
-        Returns expected counts (8,), surprisals (8,), which are log likelihood ratios of the most probable
-        reading and the actual one, and the log likelihoods (n, 8).
+        Returns expected counts (s,), surprisals (s,), which are log likelihood ratios of the most probable
+        reading and the actual one, and the log likelihoods (n, s).
         """
         believed_range = lamp_range = usable_range(particles.twins)
         if particles.twins.has_other_robots:
@@ -98,15 +98,15 @@ class SensorModel:
 
 
 def usable_range(twins: Twins) -> Floats:
-    """Return the part of each sensor's range that the lamps leave (n, 8)."""
+    """Return the part of each sensor's range that the lamps leave (n, s)."""
     if not twins.lamps.names:
-        return np.ones((len(twins), 8))
+        return np.ones((len(twins), twins.n_sensors))
     full_range = float(twins.ambient["dark"] - twins.ambient["floor"])
     return np.clip(1 - twins.lamplight(_MIN_LAMP_SHARE * full_range).sum(axis=2) / full_range, 0, 1)
 
 
 def min_usable_range(particles: Particles) -> Floats:
-    """Return that part at the most probable pose, if no obstacle were in the light of any lamp (8,)."""
+    """Return that part at the most probable pose, if no obstacle were in the light of any lamp (s,)."""
     best_twin = particles.twins.select(np.array([np.argmax(particles.log_weights)]))
     best_twin.remove_obstacles()
     return usable_range(best_twin)[0]

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.actions import ProximityReply
 from khep_twin.shadow.sensor_model import UNLIT, Booleans, Floats
-from khep_twin.units import N_SENSORS
 
 ALARM_LOG_ODDS = 24.0
 """Logarithm of the odds above which a sensor counts as stuck."""
@@ -42,21 +41,22 @@ class SensorWatch:
     """Watch of the sensors of a robot.
 
     Args:
+        n_sensors: Number of its sensors.
         quiet: Highest reading with nothing in reach [counts].
         limit: Highest reading [counts].
         has_lamps: Whether there are lamps.
     """
 
-    def __init__(self, quiet: float, limit: int, has_lamps: bool) -> None:
+    def __init__(self, n_sensors: int, quiet: float, limit: int, has_lamps: bool) -> None:
         self._quiet = quiet
         self._limit = limit
         self._has_lamps = has_lamps
-        self._repeats = np.tile(np.array(_PRIOR), (2, N_SENSORS, 1))
+        self._repeats = np.tile(np.array(_PRIOR), (2, n_sensors, 1))
         self._unfinished_repeats = np.zeros_like(self._repeats)
         """Repetitions and readings since the last change of each sensor's reading."""
         self._last: NDArray[np.int64] | None = None
-        self._log_odds = np.zeros(N_SENSORS)
-        self._since_ns = [0] * N_SENSORS
+        self._log_odds = np.zeros(n_sensors)
+        self._since_ns = [0] * n_sensors
         self._alarms: dict[int, Alarm] = {}
 
     @property
@@ -66,11 +66,11 @@ class SensorWatch:
 
     @property
     def is_sound(self) -> Booleans:
-        """True for each sensor that is neither stuck nor dead (8,)."""
-        return np.array([sensor not in self._alarms for sensor in range(N_SENSORS)])
+        """True for each sensor that is neither stuck nor dead (s,)."""
+        return np.array([sensor not in self._alarms for sensor in range(len(self._log_odds))])
 
     def update(self, action: ProximityReply, usable_range: Floats, surprisal: Floats) -> tuple[Alarm, ...]:
-        """Take a reply to N, with the usable part of each sensor's range (8,); return the alarms that end."""
+        """Take a reply to N, with the usable part of each sensor's range (s,); return the alarms that end."""
         previous, self._last = self._last, action.readings
         ended: list[Alarm] = []
         if previous is None:

@@ -33,8 +33,8 @@ from khep_twin.shadow.particles import Floats, LearnedValues
 from khep_twin.shadow.reckoning import Reckoning
 from khep_twin.shadow.sonar_model import distances_of
 from khep_twin.shadow.start import PUBLISHED, Spread, draw_particles, known_starts
-from khep_twin.shadow.update import NOTHING_ASKED, Residuals, Update
-from khep_twin.units import BITS_PER_BYTE, N_SENSORS
+from khep_twin.shadow.update import Residuals, Update, no_residuals
+from khep_twin.units import BITS_PER_BYTE
 
 ANYWHERE_FACTOR = 20
 """Multiple of the particles in `ShadowSettings` while the robot may be anywhere."""
@@ -93,10 +93,10 @@ class Shadow:
         reckoned_twin = draw_particles(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
         self._reckoning = Reckoning(self._setup.core, reckoned_twin.twins)
         model = self._setup.entry.robot_model
-        self._model, self._interface = model, self._setup.interface
+        self._model, self._n_sensors = model, particles.twins.n_sensors
         self._channels = {read.request: (channel, read) for channel, read in model.dialect.reads.items()}
         self._dialogue = Dialogue(self._byte_ns)
-        self._measured: Floats = np.full(N_SENSORS, np.nan)
+        self._measured: Floats = np.full(self._n_sensors, np.nan)
         self._time_ns = 0
 
     @property
@@ -122,7 +122,7 @@ class Shadow:
         if time_ns - self._time_ns > _MAX_SILENCE_NS:
             self._time_ns = time_ns
             self._follow(Silence(time_ns))
-            updates.append(self._update(NOTHING_ASKED))
+            updates.append(self._update(no_residuals(self._n_sensors)))
         return updates
 
     @property
@@ -133,7 +133,7 @@ class Shadow:
         """Apply an exchange to the particles; return an update if its reply has values."""
         old_alarms = self._diagnosis.alarms
         self._diagnosis.start_exchange(exchange)
-        residuals = NOTHING_ASKED
+        residuals = no_residuals(self._n_sensors)
         if exchange.reply is not None and BANNER in exchange.reply:
             self._reckoning.reset()
             self._follow(Restart(exchange.reply_ns))
@@ -179,7 +179,7 @@ class Shadow:
         channel, read = self._channels.get(exchange.letter, ("", None))
         if read is None or exchange.values is None or len(exchange.values) != read.n_values:
             return "", np.zeros(0, np.int64)
-        n_readings = self._interface.n_proximity if channel in ("proximity", "ambient") else None
+        n_readings = self._n_sensors if channel in ("proximity", "ambient") else None
         return channel, np.array([exchange.values[index] for index in read.values][:n_readings])
 
     def _follow(self, action: Action) -> Floats:

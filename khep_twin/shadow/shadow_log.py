@@ -26,16 +26,15 @@ from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.reader import hash_file
 from khep_twin.log.recorder import FLUSH_NS
 from khep_twin.log.run_description import versions
-from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, PoseState, Suspicion, residual_names
+from khep_twin.log.shadow_channels import PARTICLES, PoseState, Suspicion, residual_names
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.robots.model import robot_name
 from khep_twin.sensing import calibration
 from khep_twin.shadow.following import LastingAlarms
-from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues, value_names
+from khep_twin.shadow.particles import LearnedValues, value_names
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.update import Update
-from khep_twin.units import N_SENSORS
 
 ROBOT = robot_name(0)
 """Name of the robot in the log."""
@@ -81,10 +80,11 @@ class ShadowLog(FileRecorder):
         self._state: PoseState | None = None
         self._suspected: dict[frozenset[str], float] = {}
         self._ghost = _Ghost(playpen)
-        sensors = playpen.robots[0].body.sensors[:N_SENSORS]
-        self._proximity = ArrayFrame(N_SENSORS, "f8", f"{', '.join(sensors)} [counts]")
-        self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(residual_names(sensors)))
-        self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(value_names(sensors)))
+        sensors = playpen.robots[0].body.ring_sensors
+        residuals, values = residual_names(sensors), value_names(sensors)
+        self._proximity = ArrayFrame(len(sensors), "f8", f"{', '.join(sensors)} [counts]")
+        self._residuals = ArrayFrame(len(residuals), "f8", ", ".join(residuals))
+        self._learned = ArrayFrame(len(values), "f8", ", ".join(values))
         self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
         self._file = LogFile(path, lambda: self._time_ns)
         self._write_header(playpen, settings, origin)

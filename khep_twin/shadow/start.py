@@ -76,10 +76,10 @@ def draw_particles(
         twins.reset_poses(poses + rng.standard_normal((count, 3)) * deviations)
     wheels = 1 + rng.standard_normal((count, 3)) * (spread.radius, spread.ratio, spread.base)
     twins.set_wheels(*wheels.T)
-    traits = np.zeros((count, 8, 3))
+    traits = np.zeros((count, twins.n_sensors, 3))
     traits[:, :, 0] = rng.standard_normal((count, 1)) * spread.gain
     thresholds = setup.calibration.proximity.threshold_spread * twins.proximity["threshold"]
-    prior = np.zeros((8, 3, 3))
+    prior = np.zeros((twins.n_sensors, 3, 3))
     prior[:, 0, 0], prior[:, 1, 1] = calibration.GAIN_SPREAD**2, HEADING_DEVIATION**2
     prior[:, 2, 2] = thresholds**2
     return Particles(

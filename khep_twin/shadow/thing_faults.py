@@ -12,7 +12,6 @@ from khep_twin.sensing.mujoco_scene import visible_geoms
 from khep_twin.shadow.hypotheses import Hypothesis, Placed, shrink_and_jitter
 from khep_twin.shadow.particles import Floats, Particles
 from khep_twin.shadow.planar_bodies import AWAY, N_SPARE
-from khep_twin.units import N_SENSORS
 
 MIN_MOVE, MOVE_DEVIATION = 0.015, 0.02
 """Least distance of a move, above errors of the pose, and standard deviation of the rest [m] (assumed); these
@@ -112,7 +111,7 @@ class Unexpected(Placed):
         """Add a cylinder in front of a random sensor of each particle."""
         twins, count = particles.twins, len(particles)
         x, y, heading = twins.poses.T
-        mounts = twins.robots["mounts"][0, rng.integers(N_SENSORS, size=count)]
+        mounts = twins.robots["mounts"][0, rng.integers(twins.n_sensors, size=count)]
         forward, left, cosine, sine = mounts[:, :4].T
         radius = rng.uniform(*ADDED_RADII, count) * twins.scale
         distance = rng.uniform(0.001, ADDED_REACH, count) * twins.scale + radius

@@ -9,15 +9,14 @@ import numpy as np
 from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.shadow.pose_estimate import Floats, PoseEstimate
 from khep_twin.shadow.reckoning import Pose
-from khep_twin.units import N_SENSORS
 
 
 class Residuals(NamedTuple):
     """Deviations of the last replies from the twins' expectations; NaN without a request.
 
     Attributes:
-        proximity: Readings minus expected ones (8,) [counts].
-        light: Ambient readings minus expected ones (8,) [counts].
+        proximity: Readings minus expected ones (s,) [counts].
+        light: Ambient readings minus expected ones (s,) [counts].
         wheels: Counters minus expected ones since the last request, left and right (2,) [pulses].
         timing: Time of the reply beyond that of its bytes on the line [s].
     """
@@ -37,8 +36,8 @@ class Update:
         estimate: Estimated pose.
         reckoned: Pose x, y [m], heading [rad] by commands alone, as the calibration's robot would drive.
         particles: Poses of equally probable particles (n, 3) [m, rad].
-        expected: Expected proximity (8,) [counts].
-        measured: Proximity of the last reply (8,) [counts]; NaN before the first.
+        expected: Expected proximity (s,) [counts].
+        measured: Proximity of the last reply (s,) [counts]; NaN before the first.
         residuals: Deviations of the replies.
         state: State of the estimate.
         suspected: Faults that are suspected without an alarm, the most probable first.
@@ -59,7 +58,6 @@ class Update:
     ended: tuple[Alarm, ...]
 
 
-_NONE: Floats = np.full(N_SENSORS, np.nan)
-
-NOTHING_ASKED = Residuals(_NONE, _NONE, _NONE[:2], math.nan)
-"""Residuals of an update without a reply that has values."""
+def no_residuals(n_sensors: int) -> Residuals:
+    """Return the residuals of an update without a reply that has values."""
+    return Residuals(np.full(n_sensors, np.nan), np.full(n_sensors, np.nan), np.full(2, np.nan), math.nan)

@@ -31,7 +31,7 @@ from khep_twin.sensing.simulated import (
 from khep_twin.simulation.moments import Moments
 from khep_twin.simulation.robot_groups import RobotGroups
 from khep_twin.simulation.world_state import SimulationState
-from khep_twin.units import N_SENSORS
+from khep_twin.units import SCAN_STEPS
 
 NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True, 1, 0.0), (), ())
 """Light of a scene without lamps."""
@@ -244,7 +244,7 @@ class Simulation:
             inputs = inputs._replace(powers=[self.lamps.powers])
         for robot in chain(*self.plain.groups):
             CORES[type(robot)].scan(robot, self.plain, inputs)
-        self.counters[N_CONVERSIONS] += N_SENSORS
+        self.counters[N_CONVERSIONS] += SCAN_STEPS
 
     def evaluate(self, robot: int, part: int, moment: int, moments: Moments) -> None:
         """Evaluate a measurement of a robot that is recorded as a moment.

@@ -12,6 +12,7 @@ import pytest
 import rerun as rr
 from log_contents import times_of, values_of
 from log_rewriting import rewritten
+from nine_sensors import nine_playpen
 from shadow_updates import MS, updates, written
 
 from khep_twin.errors import LogError
@@ -51,6 +52,19 @@ def test_a_view_of_a_shadow_has_estimate_reckoning_particles_rays_and_residuals(
     assert "/khepera0/residual_light" not in times
     assert times["/event_marks"] == times["/khepera0/events"] == [1000, 2000]
     assert times["/shadow/state"] == [0, 2000]
+
+
+def test_a_view_has_a_ray_and_a_residual_for_each_sensor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = tmp_path / "nine.rrd"
+    view([written(tmp_path / "nine.mcap", playpen=nine_playpen(tmp_path, monkeypatch))], recording)
+    for place, component in (
+        ("/ghost/expected", "LineStrips3D:strips"),
+        ("/khepera0/residual_proximity", "Scalars:scalars"),
+        ("/shadow/measured", "Scalars:scalars"),
+    ):
+        assert {len(values) for _, values in values_of(recording, place, component)} == {9}
 
 
 def test_a_suspected_fault_is_a_curve_and_the_region_has_the_colour_of_the_state(tmp_path: Path) -> None:

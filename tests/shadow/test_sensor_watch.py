@@ -20,7 +20,7 @@ class Watched:
     """A watch that sees replies every 60 ms: sound ones have noise, like those of a robot that drives."""
 
     def __init__(self, levels: Sequence[float], has_lamps: bool = False) -> None:
-        self.watch = SensorWatch(20.0, LIMIT, has_lamps)
+        self.watch = SensorWatch(len(levels), 20.0, LIMIT, has_lamps)
         self._levels, self._rng = np.array(levels), np.random.default_rng(0)
         self.time_ns = 0
         self.ended: list[Alarm] = []
@@ -35,8 +35,8 @@ class Watched:
     ) -> list[Alarm]:
         """See replies for a time, changed by a function; return the alarms that last."""
         for _ in range(round(seconds / 0.06)):
-            noisy = self._levels * self._rng.normal(1, 0.04, 8)
-            quiet = self._rng.exponential(2.0, 8)  # as the robot's, with nothing in reach
+            noisy = self._levels * self._rng.normal(1, 0.04, len(self._levels))
+            quiet = self._rng.exponential(2.0, len(self._levels))  # as the robot's, with nothing in reach
             readings = np.where(self._levels > 0, noisy, quiet).astype(np.int64).clip(0, LIMIT)
             change(readings)
             self.time_ns += 60_000_000
@@ -70,6 +70,14 @@ def test_a_sensor_that_repeats_itself_among_others_that_do_not_is_named_until_it
     assert (ended.fault, ended.since_ns) == (fault, alarm.since_ns)
     assert 10 * SECOND < (ended.ended_ns or 0) < 10.2 * SECOND
     assert watched.watch.is_sound.all()
+
+
+def test_a_robot_may_have_nine_sensors() -> None:
+    watched = Watched((*BUSY, 250))
+    nine = {"range_left": np.ones(9), "surprise": np.zeros(9)}
+    assert watched.see(5, **nine) == []
+    assert [alarm.fault for alarm in watched.see(5, holding(8, 311), **nine)] == ["stuck sensor 8"]
+    assert len(watched.watch.is_sound) == 9
 
 
 def test_two_sensors_may_be_stuck() -> None:

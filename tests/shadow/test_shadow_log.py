@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from log_rewriting import rewritten
+from nine_sensors import SENSORS, nine_playpen
 from shadow_updates import ALARM, MS, SUSPICION, updates, written
 
 from khep_twin import playpen as playpens
@@ -19,15 +20,7 @@ from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_raw, read_series
 from khep_twin.log.recover import recover
-from khep_twin.log.shadow_channels import (
-    LIGHT,
-    PROXIMITY,
-    TIMING,
-    WHEELS,
-    Alarm,
-    PoseState,
-    Suspicion,
-)
+from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.log.shadow_track import read_shadow
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.shadow import ShadowSettings
@@ -43,15 +36,29 @@ def test_what_is_written_reads_back(tmp_path: Path) -> None:
     assert np.allclose(log.reckoned, [update.reckoned for update in expected], atol=1e-12)
     assert np.array_equal(log.expected, [update.expected for update in expected])
     assert np.array_equal(log.measured, [update.measured for update in expected], equal_nan=True)
-    assert np.array_equal(
-        log.residuals[:, PROXIMITY], [update.residuals.proximity for update in expected], equal_nan=True
-    )
-    assert np.isnan(log.residuals[:, LIGHT]).all()
-    assert log.residuals[0, WHEELS].tolist() == [1.0, -2.0]
-    assert np.isnan(log.residuals[:, TIMING]).tolist() == [False, True] * 30 + [False]
+    proximity = [update.residuals.proximity for update in expected]
+    assert np.array_equal(log.residuals["proximity"], proximity, equal_nan=True)
+    assert np.isnan(log.residuals["light"]).all()
+    assert log.residuals["wheels"][0].tolist() == [1.0, -2.0]
+    assert np.isnan(log.residuals["timing"]).ravel().tolist() == [False, True] * 30 + [False]
     assert log.particles_ns.tolist() == [0, 1000 * MS, 2000 * MS, 3000 * MS]
     first, last = expected[0].particles[[0, -1]]
     assert np.array_equal(log.particles[0, [0, -1]], [first, last])
+
+
+def test_a_log_has_as_many_sensors_as_its_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = read_shadow(written(tmp_path / "nine.mcap", playpen=nine_playpen(tmp_path, monkeypatch)))
+    expected = list(updates(9))
+    assert log.sensors == SENSORS
+    assert np.array_equal(log.expected, [update.expected for update in expected])
+    proximity = [update.residuals.proximity for update in expected]
+    assert np.array_equal(log.residuals["proximity"], proximity, equal_nan=True)
+    assert [log.residuals[kind].shape for kind in ("light", "wheels", "timing")] == [
+        (61, 9),
+        (61, 2),
+        (61, 1),
+    ]
+    assert log.residuals["wheels"][0].tolist() == [1.0, -2.0]
 
 
 def test_an_alarm_has_a_line_at_its_beginning_and_one_at_its_end(tmp_path: Path) -> None:

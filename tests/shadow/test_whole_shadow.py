@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from twins import EXACT, SECOND
+from nine_sensors import nine_playpen
+from twins import EXACT, SECOND, readings
 
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
 from khep_twin.log.shadow_channels import PoseState
 from khep_twin.playpen import Playpen
@@ -15,7 +17,8 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.shadow.following import AlarmChange, Follower
-from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
+from khep_twin.shadow.particles import LearnedValues
+from khep_twin.shadow.planes import Twins
 from khep_twin.shadow.recording import LineChunk, read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.update import Update
@@ -261,7 +264,7 @@ def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Shadow
     # What has looked at something is known better.
     assert (after.gain_deviations < 0.7 * before.gain_deviations).any()
     assert (after.wheel_deviations > 0).all()
-    assert len(after.row) == len(VALUE_NAMES)
+    assert len(after.row) == 22
     again = LearnedValues.from_row(after.row)
     assert all(np.array_equal(one, two) for one, two in zip(again, after, strict=True))
 
@@ -295,3 +298,39 @@ def test_a_khepera4_is_followed_by_its_registers(tmp_path: Path) -> None:
     assert np.hypot(*(np.array(every[-1].estimate.pose[:2]) - place)) < 0.02
     assert math.dist(every[0].estimate.pose[:2], every[-1].estimate.pose[:2]) > 0.1
     assert not any(update.alarms for update in every)
+
+
+@pytest.mark.long
+def test_a_robot_with_nine_sensors_is_followed_and_its_ninth_is_watched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("numba", reason="numba is not installed")
+    playpen, rng = nine_playpen(tmp_path, monkeypatch), np.random.default_rng(0)
+    playpen = playpen.model_copy(update={"lamps": Playpen.load("two-lamps").lamps[:1]})
+    robot = Twins(EpisodeSetup(playpen, planar=True), 1)
+    robot.reset_poses(np.array([(0.11, 1.0, 0.0)]))
+    robot.advance(1)
+    counts, ambient = readings(robot), float(robot.ambient["dark"]) - robot.lamplight(0.0)[0].sum(axis=1)
+    distances = np.rint(100 * robot.echoes()[0].clip(0, 2.5))
+    assert counts[8] > 300
+    assert (ambient < 970).any()
+    shadow = Shadow(playpen, ShadowSettings(particles=200, baud=115_200))
+    received: list[Update] = []
+    for step in range(200):
+        noisy = np.vstack([counts, ambient]) + 3 * rng.standard_normal((2, 9))
+        noisy[0, 8] = 333 if step > 100 else noisy[0, 8]
+        replies = [*noisy[0], *[900] * 4], distances, [*noisy[1], *[500] * 4]
+        for i, (letter, values) in enumerate(zip("NGO", replies, strict=True)):
+            reply = ",".join([letter.lower(), *(f"{value:.0f}" for value in values)])
+            time_ms = 60 * step + 20 * i
+            received += shadow.feed(time_ms * MS, True, f"{letter}\n".encode())
+            received += shadow.feed((time_ms + 10) * MS, False, f"{reply}\r\n".encode())
+    assert len(received) == 600
+    sound, failed = received[300], received[-1]
+    assert sound.expected == pytest.approx(counts, abs=15)
+    assert sound.residuals.proximity.shape == received[302].residuals.light.shape == (9,)
+    assert np.abs(received[302].residuals.light).max() < 60
+    assert math.dist(sound.estimate.pose[:2], (0.11, 1.0)) < 0.015
+    assert sound.alarms == ()
+    assert [alarm.fault for alarm in failed.alarms] == ["stuck sensor 8"]
+    assert len(shadow.learned.gains) == 9

@@ -182,7 +182,7 @@ def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64], body: Body = 
 
 
 def near(times_s: Floats, proximity: NDArray[np.int64], counts: int = NEAR_COUNTS) -> Intervals:
-    """Return the intervals in which any proximity reading (n, 8) [counts] is above `counts`."""
+    """Return the intervals in which any proximity reading (n, n_sensors) [counts] is above `counts`."""
     return find_intervals(times_s, np.max(proximity, axis=1, initial=0) > counts)
 
 
@@ -206,7 +206,7 @@ def clearance(positions: Floats, playpen: Playpen) -> Floats:
 
 
 def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> LightStatistics:
-    """Return the light of lamps at times (n,) [s] from ambient (n, 8) and the dark levels (8,) [counts]."""
+    """Return the light of lamps at times (n,) [s] from ambient (n, m) and the dark levels (m,) [counts]."""
     depth = dark - ambient
     row, sensor = (int(index) for index in np.unravel_index(np.argmax(depth), depth.shape))
     return LightStatistics(float(depth.mean()), float(depth[row, sensor]), sensor, float(times_s[row]))

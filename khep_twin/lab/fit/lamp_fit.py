@@ -27,7 +27,7 @@ from khep_twin.lab.fit.placement import (
     misplacements,
 )
 from khep_twin.sensing.calibration import AmbientCalibration, Calibration
-from khep_twin.units import COUNTS_LIMIT, SENSOR_POSITIONS
+from khep_twin.units import COUNTS_LIMIT
 
 _MIN_RANGE = 40.0
 """Smallest range of a receiver's readings to fit it [counts]."""
@@ -47,7 +47,7 @@ class LampPositions:
 
     positions: Floats
     power: float
-    receivers: Sequence[tuple[float, float]] = SENSOR_POSITIONS
+    receivers: Sequence[tuple[float, float]]
 
     @classmethod
     def of(cls, test: Readings, misplacement: Misplacement = IN_PLACE) -> Self:

@@ -22,11 +22,10 @@ from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.shadow.following import Follower
-from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
+from khep_twin.shadow.particles import LearnedValues, value_names
 from khep_twin.shadow.recording import read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import PUBLISHED
-from khep_twin.units import SENSOR_LABELS
 
 _WHEELS = "radius_mm", "right_over_left", "base_mm"
 _FORMATS = {
@@ -47,11 +46,11 @@ def read_learned(path: Path) -> tuple[LearnedValues, Calibration, Sequence[str]]
     if not is_shadow(label):
         return None
     values = arrays.get("/shadow/learned", (None, np.empty((0, 0))))[1]
-    if not len(values) or values.shape[1] != len(VALUE_NAMES):
+    sensors = playpen_of(label.attachments, path).robots[0].body.ring_sensors
+    if not len(values) or values.shape[1] != len(value_names(sensors)):
         raise FitError(f"{path}: this shadow has learned nothing; expected replies to N in its log")
     text = next((text for name, text in label.attachments.items() if name.startswith("calibration/")), "")
     start = toml_files.validate(Calibration, text, f"{path}: calibration", CalibrationError)
-    sensors = playpen_of(label.attachments, path).robots[0].body.sensors
     return LearnedValues.from_row(values[-1]), start, sensors
 
 
@@ -81,12 +80,10 @@ def learn_from_log(
     if not follower.replies:
         raise FitError(f"{path}: no reply with values; expected replies to N")
     robot = playpen.robots[0]
-    return shadow.learned, calibration.read(robot.calibration)[0], robot.body.sensors
+    return shadow.learned, calibration.read(robot.calibration)[0], robot.body.ring_sensors
 
 
-def fit_learned(
-    learned: LearnedValues, start: Calibration, sensors: Sequence[str] = SENSOR_LABELS
-) -> RobotFit:
+def fit_learned(learned: LearnedValues, start: Calibration, sensors: Sequence[str]) -> RobotFit:
     """Return the calibration of a robot with these sensors from the values of a shadow that used `start`."""
     values, lines, undetermined = list[FittedValue](), list[str](), list[str]()
     wheel_values, gains = dict[str, float](), list(start.proximity.gain_counts_mm2)

@@ -18,7 +18,6 @@ from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, draw_strip
 from khep_twin.log.reader import TimeSeries
-from khep_twin.units import SENSOR_LABELS
 
 POINT_LIMIT = 2000
 """Largest number of points of a curve; longer ones are drawn as the extremes of this many intervals."""
@@ -43,7 +42,8 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
         ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _max_value(robot.ambient)))),
     )
     titles = [f"{name} [counts]" for name, *_ in sensor_kinds]
-    columns = sensor_panels(figure, corner, sensor_height(robot), titles, -0.11, robot.model.body.sensors)
+    names = robot.model.body.sensors
+    columns = sensor_panels(figure, corner, sensor_height(names), titles, -0.11, names)
     for panels, (name, series, colour, limits) in zip(columns, sensor_kinds, strict=True):
         for sensor, axes in enumerate(panels):
             if series is not None:
@@ -54,9 +54,9 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
                 axes.text(0.5, 0.5, "not in this log", transform=axes.transAxes, ha="center", va="center")
 
 
-def sensor_height(robot: RobotReport) -> float:
-    """Return the height of the figure of a robot's sensors [inch]."""
-    return _SENSOR_HEIGHT * len(robot.model.body.sensors)
+def sensor_height(names: Sequence[str]) -> float:
+    """Return the height of the figure of sensors with these names [inch]."""
+    return _SENSOR_HEIGHT * len(names)
 
 
 def draw_extra(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
@@ -140,7 +140,7 @@ def sensor_panels(
     height: float,
     titles: Sequence[str],
     label_x: float,
-    names: Sequence[str] = SENSOR_LABELS,
+    names: Sequence[str],
 ) -> list[list[Axes]]:
     """Return axes for each sensor over time, in a column for each title.
 

@@ -121,7 +121,7 @@ def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
     """Return drawing function, height [inch] and name of each picture with data in the log."""
     entries: list[tuple[Draw, float, str]] = []
     if robot.proximity is not None or robot.ambient is not None:
-        entries.append((draw_sensors, sensor_height(robot), "Sensors"))
+        entries.append((draw_sensors, sensor_height(robot.model.body.sensors), "Sensors"))
     if robot.speed is not None:
         entries.append((draw_wheels, WHEEL_HEIGHT, "Wheel speeds"))
     if robot.extra:

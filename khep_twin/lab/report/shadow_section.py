@@ -21,17 +21,9 @@ from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import POINT_LIMIT, STYLE
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import Floats
-from khep_twin.lab.report.figure import axes_edges, sensor_panels, style_time_axes, thin_curve
+from khep_twin.lab.report.figure import axes_edges, sensor_height, sensor_panels, style_time_axes, thin_curve
 from khep_twin.lab.report.rows import Row
-from khep_twin.log.shadow_channels import (
-    LIGHT,
-    PROXIMITY,
-    REGION_SIGMAS,
-    STATE_COLOURS,
-    TIMING,
-    WHEELS,
-    PoseState,
-)
+from khep_twin.log.shadow_channels import REGION_SIGMAS, STATE_COLOURS, PoseState
 from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
 
@@ -55,7 +47,7 @@ DEFINITIONS: tuple[Row, ...] = (
     ("Suspected", "faults that explain the replies better than a sound robot does, too little for an alarm"),
 )
 
-_STATES_HEIGHT, _SENSORS_HEIGHT, _WHEELS_HEIGHT = 2.6, 4.9, 4.6
+_STATES_HEIGHT, _WHEELS_HEIGHT = 2.6, 4.6
 """Heights of the pictures [inch]."""
 
 _STATES = {state: f"#{bytes(colour).hex()}" for state, colour in STATE_COLOURS.items()}
@@ -66,7 +58,7 @@ _MAX_CURVES = 8
 _ELLIPSES, _CLOUDS = 60, 20
 """Largest numbers of ellipses, and of clouds of particles, on a map."""
 
-_SENSOR = re.compile(r"sensor (\d)")
+_SENSOR = re.compile(r"sensor (\d+)")
 
 
 def rows(track: ShadowTrack) -> Iterator[Row]:
@@ -90,11 +82,11 @@ def rows(track: ShadowTrack) -> Iterator[Row]:
     error_mm = _reckoning_error_mm(track)
     errors = f"{error_mm[-1]:.0f} mm from the estimate in the end, {error_mm.max():.0f} mm at most"
     yield "Dead reckoning", errors
-    for name, columns, unit in (("Proximity", PROXIMITY, "counts"), ("Light", LIGHT, "counts")):
-        residuals = _known_residuals(track, columns)[1]
+    for kind in ("proximity", "light"):
+        residuals = _known_residuals(track, kind)[1]
         if len(residuals):
-            yield f"{name}, residual", f"{_rms(residuals):.0f} {unit} rms"
-    if len(wheels := _known_residuals(track, WHEELS)[1]):
+            yield f"{kind.title()}, residual", f"{_rms(residuals):.0f} counts rms"
+    if len(wheels := _known_residuals(track, "wheels")[1]):
         yield "Wheels, residual", f"{_rms(wheels):.1f} pulses rms"
     yield "Alarms", f"{len(track.alarms)}"
 
@@ -161,7 +153,7 @@ def pictures(track: ShadowTrack) -> list[tuple[Draw, float, str]]:
     states = [(_draw_states, _STATES_HEIGHT, "States and suspected faults")]
     return [
         *(states if track.states else []),
-        (_draw_sensors, _SENSORS_HEIGHT, "Residuals of the sensors"),
+        (_draw_sensors, sensor_height(track.sensors), "Residuals of the sensors"),
         (_draw_wheels, _WHEELS_HEIGHT, "Residuals of wheels and timing, and spread"),
     ]
 
@@ -226,18 +218,18 @@ def _states_at(track: ShadowTrack, times_ns: NDArray[np.int64]) -> list[PoseStat
 
 def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
     """Draw the residuals of proximity and light, a strip for each sensor."""
-    sensor_kinds = (("proximity", PROXIMITY), ("light", LIGHT))
-    titles = [f"{name}: measured less expected [counts]" for name, _ in sensor_kinds]
-    columns = sensor_panels(figure, corner, _SENSORS_HEIGHT, titles, -0.16)
-    for panels, (name, indices) in zip(columns, sensor_kinds, strict=True):
-        times_s, values = _known_residuals(track, indices)
+    kinds, names = ("proximity", "light"), track.sensors
+    titles = [f"{kind}: measured less expected [counts]" for kind in kinds]
+    columns = sensor_panels(figure, corner, sensor_height(names), titles, -0.16, names)
+    for panels, kind in zip(columns, kinds, strict=True):
+        times_s, values = _known_residuals(track, kind)
         high = float(np.abs(values).max(initial=1.0))
         for sensor, axes in enumerate(panels):
             _set_time_axis(axes, track)
             axes.set(ylim=(-high, high), yticks=(-round(high), 0, round(high)) if sensor == 0 else [0])
             if len(values):
                 axes.plot(*thin_curve(times_s, values[:, sensor]), color=_RESIDUAL, lw=0.7)
-                _mark_alarms(axes, track, name, sensor)
+                _mark_alarms(axes, track, kind, sensor)
             elif sensor == 3:
                 axes.text(0.5, 0.5, "not asked", transform=axes.transAxes, ha="center", va="center")
 
@@ -246,8 +238,8 @@ def _draw_wheels(figure: Figure, track: ShadowTrack, corner: tuple[float, float]
     """Draw the residuals of wheels and timing, the spread and dead reckoning."""
     grid = axes_edges(figure, corner, _WHEELS_HEIGHT, left=0.98, right=0.1)
     cells = figure.add_gridspec(4, 1, hspace=0.35, **grid)
-    wheels_s, wheels = _known_residuals(track, WHEELS)
-    timing_s, timing = _known_residuals(track, slice(TIMING, None))
+    wheels_s, wheels = _known_residuals(track, "wheels")
+    timing_s, timing = _known_residuals(track, "timing")
     times_s = track.times_ns / 1e9
     sides = [("left", wheels_s, wheels[:, 0]), ("right", wheels_s, wheels[:, 1])]
     panels: list[tuple[str, str, list[tuple[str, Floats, Floats]]]] = [
@@ -289,9 +281,9 @@ def _mark_alarms(axes: Axes, track: ShadowTrack, channel: str, sensor: int | Non
             axes.axvspan(alarm.since_ns / 1e9, end_ns / 1e9, color=_ALARM, alpha=0.18, lw=0.6, zorder=0)
 
 
-def _known_residuals(track: ShadowTrack, columns: slice) -> tuple[Floats, Floats]:
-    """Return times [s] and values of the known residuals of some columns."""
-    values = track.residuals[:, columns]
+def _known_residuals(track: ShadowTrack, kind: str) -> tuple[Floats, Floats]:
+    """Return times [s] and values of the known residuals of a kind."""
+    values = track.residuals[kind]
     is_known = ~np.isnan(values).any(axis=1)
     return track.times_ns[is_known] / 1e9, values[is_known]
 

@@ -1,4 +1,4 @@
-"""Figures of sensor tests: all eight sensors arranged as on the robot, or a single one, of one or more runs.
+"""Figures of sensor tests: all sensors, a Khepera's arranged as on the robot, or one; of one or more runs.
 
 Line images are drawn as a strip over the path, with the left pixel at the top; a single pixel like a sensor.
 

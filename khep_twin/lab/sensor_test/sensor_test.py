@@ -2,7 +2,7 @@
 
     dv = (left, right position counter, left 90, left 45, ... back left), a row for each reading
 
-A reading is a reply to H and one to N or O, or to T,2,N, with 64 pixels instead of the eight sensors. The
+A reading is a reply to H and one to N or O, or to T,2,N, with 64 pixels instead of the sensors. The
 counters are older by the duration of the second exchange, some 20 ms at 9600 baud (200 ms for an image): 3 mm
 at speed 20, and 0.5 mm at speed 4. The counters measure the wheels' motion, including slip at a wall.
 """
@@ -203,7 +203,7 @@ class SensorRun:
 
     Attributes:
         test: Settings of the test.
-        dv: Left and right position counter [pulses] and the eight sensors in the manual's order [counts]
+        dv: Left and right position counter [pulses] and the sensors in the order of the channel [counts]
             (n, 10), named and ordered as in the Khepera Toolbox; or the counters and 64 pixels (n, 66).
         times: Times of the rows since the start (n,) [s].
         text: Description, the toolbox's dlgstr.

@@ -30,8 +30,8 @@ class Samples:
 
     Attributes:
         times_ns: Times of the samples (n,) [ns].
-        proximity: Counts (n, 8).
-        ambient: Counts (n, 8).
+        proximity: Counts (n, n_sensors).
+        ambient: Counts (n, n_sensors).
         speed: Speeds left, right and further values (n, 2 or more) [pulses/10 ms].
         extra_channels: Channels for the arena: "ultrasonic" [cm] and "leds", as far as the robot has them.
     """
@@ -72,9 +72,9 @@ class ShadowSamples:
         times_ns: Times of the updates (n,) [ns].
         poses: Position [m], quaternion x, y, z, w, and covariance of the estimate (n, 43).
         reckoned: Position [m] and quaternion x, y, z, w by dead reckoning (n, 7).
-        expected: Expected proximity (n, 8) [counts].
-        measured: Measured proximity (n, 8) [counts].
-        residuals: Deviations (n, 19).
+        expected: Expected proximity (n, n_sensors) [counts].
+        measured: Measured proximity (n, n_sensors) [counts].
+        residuals: Deviations (n, 2 n_sensors + 3).
         particles_ns: Times of the particles (m,) [ns].
         particles: x, y [m] and heading [rad] of 100 particles (m, 300).
     """

@@ -24,32 +24,20 @@ from khep_twin.log.decoding import DecodeError
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_file, read_series
 from khep_twin.log.shadow_channels import (
-    LIGHT,
     PARTICLES,
-    PROXIMITY,
     REGION_SIGMAS,
     STATE,
     STATE_COLOURS,
     SUSPECTED,
-    TIMING,
-    WHEELS,
     PoseState,
     Suspicion,
     is_shadow,
     parse_state,
     parse_suspicions,
 )
-from khep_twin.log.shadow_track import planar_poses
+from khep_twin.log.shadow_track import planar_poses, split_residuals
 from khep_twin.log.viewer.arena import RAY_LIMIT, frame_chunk, line_chunks, trail_chunks, trail_path
 from khep_twin.log.viewer.collected import Collector, Floats, time_column
-
-RESIDUALS = {
-    "residual_proximity": PROXIMITY,
-    "residual_light": LIGHT,
-    "residual_wheels": WHEELS,
-    "residual_timing": slice(TIMING, TIMING + 1),
-}
-"""Entities of the residuals of replies (timing in ms), with their columns in the log."""
 
 PICTURES = 10_000
 """Maximum number of drawn updates of a run; a longer run has fewer than one per reply."""
@@ -113,14 +101,14 @@ class Ghost:
         yield from self._probabilities(self._parse(collector, SUSPECTED, parse_suspicions), ends_ns)
         if samples is None:
             return
-        times_ns, residuals = samples.times_ns, samples.residuals
-        for name, columns in RESIDUALS.items():
-            is_measured = ~np.isnan(residuals[:, columns]).any(axis=1)
+        times_ns = samples.times_ns
+        for kind, residuals in split_residuals(samples.residuals).items():
+            is_measured = ~np.isnan(residuals).any(axis=1)
             if is_measured.any():
                 times = time_column(times_ns[is_measured])
-                scale = 1e3 if columns.start == TIMING else 1.0
-                values = rr.Scalars.columns(scalars=scale * residuals[is_measured, columns])
-                yield Chunk.from_columns(f"/{self._robot}/{name}", [times], values)
+                scale = 1e3 if kind == "timing" else 1.0  # in ms
+                values = rr.Scalars.columns(scalars=scale * residuals[is_measured])
+                yield Chunk.from_columns(f"/{self._robot}/residual_{kind}", [times], values)
         reckoned = planar_poses(samples.reckoned)
         yield from self._path(RECKONED, times_ns, reckoned)
         stride = slice(None, None, max(1, len(times_ns) // PICTURES))
@@ -211,7 +199,8 @@ class Ghost:
             end = start + distances * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
             ends = np.stack([start, end], axis=2).reshape(-1, 2, 2)
             strips = np.concatenate([ends, np.full((*ends.shape[:2], 1), _RAY_HEIGHT)], axis=2)
-            yield from _line_chunks(f"/ghost/{name}", times_ns, list(strips), [COLOURS[name]] * 8, 0.0008)
+            colours = [COLOURS[name]] * len(forward)
+            yield from _line_chunks(f"/ghost/{name}", times_ns, list(strips), colours, 0.0008)
 
     def _wall_distances(self, counts: Floats) -> Floats:
         """Return the distances of a facing white wall by readings [m], up to `RAY_LIMIT`; 0 if NaN."""

@@ -12,14 +12,14 @@ import rerun.blueprint as rrb
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.robot_models import models_of
-from khep_twin.log.shadow_channels import ALARMS, STATE, is_shadow
+from khep_twin.log.shadow_channels import ALARMS, RESIDUALS, STATE, is_shadow
 from khep_twin.log.viewer.arena import EVENT_PATH, trail_path
 from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.log.viewer.further_sensors import curves_of
-from khep_twin.log.viewer.ghost import FAULT_PATH, RECKONED, RESIDUALS, TRUTH
+from khep_twin.log.viewer.ghost import FAULT_PATH, RECKONED, TRUTH
 from khep_twin.log.viewer.robot_panel import PanelGeometry, panel_path, robots_with_images, strip_path
 from khep_twin.robots.model import RobotModel
-from khep_twin.sensing.colours import COLD, SENSORS, WHEELS, Colour, sensor_colour
+from khep_twin.sensing.colours import COLD, WHEELS, Colour, sensor_colour
 
 _SETPOINT: Colour = (235, 235, 235)
 _WHEELS: dict[str, Colour] = {**WHEELS, "setpoint left": _SETPOINT, "setpoint right": _SETPOINT}
@@ -214,11 +214,13 @@ def _residual_views(log: ShownLog, robot: str) -> list[rrb.Vertical]:
         "wheels: pulses beyond the expected ones",
         "timing: delay of replies [ms]",
     )
-    curves = SENSORS, SENSORS, WHEELS, {"delay": COLD[1]}
+    sensors = {name: sensor_colour(name) for name in _models(log)[robot].body.ring_sensors}
+    curves = sensors, sensors, WHEELS, {"delay": COLD[1]}
     plots = [_plot(log, robot, FAULT_PATH, "suspected faults: probability [%]", y_range=_SUSPICION_RANGE)]
-    plots += [_plot(log, robot, *arguments) for arguments in zip(RESIDUALS, titles, curves, strict=True)]
+    names = [f"residual_{kind}" for kind in RESIDUALS]
+    plots += [_plot(log, robot, *arguments) for arguments in zip(names, titles, curves, strict=True)]
     proximity = [
-        _plot(log, "shadow", name, f"{name} proximity [counts]", SENSORS) for name in ("measured", "expected")
+        _plot(log, "shadow", name, f"{name} proximity [counts]", sensors) for name in ("measured", "expected")
     ]
     return [
         rrb.Vertical(*plots, name="residuals", row_shares=[2, 3, 2, 2, 2]),

@@ -16,7 +16,7 @@ from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
 from khep_twin.lab.fit.least_squares import Parameter
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Readings, Ruler, SensorsFit
 from khep_twin.sensing import calibration
-from khep_twin.units import SENSOR_HEIGHT
+from khep_twin.units import SENSOR_HEIGHT, SENSOR_POSITIONS
 from khep_twin.world import World
 from studies.lamp_fits import FAR, SET_UP_BEARING, readings, residuals, sampled_lamp
 
@@ -74,7 +74,7 @@ def read_in_scene(forward: float, left: float, height: float) -> np.ndarray:
     "position", [(0.2, 0.0, 0.0016), (0.1, 0.15, 0.05), (-0.07, 0.02, 0.03), (0.0, -0.5, 0.2)]
 )
 def test_the_law_for_many_positions_gives_what_the_scene_gives(position: tuple[float, float, float]) -> None:
-    table = LampPositions(np.array([position]), 2.0)
+    table = LampPositions(np.array([position]), 2.0, SENSOR_POSITIONS)
     expected = [ambient_counts(table, sensor, KHEPERA1.ambient)[0] for sensor in SENSORS]
     # The wheels may hide a lamp behind the robot from a sensor that sees it only by its diffuse part.
     np.testing.assert_allclose(read_in_scene(*position), expected, atol=1.5)

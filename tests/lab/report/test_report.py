@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import good, refusal
+from matplotlib.figure import Figure
+from nine_sensors import SENSORS, nine_playpen
 from relay_logs import in_turn, relayed
-from shadow_updates import updates
+from shadow_updates import updates, written
 
 from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.pages import EVENT_LIMIT, html, limit_rows
@@ -231,6 +233,19 @@ def test_a_report_on_a_shadow_has_its_residuals_and_alarms(shadow: Path, tmp_pat
     # 2 mm along x and 3 mm along y.
     assert "<th>Spread of the position</th><td>3.6 mm median, 3.6 mm at 95 %</td>" in text
     assert "<th>Dead reckoning</th><td>14 mm from the estimate in the end, 14 mm at most</td>" in text
+
+
+def test_a_report_on_a_shadow_has_a_strip_for_each_sensor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = read_shadow(written(tmp_path / "nine.mcap", playpen=nine_playpen(tmp_path, monkeypatch)))
+    assert dict(shadow_section.rows(track))["Proximity, residual"] == "5 counts rms"
+    draw, height, name = shadow_section.pictures(track)[1]
+    figure = Figure((7.1, height))
+    draw(figure, track, (0, 0))
+    assert name == "Residuals of the sensors"
+    labels = [axes.get_ylabel().replace("\n", " ") for axes in figure.axes]
+    assert labels == [*SENSORS, *[""] * 9]
 
 
 def test_a_map_has_the_poses_that_were_considered_while_the_robot_was_lost(shadow: Path) -> None:
