@@ -103,7 +103,7 @@ def test_numbers_that_contradict_each_other_are_refused(world: World, state: Wor
     assert "inertial.n_rates = 1048576; expected at most 30" in refusal(
         world, with_array(state, KHEPERA4, "inertial.n_rates", future)
     )
-    assert "dspic.powered = 0; expected 1" in refusal(
+    assert "robot 0: powered = 0; expected 1" in refusal(
         world, with_array(state, KHEPERA4, "dspic.powered", bytes(8))
     )
     assert "positions = 0 numbers; expected" in refusal(world, with_array(state, KHEPERA4, "positions", b""))

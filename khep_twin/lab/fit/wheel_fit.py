@@ -151,7 +151,9 @@ def check_family(name: str, family: str, model: RobotModel) -> None:
         raise FitError(f"{name}: of a {family}; expected a {model.family}, or --model {family}")
 
 
-def drive_residual(drive: Drive, radius: float, base: float, pulses_per_turn: float = PULSES_PER_TURN) -> float:
+def drive_residual(
+    drive: Drive, radius: float, base: float, pulses_per_turn: float = PULSES_PER_TURN
+) -> float:
     """Return the residual of a drive: measurement less odometry [m or rad]."""
     pulse_length = 2 * math.pi * radius / pulses_per_turn
     if drive.distance is not None:

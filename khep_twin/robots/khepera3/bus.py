@@ -16,9 +16,10 @@ A message to a motor controller is a register and a byte for it (toolbox); furth
 from collections.abc import Callable, Iterable
 
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
+from khep_twin.board.memory import read_signed, write_number
 from khep_twin.robots.khepera3.channels import GROUND, RING
 from khep_twin.robots.khepera3.model import FIRST
-from khep_twin.robots.khepera3.motor_control import N_MOTOR, Motor, halt, read_number, write_number
+from khep_twin.robots.khepera3.motor_control import Motor, MotorState, halt, reset
 from khep_twin.robots.khepera3.registers import (
     CLOCK,
     DSPIC,
@@ -42,7 +43,6 @@ from khep_twin.robots.khepera3.state import (
     TIMER_ZERO_MS,
     USED,
     Khepera3State,
-    power_up_memory,
 )
 
 NOISE = 1800
@@ -54,67 +54,67 @@ ECHO_COUNT_SETTING = 254
 _TEMPERATURE = 25.0
 """Temperature of the battery [degree C] (assumed)."""
 
+_LATCHES = {
+    MotorRegister.POSITION + 3: (4, Motor.POSITION),
+    MotorRegister.SPEED + 3: (4, Motor.SPEED),
+    MotorRegister.CURRENT + 1: (2, Motor.CURRENT),
+    MotorRegister.OUTPUT + 1: (2, Motor.PWM),
+}
+"""Size of a measured number, and the number, by the register of its highest byte."""
+
 _READ_ONLY = {
     *(MotorRegister.VERSION, MotorRegister.STATUS),
     *range(MotorRegister.SPEED, MotorRegister.SPEED + 4),
-    *range(MotorRegister.CURRENT - 2, MotorRegister.OUTPUT + 2),  # with the shortest sample time
+    *range(MotorRegister.LEAST_SAMPLE_TIME, MotorRegister.LEAST_SPEED),
 }
-_LATCHES = {
-    MotorRegister.POSITION: (4, Motor.POSITION),
-    MotorRegister.SPEED: (4, Motor.SPEED),
-    MotorRegister.CURRENT: (2, Motor.CURRENT),
-    MotorRegister.OUTPUT: (2, Motor.PWM),
-}
-"""Registers of measured numbers: their size, and the number."""
-_LATCHES_BY_LAST = {first + size - 1: (first, size, number) for first, (size, number) in _LATCHES.items()}
 
 
 class MotorController:
     """One of the motor controllers.
 
     Args:
-        state: State of the robot.
-        side: 0 left, 1 right.
+        robot: State of the robot.
+        state: State of the controller.
     """
 
-    def __init__(self, state: Khepera3State, side: int) -> None:
-        self._state, self._first, self._motor = state, side * N_BYTES, side * N_MOTOR
+    def __init__(self, robot: Khepera3State, state: MotorState) -> None:
+        self._robot, self._state = robot, state
         self._register = 0
 
     @property
     def is_powered(self) -> bool:
         """True if the supply suffices; otherwise the bus gets no reply."""
-        return bool(self._state.board[POWERED])
+        return bool(self._robot.board[POWERED])
 
     def write(self, message: bytes) -> None:
         """Select a register, and write a byte to it if the message has one."""
-        if not message:
+        register = self._register = message[0]
+        if len(message) == 1 or register >= N_BYTES or register in _READ_ONLY:
             return
-        self._register = message[0]
-        if len(message) == 1 or self._register >= N_BYTES or self._register in _READ_ONLY:
-            return
-        memory, motors, register, byte = self._state.memory, self._state.controllers, message[0], message[1]
-        place = self._first + register
-        if register == MotorRegister.CONTROL and byte != memory[place]:
-            halt(motors, self._motor)
-        memory[place] = byte
-        if register == MotorRegister.MODE:
-            self.enter(byte)
-        elif register == MotorRegister.SET_POINT:
-            motors[self._motor + Motor.SET_POINT] = read_number(memory, place, 4)
-            motors[self._motor + Motor.ON_TARGET] = 0
+        memory, numbers, byte = self._state.memory, self._state.numbers, message[1]
+        if register == MotorRegister.CONTROL and byte != memory[register]:
+            halt(self._state)
+        memory[register] = byte
+        if register == MotorRegister.SET_POINT:
+            numbers[Motor.SET_POINT] = read_signed(memory, register, 4)
+            numbers[Motor.ON_TARGET] = 0
         elif register == MotorRegister.POSITION:
-            motors[self._motor + Motor.POSITION] = read_number(memory, place, 4)
+            numbers[Motor.POSITION] = read_signed(memory, register, 4)
+        elif register == MotorRegister.MODE and byte == Mode.STOP:
+            numbers[Motor.HELD] = numbers[Motor.POSITION]
+        elif register == MotorRegister.MODE and byte == Mode.RESET:
+            reset(self._state)
+        elif register == MotorRegister.MODE and byte in (Mode.SAVE, Mode.SEARCH):
+            # A search of limits ends at once, and settings are not saved (assumed).
+            memory[register] = Mode.IDLE
 
     def read(self, count: int) -> bytes:
         """Return the byte of the selected register, `count` times."""
-        memory = self._state.memory
-        if self._register >= N_BYTES:
-            return bytes(count)
-        if self._register in _LATCHES_BY_LAST:
-            first, size, number = _LATCHES_BY_LAST[self._register]
-            write_number(memory, self._first + first, size, self._state.controllers[self._motor + number])
-        return bytes([memory[self._first + self._register]]) * count
+        register, memory = self._register, self._state.memory
+        if register in _LATCHES:
+            size, number = _LATCHES[register]
+            write_number(memory, register - size + 1, size, self._state.numbers[number])
+        return bytes([memory[register] if register < N_BYTES else 0]) * count
 
     def get(self, register: int, size: int) -> int:
         """Return a signed number, read byte by byte from the highest one."""
@@ -128,19 +128,6 @@ class MotorController:
         """Write a number byte by byte from the highest one, truncated as in C."""
         for offset in reversed(range(size)):
             self.write(bytes([register + offset, value >> 8 * offset & 0xFF]))
-
-    def enter(self, mode: int) -> None:
-        """Enter a mode. A search of limits ends at once, and settings are not saved (assumed)."""
-        memory, motors = self._state.memory, self._state.controllers
-        if mode == Mode.STOP:
-            motors[self._motor + Motor.HELD] = motors[self._motor + Motor.POSITION]
-        elif mode == Mode.RESET:
-            for index, byte in enumerate(power_up_memory()[:N_BYTES]):
-                memory[self._first + index] = int(byte)
-            for index in range(N_MOTOR):
-                motors[self._motor + index] = 0
-        elif mode in (Mode.SAVE, Mode.SEARCH):
-            memory[self._first + MotorRegister.MODE] = Mode.IDLE
 
 
 class Dspic:
@@ -168,7 +155,7 @@ class Dspic:
 
     def write(self, message: bytes) -> None:
         """Execute a command; one of another length than its first byte says has no effect (assumed)."""
-        if message and message[0] == len(message):
+        if 1 < message[0] == len(message):
             reply = self.execute(message[1:])
             self._frame = bytes([len(reply), 0]) + reply if reply else b""
 
@@ -205,7 +192,7 @@ class Dspic:
         sensor = arguments[0] - 1
         is_active = self._state.board[SETTING + Setting.ULTRASONIC] >> sensor & 1
         start = sensor * N_ECHO
-        reading = [int(number) * is_active for number in self._state.echoes[start : start + N_ECHO]]
+        reading = [self._state.echoes[start + index] * is_active for index in range(N_ECHO)]
         echoes = (
             _words(reading[echo : echo + 2]) + _word(reading[echo + 2], 4) for echo in range(1, N_ECHO, 3)
         )
@@ -217,7 +204,9 @@ class Dspic:
             return None
         led, state = arguments[:2]
         if led < 2:
-            self._state.board[LEDS + led] = 1 - self._state.board[LEDS + led] if state == 2 else int(state > 0)
+            self._state.board[LEDS + led] = (
+                1 - self._state.board[LEDS + led] if state == 2 else int(state > 0)
+            )
         return b""
 
     def _on_n(self, arguments: bytes) -> bytes:
@@ -227,17 +216,17 @@ class Dspic:
         return self._infrared("O", "ambient")
 
     def _on_v(self, arguments: bytes) -> bytes | None:
-        """Return a value of the battery, by its kind: whole part, and fraction in 1/10,000."""
+        """Return a value of the battery, by its kind: whole part, and fraction in 1/10,000, of degrees in tenths (manual)."""
         battery = self._state.battery
         level = charge_level(battery[USED], CAPACITY)
         values = (
-            *(cells_voltage(level), -battery[CURRENT], -battery[AVERAGE], level * CAPACITY / 3.6),
-            *(_TEMPERATURE, 100 * level),
+            *((cells_voltage(level), 10_000), (-battery[CURRENT], 10_000), (-battery[AVERAGE], 10_000)),
+            *((level * CAPACITY / 3.6, 1), (_TEMPERATURE, 10), (100 * level, 1)),
         )
         if not arguments or arguments[0] >= len(values):
             return None
-        value = values[arguments[0]]
-        whole, fraction = divmod(round(abs(value) * 10_000), 10_000)
+        value, parts = values[arguments[0]]
+        whole, fraction = divmod(round(abs(value) * parts), parts)
         # Sign and magnitude: the highest bit of the whole part (library).
         return _words((whole | (value < 0) << 15, fraction))
 
@@ -250,8 +239,8 @@ class Dspic:
         """Return the readings of a channel, and their time [ms]."""
         self.before_read(letter)
         registers, board, first = self._state.registers, self._state.board, FIRST[channel]
-        readings = (int(registers[first + sensor]) for sensor in range(len(RING) + len(GROUND)))
-        return _words(readings) + _word(int(board[SCAN_MS] - board[TIMER_ZERO_MS]), 4)
+        readings = (registers[first + sensor] for sensor in range(len(RING) + len(GROUND)))
+        return _words(readings) + _word(board[SCAN_MS] - board[TIMER_ZERO_MS], 4)
 
 
 class RealTimeClock:
@@ -269,7 +258,7 @@ class RealTimeClock:
 
     def write(self, message: bytes) -> None:
         """Select a register; the clock cannot be set (assumed)."""
-        self._register = message[0] if message else self._register
+        self._register = message[0]
 
     def read(self, count: int) -> bytes:
         """Return bytes from the selected register on, zeros after the hours."""
@@ -294,7 +283,7 @@ class Bus:
 
     def __init__(self, state: Khepera3State, version: tuple[int, int]) -> None:
         self.dspic = Dspic(state, version)
-        self.motors = MotorController(state, 0), MotorController(state, 1)
+        self.motors = MotorController(state, state.left), MotorController(state, state.right)
         self.clock = RealTimeClock(lambda: self.dspic.time_ms())
 
     @property

@@ -28,8 +28,8 @@ PULSES_PER_SPEED = PULSES_PER_MEASUREMENT / (SPEED_NUMERATOR * TICK_S)
 
 SPEED_UNIT = f"{PULSES_PER_SPEED:.4f} pulses/s"
 
-PWM_LIMIT = 2**15 - 1
-"""PWM at full voltage (a public program; assumed)."""
+PWM_LIMIT = 1023
+"""PWM at full voltage (manual)."""
 
 _WHEELS, _SETPOINTS = "left, right", "left, right, setpoint left, setpoint right"
 _INFRARED = ", ".join((*RING, *GROUND))

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
-from khep_twin.programs.computer import Computer, Devices, Kind, Node
+from khep_twin.programs.computer import Computer, Devices, i2c_bus
 from khep_twin.robots.khepera3.registers import CLOCK, DSPIC, MOTORS
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 
-_BUS = Node(Kind.I2C, sends_empty=True)
+_BUS = i2c_bus(sends_empty=True)
 
 _GPIO, _CLOCKS, _PWM = 0x40E00000, 0x41300000, (0x40B00000, 0x40C00000)
 """Pages of the processor PXA255 (data sheet)."""
@@ -23,7 +23,11 @@ def connect(robot: Khepera3Robot) -> Devices:
 def files(number: int) -> Mapping[str, str]:
     """Return the robot's number, and the devices by which K-Team's library finds them (library)."""
     devices = {"dsPic": DSPIC, "Mot1": MOTORS[0], "Mot2": MOTORS[1], "Rtc": CLOCK}
-    lines = [f"device {name} {kind} {address:#x}" for name, address in devices.items() for kind in ("i2c", "module")]
+    lines = [
+        f"device {name} {kind} {address:#x}"
+        for name, address in devices.items()
+        for kind in ("i2c", "module")
+    ]
     return {
         "/etc/khepera/robotid": f"{number}\n",
         "/etc/libkorebot/khepera3.knc": "\n".join(

@@ -12,32 +12,23 @@ from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.core import Core, register
-from khep_twin.robots.khepera3 import measurements
+from khep_twin.robots.khepera3 import measurements, state
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.letters import Letters
 from khep_twin.robots.khepera3.model import KHEPERA_3, version_of
 from khep_twin.robots.khepera3.motor_control import (
-    N_MOTOR,
     Motor,
+    MotorState,
     control_motor,
     direction,
     halt,
     measured_speed,
     set_order,
 )
-from khep_twin.robots.khepera3.registers import N_BYTES, SINGLE_COUNT, Control, Mode, MotorRegister
-from khep_twin.robots.khepera3.state import (
-    AVERAGE,
-    CAPACITY,
-    CURRENT,
-    N_MOMENTS,
-    POWERED,
-    USED,
-    WANDERING,
-    Khepera3State,
-    make_state,
-)
+from khep_twin.robots.khepera3.registers import SINGLE_COUNT, Control, Mode, MotorRegister
+from khep_twin.robots.khepera3.state import Khepera3State
+from khep_twin.sensing.bursts import scan
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
@@ -50,21 +41,16 @@ CUT_OFF = 6.0
 _AVERAGE_TICKS = 3000
 """Control periods over which the gauge takes its average current (assumed)."""
 
-_TICK_S = TICK_NS * 1e-9
-_POSITION, _SPEED, _PWM, _CURRENT = map(int, (Motor.POSITION, Motor.SPEED, Motor.PWM, Motor.CURRENT))
-_HARDWARE_OPTIONS, _MODE = int(MotorRegister.HARDWARE_OPTIONS), int(MotorRegister.MODE)
-_IDLE = int(Mode.IDLE)
-_CONSTANT, _OPEN_LOOP = int(Control.SPEED), int(Control.OPEN_LOOP)
-_MOVE, _MOVE_PROFILE = int(Control.POSITION), int(Control.POSITION_PROFILE)
 _L, _F, _P = map(ord, "LFP")
 
 
 @compilable
 def _start(robot: Khepera3State, simulated: Simulated, inputs: StepInputs) -> bool:
     """Count from the wheels' present angles, and measure at time 0."""
-    for side in range(2):
-        robot.counts[side] = wheel_pulses(robot, joint_position(simulated.scene, robot.angles[side]))
-    robot.battery[CURRENT] = robot.battery[AVERAGE] = robot.idle_current
+    scene = simulated.scene
+    robot.left.numbers[Motor.PULSES] = wheel_pulses(robot, joint_position(scene, robot.angles[0]))
+    robot.right.numbers[Motor.PULSES] = wheel_pulses(robot, joint_position(scene, robot.angles[1]))
+    robot.battery[state.CURRENT] = robot.battery[state.AVERAGE] = robot.idle_current
     measurements.record(robot, simulated, inputs, 0, simulated.timing.step_ns)
     return False
 
@@ -73,40 +59,48 @@ def _start(robot: Khepera3State, simulated: Simulated, inputs: StepInputs) -> bo
 def _tick(robot: Khepera3State, simulated: Simulated, inputs: StepInputs, time_ns: int) -> bool:
     """Run a control period; return True if it has stopped the robot, or the vehicle of letter A drives."""
     battery, scene = robot.battery, simulated.scene
-    if not robot.board[POWERED]:
+    if not robot.board[state.POWERED]:
         return False
-    voltage, current = cells_voltage(charge_level(battery[USED], CAPACITY)), robot.idle_current
-    current += _drive(scene, robot, 0, voltage) + _drive(scene, robot, 1, voltage)
-    battery[CURRENT] = current
-    battery[AVERAGE] += (current - battery[AVERAGE]) / _AVERAGE_TICKS
+    voltage = cells_voltage(charge_level(battery[state.USED], state.CAPACITY))
+    current = robot.idle_current
+    current += _drive(scene, robot, 0, robot.left, voltage)
+    current += _drive(scene, robot, 1, robot.right, voltage)
+    battery[state.CURRENT] = current
+    battery[state.AVERAGE] += (current - battery[state.AVERAGE]) / _AVERAGE_TICKS
     if robot.is_discharged:
-        battery[USED] = min(battery[USED] + current * _TICK_S, CAPACITY)
+        battery[state.USED] = min(battery[state.USED] + current * (TICK_NS * 1e-9), state.CAPACITY)
     if voltage > CUT_OFF:
-        return robot.vehicle[WANDERING] != 0
-    robot.board[POWERED] = 0
-    for side in range(2):
-        halt(robot.controllers, side * N_MOTOR)
-        robot.memory[side * N_BYTES + _MODE] = _IDLE
-        set_motor(scene, robot.motors[side], 0.0)
+        return robot.vehicle[state.WANDERING] != 0
+    robot.board[state.POWERED] = 0
+    _cut_off(scene, robot, 0, robot.left)
+    _cut_off(scene, robot, 1, robot.right)
     return True
 
 
 @compilable
-def _drive(scene: Scene, robot: Khepera3State, side: int, voltage: float) -> float:
+def _cut_off(scene: Scene, robot: Khepera3State, side: int, motor: MotorState) -> None:
+    """Stop a motor for lack of voltage."""
+    halt(motor)
+    motor.memory[MotorRegister.MODE] = Mode.IDLE
+    set_motor(scene, robot.motors[side], 0.0)
+
+
+@compilable
+def _drive(scene: Scene, robot: Khepera3State, side: int, motor: MotorState, voltage: float) -> float:
     """Run a motor controller, and drive its motor; return the current from the battery [A]."""
-    memory, numbers, motor = robot.memory, robot.controllers, side * N_MOTOR
-    pulses, sign = wheel_pulses(robot, joint_position(scene, robot.angles[side])), direction(memory, side)
-    divisor = 4 if memory[side * N_BYTES + _HARDWARE_OPTIONS] & SINGLE_COUNT else 1
-    way = pulses // divisor - robot.counts[side] // divisor
-    robot.counts[side] = pulses
-    amperes = motor_torque(scene, robot.motors[side]) / robot.motor_constant
+    numbers, constant, sign = motor.numbers, robot.motor_constant, direction(motor)
+    pulses = wheel_pulses(robot, joint_position(scene, robot.angles[side]))
+    divisor = 4 if motor.memory[MotorRegister.HARDWARE_OPTIONS] & SINGLE_COUNT else 1
+    way = pulses // divisor - numbers[Motor.PULSES] // divisor
+    amperes = motor_torque(scene, robot.motors[side]) / constant
     rate = joint_speed(scene, robot.speeds[side]) * robot.pulses_per_radian
-    numbers[motor + _POSITION] = wrap(numbers[motor + _POSITION] + sign * way)
-    numbers[motor + _SPEED] = sign * measured_speed(rate)
-    numbers[motor + _CURRENT] = sign * round(1000 * amperes)
-    control_motor(memory, numbers, side)
-    duty, speed, constant = sign * numbers[motor + _PWM] / PWM_LIMIT, robot.speeds[side], robot.motor_constant
-    drive_motor(scene, robot.faults, side, robot.motors[side], speed, constant, duty * voltage)
+    numbers[Motor.PULSES] = pulses
+    numbers[Motor.POSITION] = wrap(numbers[Motor.POSITION] + sign * way)
+    numbers[Motor.SPEED] = sign * measured_speed(rate)
+    numbers[Motor.CURRENT] = sign * round(1000 * amperes)
+    control_motor(motor)
+    duty = sign * numbers[Motor.PWM] / PWM_LIMIT
+    drive_motor(scene, robot.faults, side, robot.motors[side], robot.speeds[side], constant, duty * voltage)
     return max(duty * amperes, 0.0)
 
 
@@ -119,59 +113,59 @@ def wheel_pulses(robot: Khepera3State, angle: float) -> int:
 @compilable
 def _command(robot: Khepera3State, letter: int, left: int, right: int) -> None:
     """Execute D, F, L or P, with the signs of the motor controllers."""
-    control = _CONSTANT
+    control = Control.SPEED.value
     if letter == _L:
-        control = _OPEN_LOOP
+        control = Control.OPEN_LOOP.value
     elif letter == _P:
-        control = _MOVE
+        control = Control.POSITION.value
     elif letter == _F:
-        control = _MOVE_PROFILE
-    set_order(robot.memory, robot.controllers, 0, control, left)
-    set_order(robot.memory, robot.controllers, 1, control, right)
+        control = Control.POSITION_PROFILE.value
+    set_order(robot.left, control, left)
+    set_order(robot.right, control, right)
 
 
 @compilable
 def _set_speeds(robot: Khepera3State, left: int, right: int) -> None:
     """Set the speeds forwards, by any options of the motor controllers."""
-    memory, numbers = robot.memory, robot.controllers
-    set_order(memory, numbers, 0, _CONSTANT, left * direction(memory, 0))
-    set_order(memory, numbers, 1, _CONSTANT, right * direction(memory, 1))
+    set_order(robot.left, Control.SPEED.value, left * direction(robot.left))
+    set_order(robot.right, Control.SPEED.value, right * direction(robot.right))
 
 
 @compilable
 def _is_powered(robot: Khepera3State) -> bool:
     """Return whether the supply suffices."""
-    return robot.board[POWERED] != 0
+    return robot.board[state.POWERED] != 0
 
 
-def _program(entry: RobotEntry, state: Khepera3State) -> Letters:
+def _program(entry: RobotEntry, robot: Khepera3State) -> Letters:
     """Return the program on the line of a state, started."""
-    letters = Letters(Bus(state, version_of(entry.robot_model)), state.vehicle, entry.rom)
+    letters = Letters(Bus(robot, version_of(entry.robot_model)), robot.vehicle, entry.rom)
     letters.receive(b"\n")
     return letters
 
 
+_MODULES = "board.kernel", "board.memory", "board.lithium_cells", "sensing.ground", "sensing.sonar"
 _PARTS = "motor_control", "measurements", "core"
 
 CORE = register(
     Core(
         name="khepera3",
         state=Khepera3State,
-        make_state=make_state,
+        make_state=state.make_state,
         changing=(
-            *("memory", "controllers", "counts", "board", "echoes", "burst", "times", "battery"),
+            *("left", "right", "board", "echoes", "burst", "burst_echoes", "times", "battery"),
             *("vehicle", "beams", "registers"),
         ),
-        n_moments=N_MOMENTS,
-        modules=(
-            *("khep_twin.board.kernel", "khep_twin.board.lithium_cells", "khep_twin.sensing.ground"),
-            *("khep_twin.sensing.sonar", *(f"khep_twin.robots.khepera3.{part}" for part in _PARTS)),
+        n_moments=state.N_MOMENTS,
+        modules=tuple(
+            f"khep_twin.{part}"
+            for part in (*_MODULES, "sensing.bursts", *(f"robots.khepera3.{name}" for name in _PARTS))
         ),
         sense=measurements.sense,
         tick=_tick,
         start=_start,
         evaluate=measurements.evaluate,
-        scan=measurements.scan,
+        scan=scan,
         interface=KHEPERA_3.interface,
         request_terms=measurements.request_terms,
         update_registers=measurements.update_registers,
@@ -179,7 +173,7 @@ CORE = register(
         is_powered=_is_powered,
         commands="DFLP",
         command=_command,
-        counter_commands="IZM",
+        counter_commands="IM",
         echo=cast_level_rays,
         program=_program,
     )

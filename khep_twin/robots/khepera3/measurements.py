@@ -1,7 +1,7 @@
 """Measurements of a Khepera III: moments of its sensors, their evaluation, and the registers of a log.
 
-Infrared sensors record a moment every 33 ms (toolbox), an active ultrasonic one in turn every 50 ms (assumed).
-A moment is evaluated when its readings are read. The functions are `compilable`, see `robots.core`.
+Infrared sensors record a moment every 33 ms (toolbox), active ultrasonic ones in turn every 50 ms (assumed). A
+moment is evaluated when its readings are read. The functions are `compilable`, see `robots.core`.
 """
 
 from collections.abc import Collection, Sequence
@@ -9,54 +9,33 @@ from typing import Any
 
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
+from khep_twin.robots.khepera3 import state
 from khep_twin.robots.khepera3.channels import GROUND, NO_ECHO, RING
 from khep_twin.robots.khepera3.model import FIRST
-from khep_twin.robots.khepera3.motor_control import N_MOTOR, Motor, direction
-from khep_twin.robots.khepera3.registers import N_BYTES, Control, MotorRegister, Setting
-from khep_twin.robots.khepera3.state import (
-    BURST,
-    CAPACITY,
-    CURRENT,
-    ECHO,
-    EVALUATES_BURSTS,
-    INFRARED,
-    LAST_BURST,
-    LEDS,
-    MAX_ECHOES,
-    N_ECHO,
-    N_ULTRASONIC,
-    NONE,
-    SCAN_MS,
-    SETTING,
-    TIMER_ZERO_MS,
-    USED,
-    Khepera3State,
-)
+from khep_twin.robots.khepera3.motor_control import Motor, MotorState, direction
+from khep_twin.robots.khepera3.registers import Control, MotorRegister, Setting
+from khep_twin.robots.khepera3.state import MAX_ECHOES, N_ECHO, N_ULTRASONIC, SETTING, Khepera3State
 from khep_twin.sensing import sonar
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.bursts import ECHO, INFRARED, NONE, record_scan, start_burst
 from khep_twin.sensing.device_faults import DEAD, STUCK, set_reading
 from khep_twin.sensing.ground import convert_any
 from khep_twin.sensing.noise import draws
-from khep_twin.sensing.scene import BeamScene, copy_moment, save_moment, update_frames
+from khep_twin.sensing.scene import BeamScene, update_frames
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 
 SCAN_NS, BURST_NS = 33_000_000, 50_000_000
 """Periods of the infrared sensors and of bursts [ns]."""
 
-AMPLITUDE = 140
-"""Amplitude of an echo at the threshold: with it a wall at 27 cm returns the manual's 2900 (assumed)."""
-MAX_AMPLITUDE = 4095
+AMPLITUDE, MAX_AMPLITUDE = 140, 4095
+"""Amplitude of an echo at the threshold, with which a wall at 27 cm returns the manual's 2900 (assumed), and
+the largest one."""
 
 _MS = 1_000_000
-N_INFRARED = len(RING) + len(GROUND)
+_N_INFRARED = len(RING) + len(GROUND)
 _PROXIMITY, _AMBIENT, _ULTRASONIC = FIRST["proximity"], FIRST["ambient"], FIRST["ultrasonic"]
 _SPEED, _POSITION, _DUTY, _CURRENT = (FIRST[name] for name in ("speed", "position", "duty", "current"))
-_LEDS, _BATTERY, _CONTROLS = FIRST["leds"], FIRST["battery"], FIRST["control"]
-_ACTIVE, _N_ECHOES, _ACTIVE_INFRARED = map(int, (Setting.ULTRASONIC, Setting.N_ECHOES, Setting.INFRARED))
-_SET_POINT, _MEASURED_SPEED, _PWM = int(Motor.SET_POINT), int(Motor.SPEED), int(Motor.PWM)
-_MOTOR_CURRENT, _FIRST_MOVE, _LAST_MOVE = int(Motor.CURRENT), int(Control.POSITION), int(Control.POSITION_PROFILE)
-_CONTROL, _MODE, _ERRORS = int(MotorRegister.CONTROL), int(MotorRegister.MODE), int(MotorRegister.ERRORS)
-_CONTROL_REGISTERS = _MODE, _CONTROL, _ERRORS
+_LEDS, _BATTERY, _CONTROL = FIRST["leds"], FIRST["battery"], FIRST["control"]
 
 
 @compilable
@@ -72,35 +51,16 @@ def record(
     robot: Khepera3State, simulated: Simulated, inputs: StepInputs, time_ns: int, step_ns: int
 ) -> None:
     """Record the moments that have become due in a step that ends at a time [ns]."""
-    scene, first, times, board = simulated.scene, robot.first_moment, robot.times, robot.board
-    powers = inputs.powers[powers_row(simulated, inputs)]
     if time_ns % SCAN_NS < step_ns:
-        save_moment(scene, first + INFRARED, powers)
-        times[INFRARED] = time_ns
+        record_scan(robot, simulated, inputs, time_ns)
     if time_ns % BURST_NS >= step_ns:
         return
-    last = board[LAST_BURST]
-    if last != NONE and board[EVALUATES_BURSTS]:
+    last, active_mask = robot.burst[0], robot.board[SETTING + Setting.ULTRASONIC]
+    if robot.is_eager[0] and last != NONE:
         for index in range(N_ECHO):
-            robot.echoes[last * N_ECHO + index] = robot.burst[index]
-    elif last != NONE:
-        copy_moment(scene, first + BURST, first + ECHO + last)
-        times[ECHO + last] = times[BURST]
-    sensor = board[LAST_BURST] = _next_sensor(last, board[SETTING + _ACTIVE])
-    if sensor == NONE:
-        return
-    if board[EVALUATES_BURSTS]:
-        update_frames(scene)
-        _measure_echoes(robot, scene, inputs, sensor, time_ns, robot.burst, 0)
-    else:
-        save_moment(scene, first + BURST, powers)
-    times[BURST] = time_ns
-
-
-def scan(robot: Khepera3State, simulated: Simulated, inputs: StepInputs) -> None:
-    """Measure with all infrared sensors now."""
-    save_moment(simulated.scene, robot.first_moment + INFRARED, inputs.powers[0])
-    robot.times[INFRARED] = simulated.counters[STEPS] * simulated.timing.step_ns
+            robot.echoes[last * N_ECHO + index] = robot.burst_echoes[index]
+    if start_burst(robot, simulated, inputs, time_ns, active_mask):
+        _measure_echoes(robot, simulated.scene, inputs, robot.burst[0], time_ns, robot.burst_echoes, 0)
 
 
 @compilable
@@ -126,42 +86,39 @@ def update_registers(robot: Khepera3State, simulated: Simulated, inputs: StepInp
 @compilable
 def fill_registers(robot: Khepera3State) -> None:
     """Set the registers besides those of the infrared sensors; motion is positive forwards."""
-    registers, board, memory, battery = robot.registers, robot.board, robot.memory, robot.battery
+    registers, board, battery = robot.registers, robot.board, robot.battery
     for sensor in range(N_ULTRASONIC):
-        is_active = board[SETTING + _ACTIVE] >> sensor & 1
+        is_active = board[SETTING + Setting.ULTRASONIC] >> sensor & 1
         registers[_ULTRASONIC + sensor] = robot.echoes[sensor * N_ECHO + 1] if is_active else NO_ECHO
-    for side in range(2):
-        first, motor, sign = side * N_BYTES, side * N_MOTOR, direction(memory, side)
-        set_point = sign * robot.controllers[motor + _SET_POINT]
-        is_move = _FIRST_MOVE <= memory[first + _CONTROL] <= _LAST_MOVE
-        registers[_SPEED + side] = sign * robot.controllers[motor + _MEASURED_SPEED]
-        registers[_SPEED + 2 + side] = 0 if is_move else set_point
-        registers[_POSITION + side] = sign * robot.controllers[motor]
-        registers[_POSITION + 2 + side] = set_point if is_move else 0
-        registers[_DUTY + side] = sign * robot.controllers[motor + _PWM]
-        registers[_CURRENT + side] = sign * robot.controllers[motor + _MOTOR_CURRENT]
-        registers[_LEDS + side] = board[LEDS + side]
-        for index, register in enumerate(_CONTROL_REGISTERS):
-            registers[_CONTROLS + 2 * index + side] = memory[first + register]
-    level = charge_level(battery[USED], CAPACITY)
+    _fill_motor(robot, 0, robot.left)
+    _fill_motor(robot, 1, robot.right)
+    level = charge_level(battery[state.USED], state.CAPACITY)
     registers[_BATTERY] = round(1000 * cells_voltage(level))
-    registers[_BATTERY + 1] = round(1000 * battery[CURRENT])
-    registers[_BATTERY + 2] = round(level * CAPACITY / 3.6)
-
-
-def request_terms(state: Any, names: Collection[str]) -> None:
-    """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
-    state["board"][..., EVALUATES_BURSTS] = "ultrasonic" in names
+    registers[_BATTERY + 1] = round(1000 * battery[state.CURRENT])
+    registers[_BATTERY + 2] = round(level * state.CAPACITY / 3.6)
 
 
 @compilable
-def _next_sensor(last: int, active_mask: int) -> int:
-    """Return the active ultrasonic sensor after the last one, or NONE."""
-    for offset in range(1, N_ULTRASONIC + 1):
-        sensor = (last + offset) % N_ULTRASONIC
-        if active_mask >> sensor & 1:
-            return sensor
-    return NONE
+def _fill_motor(robot: Khepera3State, side: int, motor: MotorState) -> None:
+    """Set the registers of a motor and of the LED of the same number."""
+    registers, memory, numbers, sign = robot.registers, motor.memory, motor.numbers, direction(motor)
+    set_point, control = sign * numbers[Motor.SET_POINT], memory[MotorRegister.CONTROL]
+    is_move = control == Control.POSITION or control == Control.POSITION_PROFILE
+    registers[_SPEED + side] = sign * numbers[Motor.SPEED]
+    registers[_SPEED + 2 + side] = 0 if is_move else set_point
+    registers[_POSITION + side] = sign * numbers[Motor.POSITION]
+    registers[_POSITION + 2 + side] = set_point if is_move else 0
+    registers[_DUTY + side] = sign * numbers[Motor.PWM]
+    registers[_CURRENT + side] = sign * numbers[Motor.CURRENT]
+    registers[_LEDS + side] = robot.board[state.LEDS + side]
+    registers[_CONTROL + side] = memory[MotorRegister.MODE]
+    registers[_CONTROL + 2 + side] = control
+    registers[_CONTROL + 4 + side] = memory[MotorRegister.ERRORS]
+
+
+def request_terms(record: Any, names: Collection[str]) -> None:
+    """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
+    record["is_eager"] = "ultrasonic" in names
 
 
 @compilable
@@ -175,12 +132,12 @@ def _measure_echoes(
     first: int,
 ) -> None:
     """Set the reading of an ultrasonic sensor, from an index on, in a scene at its burst."""
-    fault, ultrasonic, number = robot.faults.sensors[N_INFRARED + sensor], robot.sonar, time_ns // BURST_NS
+    fault, ultrasonic, number = robot.faults.sensors[_N_INFRARED + sensor], robot.sonar, time_ns // BURST_NS
     if fault == STUCK:
         return
     for index in range(N_ECHO):
         reading[first + index] = 0
-    n_echoes = min(max(robot.board[SETTING + _N_ECHOES], 0), MAX_ECHOES) if fault != DEAD else 0
+    n_echoes = min(max(robot.board[SETTING + Setting.N_ECHOES], 0), MAX_ECHOES) if fault != DEAD else 0
     sonar.cast(scene, robot.sensors, robot.pose, ultrasonic, robot.beams, sensor, 0)
     distance = -1.0
     for index in range(n_echoes):
@@ -193,7 +150,7 @@ def _measure_echoes(
         reading[first] = index + 1
         reading[echo] = distance_cm
         reading[echo + 1] = min(round(AMPLITUDE * loudness), MAX_AMPLITUDE)
-        reading[echo + 2] = time_ns // _MS - robot.board[TIMER_ZERO_MS]
+        reading[echo + 2] = time_ns // _MS - robot.board[state.TIMER_ZERO_MS]
 
 
 @compilable
@@ -203,13 +160,13 @@ def _evaluate_infrared(
     """Measure with the infrared sensors in a scene at their moment."""
     time_ns, number = robot.times[INFRARED], robot.times[INFRARED] // SCAN_NS
     scene, sensors, ground, light = simulated.scene, robot.sensors, robot.ground, simulated.light
-    registers, faults, active_mask = robot.registers, robot.faults, robot.board[SETTING + _ACTIVE_INFRARED]
-    for channel in range(N_INFRARED):
-        random = draws(inputs.tables, robot.noise, number * N_INFRARED + channel)
+    registers, faults, active_mask = robot.registers, robot.faults, robot.board[SETTING + Setting.INFRARED]
+    for channel in range(_N_INFRARED):
+        random = draws(inputs.tables, robot.noise, number * _N_INFRARED + channel)
         proximity, ambient = convert_any(scene, sensors, ground, light, powers, time_ns, channel, random)
         if not active_mask >> channel & 1:
             proximity = ambient = 0
         set_reading(registers, _PROXIMITY + channel, faults, channel, proximity, 0)
         set_reading(registers, _AMBIENT + channel, faults, channel, ambient, ground.darkest)
-    robot.board[SCAN_MS] = number * (SCAN_NS // _MS)
+    robot.board[state.SCAN_MS] = number * (SCAN_NS // _MS)
     robot.times[INFRARED] = NONE

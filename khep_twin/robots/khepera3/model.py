@@ -44,8 +44,19 @@ GROUND_HEIGHT = 0.0117
 SERVER = "kh3server"
 """Firmware with a KoreBot on top, which runs K-Team's server on the line."""
 
-SONAR = SonarRing(ULTRASONIC, (90, 46, 0, -46, -90), 0.0595, 0.0425, (NO_ECHO, NO_ECHO, NO_ECHO), lag=0.05)
-"""Headings and height: webots; distance from the axle's middle: its mean, within 3.1 mm."""
+SONAR = SonarRing(
+    ULTRASONIC,
+    headings_deg=(90, 46, 0, -46, -90),
+    radius=0.0,
+    height=0.0425,
+    codes=(NO_ECHO, NO_ECHO, NO_ECHO),
+    lag=0.05,
+    positions=(
+        *((0.0048, 0.0596), (0.0427, 0.0444), (0.0564, 0.0)),
+        *((0.0427, -0.0444), (0.0048, -0.0596)),
+    ),
+)
+"""Places: webots; the age of a distance follows from the period of the bursts."""
 
 _RING = (
     *((-40.4, 49.6), (14.8, 63.0), (48.8, 45.4), (65.6, 15.5), (65.6, -15.5)),
@@ -59,7 +70,7 @@ BODY = Body(
     support_position=0.0449,
     sensor_positions=tuple((x * 1e-3, y * 1e-3) for x, y in _RING),
     sensor_height=0.0237,
-    idle_current=1.35 / 8,
+    idle_current=1.4 / 4,
     height=0.070,
     scene=str(ASSETS / "khepera3.xml"),
     sensors=(*RING, *GROUND),
@@ -72,7 +83,7 @@ BODY = Body(
     sonar=SONAR,
 )
 """Mass and sensors: webots; wheels: manual; wheel base: toolbox; pulses of firmware 3.0: a public program;
-diameter, height, and 1350 mAh that last 8 hours: K-Team's product page (remembered)."""
+1400 mAh that last 4 hours: manual; diameter and height: K-Team's product page (remembered)."""
 
 SAMPLED = consecutive_registers(CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""
@@ -108,7 +119,9 @@ KHEPERA_3 = RobotModel(
     title="Khepera III",
     body=BODY,
     calibration=str(ASSETS / "khepera3.toml"),
-    roms={name: Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)}) for name in ("3.0", SERVER)},
+    roms={
+        name: Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)}) for name in ("3.0", SERVER)
+    },
     channels=parse_channels(CHANNELS),
     bars=bars_of(dark=4000, speed=20_000, largest=COUNTS_LIMIT),
     dialect=Dialect(

@@ -1,6 +1,6 @@
-"""Addresses on the I2C bus, registers of a motor controller, and letters of the dsPIC (library)."""
+"""Addresses on the I2C bus, registers of a motor controller, and settings of the dsPIC (library)."""
 
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 
 DSPIC, MOTORS, CLOCK = 0x31, (0x29, 0x2A), 0x68
 """Addresses of the dsPIC, of the left and right motor controller, and of the real-time clock."""
@@ -14,9 +14,8 @@ class MotorRegister(IntEnum):
 
     VERSION = 0x00  # high nibble version, low nibble revision
     MODE = 0x28
-    SOURCE = 0x29  # of the set point: 0 the bus, 1 analog, 2 to 4 waves
     HARDWARE_OPTIONS = 0x2A
-    SOFTWARE_OPTIONS = 0x2B
+    OPTIONS = 0x2B
     CONTROL = 0x2C
     ERRORS = 0x2D
     STATUS = 0x2E
@@ -30,6 +29,7 @@ class MotorRegister(IntEnum):
     HIGHEST = 0x4E
     ACCELERATION = 0x52
     CURRENT_LIMIT = 0x56  # 2 bytes [mA] (unit assumed)
+    LEAST_SAMPLE_TIME = 0x58
     CURRENT = 0x5A  # 2 bytes [mA] (unit assumed)
     OUTPUT = 0x5C  # 2 bytes, of the controller
     LEAST_SPEED = 0x5E  # 2 bytes, of a profile
@@ -51,7 +51,7 @@ class Mode(IntEnum):
 
 
 class Control(IntEnum):
-    """Control type of a motor in normal mode."""
+    """Control type of a motor in normal mode; the last one, zero friction, is not built into the robot."""
 
     OPEN_LOOP = 0
     POSITION = 1
@@ -59,24 +59,21 @@ class Control(IntEnum):
     SPEED = 3
     SPEED_PROFILE = 4
     CURRENT = 5
-    ZERO_FRICTION = 6  # not built into the robot
 
 
-class Option(IntFlag):
-    """Software options of a motor controller."""
+class Option(IntEnum):
+    """Bits of the software options of a motor controller."""
 
-    DERIVE_MEASURED = 1
     ANTI_WINDUP = 2
     STOP_AT_LOWEST = 4
     STOP_AT_HIGHEST = 8
     ERROR_AT_STOPS = 16
     STOP_WHEN_BLOCKED = 32
-    LIMIT_CURRENT = 64  # not built into the robot
     INVERTED = 128
 
 
-class Status(IntFlag):
-    """Status of a motor controller."""
+class Status(IntEnum):
+    """Bits of the status of a motor controller."""
 
     MOVING = 1
     POSITIVE = 2
@@ -88,30 +85,27 @@ class Status(IntFlag):
     AT_STOP = 128
 
 
-BLOCKED_ERROR, STOP_ERROR = 16, 8
-"""Errors of a blocked motor and of a soft stop; the control is off while there is an error."""
+STOP_ERROR, BLOCKED_ERROR = 8, 16
+"""Errors of a soft stop and of a blocked motor; the control is off while there is an error."""
 
 SINGLE_COUNT = 8
 """Hardware option that counts one edge of the encoder instead of four."""
 
-DEFAULTS = {
-    MotorRegister.VERSION: (0x68, 1),  # 6.8, from which the toolbox writes the gains below
-    MotorRegister.SPEED_GAINS: (620, 2),
-    MotorRegister.SPEED_GAINS + 2: (3, 2),
-    MotorRegister.SPEED_GAINS + 4: (10, 2),
-    MotorRegister.SAMPLE_TIME: (1550, 2),
-    MotorRegister.BLOCKED_TIME: (10, 1),
-    MotorRegister.LOWEST: (-10_000, 4),
-    MotorRegister.HIGHEST: (10_000, 4),
-    MotorRegister.ACCELERATION: (30, 1),
-    MotorRegister.CURRENT_LIMIT: (500, 2),
-    MotorRegister.MARGIN: (6, 1),
-    MotorRegister.POSITION_GAINS: (600, 2),
-    MotorRegister.POSITION_GAINS + 2: (20, 2),
-    MotorRegister.POSITION_GAINS + 4: (30, 2),
-    MotorRegister.TOP_SPEED: (15_000, 2),
-}
-"""Value and size of registers that are not 0 at power-up: those that most programs write (assumed)."""
+DEFAULTS = (
+    (MotorRegister.VERSION, 1, 0x68),  # 6.8, from which the toolbox writes the gains below
+    *((MotorRegister.SPEED_GAINS + 2 * index, 2, gain) for index, gain in enumerate((620, 3, 10))),
+    (MotorRegister.SAMPLE_TIME, 2, 1550),
+    (MotorRegister.BLOCKED_TIME, 1, 10),
+    (MotorRegister.LOWEST, 4, -10_000),
+    (MotorRegister.HIGHEST, 4, 10_000),
+    (MotorRegister.ACCELERATION, 1, 64),
+    (MotorRegister.CURRENT_LIMIT, 2, 500),
+    (MotorRegister.MARGIN, 1, 6),
+    *((MotorRegister.POSITION_GAINS + 2 * index, 2, gain) for index, gain in enumerate((600, 20, 30))),
+    (MotorRegister.TOP_SPEED, 2, 20_000),
+)
+"""Size and value of registers that are not 0 at power-up: acceleration and top speed by the manual, the others
+as most programs write them (assumed)."""
 
 
 class Setting(IntEnum):
@@ -119,12 +113,9 @@ class Setting(IntEnum):
 
     ULTRASONIC = 0  # mask of the active sensors, bit 0 left
     N_ECHOES = 1  # greatest number of echoes
-    N_PULSES = 2  # not modelled
-    UNUSED = 3
     INFRARED = 4  # mask of the active sensors, bit 0 back left
     VEHICLE_GAIN = 5
-    UPPER_BODY = 6  # not modelled
 
 
 SETTINGS = (0b00100, 3, 0, 0, 0xFFFF, 12, 1)
-"""Configuration at power-up (manual)."""
+"""Configuration at power-up (manual); the upper body, the last one, has no effect in the twin."""

@@ -11,6 +11,7 @@ At the end of a control period of 10 ms it updates
 
 import math
 
+from khep_twin.board.memory import write_number
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.core import Core, register
@@ -20,6 +21,7 @@ from khep_twin.robots.khepera4.motor_control import LEFT_PWM, N_MOTOR, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.server import WANDERING, Kh4Server
 from khep_twin.robots.khepera4.state import N_MOMENTS, Khepera4State, make_state
+from khep_twin.sensing.bursts import scan
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
@@ -80,8 +82,8 @@ def _command(robot: Khepera4State, letter: int, left: int, right: int) -> None:
         memory[_CONTROL] = control
         stop(motors, 0)
         stop(motors, N_MOTOR)
-    dspic.write_number(memory, register, size, left)
-    dspic.write_number(memory, register + size, size, right)
+    write_number(memory, register, size, left)
+    write_number(memory, register + size, size, right)
 
 
 @compilable
@@ -159,7 +161,14 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
 
 
 _PARTS = "motor_control", "dspic", "inertial", "gauge", "infrared", "ultrasonic", "measurements", "core"
-_MODULES = "board.kernel", "board.lithium_cells", "sensing.ground", "sensing.sonar"
+_MODULES = (
+    "board.kernel",
+    "board.memory",
+    "board.lithium_cells",
+    "sensing.ground",
+    "sensing.sonar",
+    "sensing.bursts",
+)
 
 CORE = register(
     Core(
@@ -178,7 +187,7 @@ CORE = register(
         tick=_tick,
         start=_start,
         evaluate=measurements.evaluate,
-        scan=measurements.scan,
+        scan=scan,
         interface=KHEPERA_4.interface,
         request_terms=measurements.request_terms,
         update_registers=measurements.update_registers,

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from khep_twin.board.kernel import wrap
+from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
 from khep_twin.robots.khepera4.motor_control import (
     LEFT_PWM,
@@ -124,22 +125,6 @@ def update_registers(dspic: DspicState) -> None:
     for side in range(2):
         write_number(memory, _LEFT_SPEED + 2 * side, 2, motors[side * N_MOTOR + _SPEED])
         write_number(memory, _LEFT_POSITION + 4 * side, 4, motors[side * N_MOTOR + _POSITION])
-
-
-@compilable
-def read_signed(memory: Vector[int], register: int, size: int) -> int:
-    """Return a signed number of `size` bytes."""
-    number = 0
-    for offset in range(size):
-        number |= memory[register + offset] << 8 * offset
-    return number - ((number >> 8 * size - 1) << 8 * size)
-
-
-@compilable
-def write_number(memory: Vector[int], register: int, size: int, number: int) -> None:
-    """Set a number of `size` bytes, truncated as in C."""
-    for offset in range(size):
-        memory[register + offset] = number >> 8 * offset & 0xFF
 
 
 @compilable

@@ -5,8 +5,8 @@ The robot stops at 6.0 V (manual). The charge of a battery without a time of use
 
 from khep_twin.board import lithium_cells
 from khep_twin.board.lithium_cells import cells_voltage
+from khep_twin.board.memory import write_number
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4.dspic import write_number
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import TICK_NS

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4.dspic import read_signed, write_number
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.device_faults import DeviceFaults, sensor_reading

@@ -7,17 +7,19 @@ its readings are read. The functions are `compilable`, see `robots.core`.
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4 import dspic, infrared, ultrasonic
+from khep_twin.robots.khepera4 import infrared, ultrasonic
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC
 from khep_twin.robots.khepera4.inertial import PACKET_SIZE
 from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import LEFT_PWM, RIGHT_PWM
 from khep_twin.robots.khepera4.registers import DspicRegister
-from khep_twin.robots.khepera4.state import BURST, ECHO, INFRARED, NONE, Khepera4State
+from khep_twin.robots.khepera4.state import Khepera4State
 from khep_twin.sensing import sonar
+from khep_twin.sensing.bursts import ECHO, INFRARED, NONE, record_scan, start_burst
 from khep_twin.sensing.device_faults import set_reading
-from khep_twin.sensing.scene import BeamScene, copy_moment, save_moment, update_frames
+from khep_twin.sensing.scene import BeamScene, update_frames
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 
 WORDS = (
@@ -59,33 +61,15 @@ def sense(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, start:
 @compilable
 def record(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
     """Record the moments that are due at a time [ns]."""
-    scene, times, first = simulated.scene, robot.times, robot.first_moment
-    powers = inputs.powers[powers_row(simulated, inputs)]
-    save_moment(scene, first + INFRARED, powers)
-    times[INFRARED] = time_ns
+    record_scan(robot, simulated, inputs, time_ns)
     if time_ns % ultrasonic.PERIOD_NS:
         return
     last = robot.burst[0]
     if robot.is_eager[0] and last != NONE:
         _set_distance(robot, last, robot.burst_distance[0])
-    elif last != NONE:
-        copy_moment(scene, first + BURST, first + ECHO + last)
-        times[ECHO + last] = times[BURST]
-    robot.burst[0] = _next_sensor(last, robot.dspic.memory[_ENABLED])
-    if robot.burst[0] == NONE:
-        return
-    if robot.is_eager[0]:
-        update_frames(scene)
-        robot.burst_distance[0] = _measure_distance(robot, scene, inputs, robot.burst[0], time_ns)
-    else:
-        save_moment(scene, first + BURST, powers)
-    times[BURST] = time_ns
-
-
-def scan(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> None:
-    """Measure with all infrared sensors now."""
-    save_moment(simulated.scene, robot.first_moment + INFRARED, inputs.powers[0])
-    robot.times[INFRARED] = simulated.counters[STEPS] * simulated.timing.step_ns
+    if start_burst(robot, simulated, inputs, time_ns, robot.dspic.memory[_ENABLED]):
+        sensor, scene = robot.burst[0], simulated.scene
+        robot.burst_distance[0] = _measure_distance(robot, scene, inputs, sensor, time_ns)
 
 
 @compilable
@@ -108,7 +92,7 @@ def update_registers(robot: Khepera4State, simulated: Simulated, inputs: StepInp
     for sensor in range(N_ULTRASONIC):
         is_enabled = robot.dspic.memory[_ENABLED] >> sensor & 1 and robot.is_eager[0]
         distance = robot.distances[sensor] if is_enabled else ultrasonic.DISABLED
-        dspic.write_number(robot.dspic.memory, _ULTRASONIC_WORDS + 2 * sensor, 2, distance)
+        write_number(robot.dspic.memory, _ULTRASONIC_WORDS + 2 * sensor, 2, distance)
     fill_registers(robot)
 
 
@@ -118,7 +102,7 @@ def fill_registers(robot: Khepera4State) -> None:
     index, registers, memory = 0, robot.registers, robot.dspic.memory
     for first, size, is_signed, stride, count in WORDS:
         for number in range(count):
-            value = dspic.read_signed(memory, first + number * stride, size)
+            value = read_signed(memory, first + number * stride, size)
             registers[index] = value if is_signed or value >= 0 else value + (1 << 8 * size)
             index += 1
     registers[_DUTY] = robot.dspic.motors[LEFT_PWM]
@@ -128,16 +112,6 @@ def fill_registers(robot: Khepera4State) -> None:
 def request_terms(state: Any, names: Collection[str]) -> None:
     """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
     state["is_eager"] = "ultrasonic" in names
-
-
-@compilable
-def _next_sensor(last: int, enabled_mask: int) -> int:
-    """Return the enabled ultrasonic sensor after the last one, or NONE."""
-    for offset in range(1, N_ULTRASONIC + 1):
-        sensor = (last + offset) % N_ULTRASONIC
-        if enabled_mask >> sensor & 1:
-            return sensor
-    return NONE
 
 
 @compilable

@@ -4,10 +4,6 @@ The stepping core runs it (`khepera4.core`). Its measurements are evaluated when
 log reads them.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
-from khep_twin import step
 from khep_twin.robots.khepera4 import gauge, ultrasonic
 from khep_twin.robots.khepera4.channels import PACKET_SIZE, ULTRASONIC_CODES
 from khep_twin.robots.khepera4.core import wheel_pulses
@@ -18,11 +14,13 @@ from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
-from khep_twin.robots.khepera4.state import BURST, ECHO, INFRARED, NONE, Khepera4State
-from khep_twin.robots.robot import Robot, RobotSetup
+from khep_twin.robots.khepera4.state import Khepera4State
+from khep_twin.robots.measuring_robot import MeasuringRobot
+from khep_twin.robots.robot import RobotSetup
+from khep_twin.sensing.bursts import ECHO, INFRARED, NONE
 from khep_twin.simulation.number_reader import LARGEST
-from khep_twin.simulation.robot_arrays import Layout, Part, read
-from khep_twin.simulation.world_state import POSITIONS, RobotSnapshot
+from khep_twin.simulation.robot_arrays import Layout, Part
+from khep_twin.simulation.world_state import RobotSnapshot
 
 _MOTOR = (
     Part("motor's position", 1, -(2**31), 2**31 - 1),
@@ -64,10 +62,8 @@ LAYOUT = Layout(
 )
 """State of the robot in snapshots, besides the positions at the last burst."""
 
-_BATTERY_EMPTY = "the battery is empty: the robot stands still"
 
-
-class Khepera4Robot(Robot):
+class Khepera4Robot(MeasuringRobot):
     """A Khepera IV of a world.
 
     Args:
@@ -83,59 +79,22 @@ class Khepera4Robot(Robot):
     layout = LAYOUT
 
     def __init__(self, setup: RobotSetup) -> None:
-        self._state: Khepera4State = setup.context.simulation.robots.state_of(setup.index)
-        self.dspic = Dspic(self._state.dspic)
-        firmware = Kh4Server(self.dspic, self._state.vehicle)
-        super().__init__(setup, firmware)
+        state: Khepera4State = setup.context.simulation.robots.state_of(setup.index)
+        self.dspic = Dspic(state.dspic)
+        super().__init__(setup, Kh4Server(self.dspic, state.vehicle), fill_registers, ultrasonic.PERIOD_NS)
         self.dspic.before_read = self._evaluate_pending
-        self.registers = self._record["registers"]
-        setup.context.observers.evaluations.append(self.refresh)
 
-    def act_after(self, reason: int) -> None:
-        """Update faults before a control period, and act after it if the stepping core has asked for it."""
-        super().act_after(reason)
-        if reason == step.Reason.TICKED and self.dspic.is_powered:
-            self.firmware.tick()
-        elif reason == step.Reason.TICKED and not self._has_stopped:
-            self._has_stopped = True
-            self.stop_processor()
-            self._context.observers.on_event(self.index, _BATTERY_EMPTY)
-
-    def readings(self) -> dict[str, list[int]]:
-        """Return the present values of its channels, by name."""
-        self.refresh()
-        return super().readings()
-
-    def refresh(self) -> None:
-        """Update `registers` to the present."""
-        self._evaluate_all()
-        fill_registers(self._state)
-
-    def state(self, since_ns: int = -1) -> RobotSnapshot:
-        """Return the state, with the replies that reach the host after a time [ns]."""
-        self._evaluate_all()
-        snapshot, positions = super().state(since_ns), b""
-        if self._state.burst[0] != NONE:
-            positions = self._burst_positions.tobytes()
-        return snapshot._replace(arrays={**snapshot.arrays, POSITIONS: positions})
+    @property
+    def is_powered(self) -> bool:
+        """True if the supply suffices."""
+        return self.dspic.is_powered
 
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""
-        arrays, time_ns = dict(state.arrays), self._context.time_ns
-        positions = arrays.pop(POSITIONS, b"")
-        super().set_state(state._replace(arrays=arrays))
-        if (count := self._state.inertial.n_rates[0]) > (expected := time_ns // GYROSCOPE_NS):
+        super().set_state(state)
+        expected = self._context.time_ns // GYROSCOPE_NS
+        if (count := self._state.inertial.n_rates[0]) > expected:
             raise ValueError(f"inertial.n_rates = {count}; expected at most {expected}")
-        if (powered := int(self.dspic.is_powered)) == state.is_stopped:
-            raise ValueError(f"dspic.powered = {powered}; expected {1 - powered}")
-        for moment in range(len(self._state.times)):
-            self._state.times[moment] = NONE
-        has_burst = self._state.burst[0] != NONE
-        part = Part("joint's position", len(self._context.data.qpos) if has_burst else 0)
-        numbers = read(POSITIONS, positions, [part], is_float=True)
-        if has_burst:
-            self._burst_positions[:] = numbers
-            self._state.times[BURST] = time_ns // ultrasonic.PERIOD_NS * ultrasonic.PERIOD_NS
 
     @property
     def lit_leds(self) -> list[int]:
@@ -151,25 +110,16 @@ class Khepera4Robot(Robot):
         self._record["zeros"] = [wheel_pulses(self._context.data.qpos[i]) for i in self.indices.wheel_qpos]
         self._record["dspic"]["counts"] = 0
 
-    @property
-    def _burst_positions(self) -> NDArray[np.float64]:
-        """Positions of all joints at the last burst."""
-        row = self._context.moments.rows[self._state.first_moment + BURST]
-        return row[: len(self._context.data.qpos)]
-
-    def _evaluate_all(self) -> None:
+    def evaluate_all(self) -> None:
         """Evaluate all pending measurements."""
         self._evaluate_pending(0, DspicRegister.BATTERY)
 
     def _evaluate_pending(self, first: int, end: int) -> None:
         """Evaluate pending measurements of the registers from `first` to before `end`."""
-        times = self._state.times
-        if times[INFRARED] != NONE and end > DspicRegister.AMBIENT and first < DspicRegister.ULTRASONIC:
+        if end > DspicRegister.AMBIENT and first < DspicRegister.ULTRASONIC:
             self._evaluate(INFRARED)
         if end > DspicRegister.ULTRASONIC and first < DspicRegister.ULTRASONIC_ENABLED:
-            for moment in range(ECHO, ECHO + N_ULTRASONIC):
-                if times[moment] != NONE:
-                    self._evaluate(moment)
+            self._evaluate(*range(ECHO, ECHO + N_ULTRASONIC))
             enabled_mask = self.dspic.ultrasonic_enabled
             distances = self._state.distances
             readings = [
@@ -177,8 +127,3 @@ class Khepera4Robot(Robot):
                 for channel in range(N_ULTRASONIC)
             ]
             self.dspic.set_words(DspicRegister.ULTRASONIC, readings)
-
-    def _evaluate(self, moment: int) -> None:
-        """Evaluate a moment of the robot."""
-        context, number = self._context, self._state.first_moment + moment
-        context.simulation.evaluate(self.index, moment, number, context.moments)

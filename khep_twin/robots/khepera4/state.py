@@ -13,6 +13,7 @@ from khep_twin.robots.khepera4.inertial import InertialState
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.server import N_VEHICLE
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.bursts import ECHO, NONE
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.device_faults import DeviceFaults
 from khep_twin.sensing.ground import Ground
@@ -22,13 +23,7 @@ from khep_twin.sensing.scene import Beams
 from khep_twin.sensing.sonar import Sonar
 from khep_twin.sensors import core_fields
 
-INFRARED, BURST, ECHO = 0, 1, 2
-"""Moments of a robot: of its infrared sensors, of the last burst, and of the last complete burst of each
-ultrasonic sensor, from ECHO on."""
 N_MOMENTS = ECHO + N_ULTRASONIC
-
-NONE = -1
-"""No time of a moment; no ultrasonic sensor."""
 
 
 class Khepera4State(NamedTuple):
