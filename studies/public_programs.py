@@ -1,10 +1,11 @@
-"""Public programs for the Khepera IV: `python -m studies khepera4-programs FOLDER`.
+"""Public programs for a robot's computer: `python -m studies public-programs FOLDER`.
 
 FOLDER has a folder for each program with its executable `prog`, compiled for this computer with the options
 that `khep-twin exec --cflags` prints, and, where they are needed, a file `arguments` and a file `typed` with
-the input typed at its start. Each runs for 600 simulated seconds at a terminal, in a temporary folder, seeded
-with its index in the list. A row of the table has its end, the robot's path length, the largest reading of
-the sensors around it, the size of the program's output, and the speed.
+the input typed at its start. Each runs on the first robot with a computer of the playpen, for 600 simulated
+seconds at a terminal, in a temporary folder, seeded with its index in the list. A row of the table has its
+end, the robot's path length, the largest reading of the sensors around it, the size of the program's output,
+and the speed.
 """
 
 import math
@@ -19,7 +20,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 
 from khep_twin.programs.computer import Machine
 from khep_twin.programs.robot_program import RobotProgram, run_programs
-from khep_twin.robots.khepera4.robot import Khepera4Robot
+from khep_twin.robots.robot import Robot
 from khep_twin.world import World
 from tools.command_table import command_line
 
@@ -35,9 +36,10 @@ class TrackedTime:
         nearest: Largest reading of the infrared sensors around it.
     """
 
-    def __init__(self, world: World, robot: Khepera4Robot) -> None:
+    def __init__(self, world: World, robot: Robot) -> None:
         self._world, self._robot = world, robot
         self._last_pose, self.path_m, self.nearest = robot.pose, 0.0, 0
+        self._n_around = len(robot.robot_model.body.sensor_positions)
 
     @property
     def time_ns(self) -> int:
@@ -51,16 +53,15 @@ class TrackedTime:
             now = self._robot.pose
             self.path_m += math.dist(now[:2], self._last_pose[:2])
             self._last_pose = now
-            near = max(self._robot.readings()["proximity"][:8])
+            near = max(self._robot.readings()["proximity"][: self._n_around])
             self.nearest = max(self.nearest, near)
         self._world.advance_to(time_ns)
 
 
-def run(folder: Path, seconds: float, seed: int, playpen: str = "arena4") -> str:
+def run(folder: Path, seconds: float, seed: int, playpen: str) -> str:
     """Run a program in this process, whose standard streams it replaces; return the row of the table."""
     world = World(playpen, seed=seed)
-    robot = world.robots[0]
-    assert isinstance(robot, Khepera4Robot)
+    robot = next(robot for robot in world.robots if "computer" in robot.robot_model.parts)
     clock, start_s = TrackedTime(world, robot), time.monotonic()
     leader, follower = pty.openpty()
     arguments, typed = folder / "arguments", folder / "typed"
@@ -90,21 +91,24 @@ def main() -> None:
     """Run all programs of a folder, each in a separate process."""
     parser = command_line(__doc__)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--playpen", default="arena4")
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--programs", nargs="*", metavar="NAME", help="only these")
     parser.add_argument("--here", metavar="NAME", help="this one, in this process")
     options = parser.parse_args()
     names = sorted(program.parent.name for program in options.folder.glob("*/prog"))
     if options.here:
-        folder = (options.folder / options.here).resolve()
+        folder, playpen = (options.folder / options.here).resolve(), options.playpen
+        if Path(playpen).is_file():
+            playpen = str(Path(playpen).resolve())
         with TemporaryDirectory() as scratch:  # Programs write files into their working folder.
             os.chdir(scratch)
-            print(run(folder, options.seconds, names.index(options.here)), flush=True)
+            print(run(folder, options.seconds, names.index(options.here), playpen), flush=True)
             os.chdir("/")
         return
     print("| program | end | s | m | pose | nearest | kB | x real time |\n|---|---|---|---|---|---|---|---|")
     for name in options.programs or names:
-        command = [sys.executable, "-m", "studies", "khepera4-programs", str(options.folder)]
-        command += ["--seconds", str(options.seconds), "--here", name]
+        command = [sys.executable, "-m", "studies", "public-programs", str(options.folder)]
+        command += ["--seconds", str(options.seconds), "--playpen", options.playpen, "--here", name]
         process = subprocess.run(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
         print(process.stdout.strip() or f"| {name} | failed: {process.returncode} |", flush=True)

@@ -44,6 +44,7 @@ PAGES = {
     "fit": "senses.md#calibrating-your-robot",
     "calibrate": "senses.md#calibrating-your-robot",
     "compile": "scale.md#compilation",
+    "exec": "khepera4.md#run-a-program-of-the-robot",
     "conform": "protocol.md#checking-a-robot-an-emulator-or-a-recording",
     "playpen": "playpens.md",
     "challenge": "challenges.md",

@@ -144,19 +144,18 @@ def _assign_robots(twin: "Twin", first: int, commands: list[list[str]]) -> list[
     from khep_twin.programs.robot_program import RobotProgram
 
     robots = twin.world.robots
-    targets = [robot for robot in robots if "computer" in robot.robot_model.parts]
-    listing = ", ".join(f"{robot.index} ({robot.robot_model.title})" for robot in targets)
-    if not targets:
+    indices = [robot.index for robot in robots if "computer" in robot.robot_model.parts]
+    listing = ", ".join(f"{index} ({robots[index].robot_model.title})" for index in indices)
+    if not indices:
         models = [repr(name) for name, model in installed_models().items() if "computer" in model.parts]
         listing = f"a playpen with model = {' or '.join(models)}"
-    if first not in [robot.index for robot in targets]:
+    if first not in indices:
         title = robots[first].robot_model.title if first in range(len(robots)) else "no robot"
         place = f"--robot {first}: {title} in {twin.world.playpen.name}"
         raise usage(f"{place}; expected one with a computer: {listing}")
-    targets = [robot for robot in targets if robot.index >= first]
+    targets = [robots[index] for index in indices if index >= first]
     if len(commands) > len(targets):
-        count = f"{len(commands)} programs; expected up to {len(targets)}"
-        raise usage(f"{count}, from robot {first} on: {listing}")
+        raise usage(f"{len(commands)} programs; expected up to {len(targets)} from robot {first}: {listing}")
     return [
         RobotProgram(command, Machine(robot, twin.world), robot.index + 1)
         for command, robot in zip(commands, targets, strict=False)

@@ -1,16 +1,6 @@
 """The computer of a robot, as its programs see it: device nodes, buses, pins, files, memory and time.
 
-The part `computer` of `RobotModel.parts` is a `Computer`. That of a robot with a sensor on its only bus:
-
-    COMPUTER = Computer(
-        nodes={"/dev/i2c-0": i2c_bus(0), "/dev/i2c/0": i2c_bus(0), "/dev/pwm*": PWM},
-        connect=lambda robot: Devices({(0, 0x31): Sensor(robot)}),  # a `Slave` at an address of bus 0
-        files=lambda number: {"/etc/robot/number": str(number)},
-        byte_ns=90_000,
-        memory={0x40E00004: 1 << 8},
-    )
-
-`Machine(robot, world)` is the computer of a robot of a world, for `robot_program.run_programs`.
+`Computer` describes that of a model (`RobotModel.parts`, docs/robots.md); `Machine` is that of a robot.
 """
 
 import errno
@@ -23,11 +13,8 @@ from khep_twin.world import World
 PINS, PWM = 2 << 16, 3 << 16
 """Nodes of pins (`assets/include/user-gpio-drv.h` has their requests), and of PWM, which take any request."""
 
-MEMORY_NODE = "/dev/mem"
-"""Path of the memory."""
-
-READ_FLAG = 1
-"""Flag of a read message."""
+MEMORY_NODE, READ_FLAG = "/dev/mem", 1
+"""Path of the memory; flag of a read message."""
 
 
 def i2c_bus(number: int = 0, sends_empty: bool = False) -> int:
@@ -115,10 +102,8 @@ class Machine:
     def transfer(self, bus: int, messages: Sequence[tuple[int, int, bytes]], byte_ns: int) -> bytes:
         """Run messages on a bus; return the content of the read messages.
 
-        Args:
-            bus: Number of the bus.
-            messages: Address, flags and content of each; of a read message only the length counts.
-            byte_ns: Simulated time of a byte [ns].
+        A message has address, flags and content; of a read message only the length counts. A byte takes
+        `byte_ns` [ns].
 
         Raises:
             OSError: No device has the address.

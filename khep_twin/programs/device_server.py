@@ -5,8 +5,7 @@ device calls and waits of the program to this server, on a connection for each t
 32-bit numbers (kind, number, length) and its content. A reply is a result (minus an error number after a
 failure), a length, a 64-bit value and its content. All are little-endian:
 
-    1 TRANSFER   number of I2C messages, and of the bus in bits 16 and up; each address, flags (bit 0: read)
-                 and length, 16 bits, then content
+    1 TRANSFER   bus << 16 | number of messages; each address, flags (bit 0: read), length, 16 bits, content
     2 GPIO_SET   pin; its value, 32 bits
     3 GPIO_GET   pin; the value is its level
     4 NOW        the value is the simulated time [ns]

@@ -89,9 +89,9 @@ def run_programs(
         machines = [program.machine for program in programs]
         offset_ns = machines[0].time_ns - time.monotonic_ns()
         clock = None if simulated else lambda: time.monotonic_ns() + offset_ns
-        started_programs: list[StartedPrograms] = []
+        starts: list[StartedPrograms] = []
         server = DeviceServer(
-            machines, paths, clock, on_wall_clock, lambda robot, *start: started_programs[robot].check(*start)
+            machines, paths, clock, on_wall_clock, lambda i, process, path: starts[i].check(process, path)
         )
         stack.enter_context(contextlib.closing(server))
         if simulated:
@@ -111,7 +111,7 @@ def run_programs(
             }
             if executable is not None:
                 check_preload(program.arguments[0], executable.loader, link, environment)
-            started_programs.append(StartedPrograms(executable, link, environment))
+            starts.append(StartedPrograms(executable, link, environment))
             try:
                 processes.append(subprocess.Popen([*program.arguments], env=environment))
             except OSError as error:

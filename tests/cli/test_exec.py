@@ -76,7 +76,7 @@ def test_two_programs_share_a_playpen_and_the_end_of_their_time(
             "robot 2: Khepera in arena4-two; expected one with a computer: 0 (Khepera IV), 1 (Khepera IV)",
         ),
         (("--robot", "-1"), "robot -1: no robot in arena4; expected one with a computer: 0 (Khepera IV)"),
-        (("--also", "true"), "2 programs; expected up to 1, from robot 0 on: 0 (Khepera IV)"),
+        (("--also", "true"), "2 programs; expected up to 1 from robot 0: 0 (Khepera IV)"),
         (("--also", "'true"), "expected a program and its arguments"),
     ],
 )

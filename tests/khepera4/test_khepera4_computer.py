@@ -9,7 +9,7 @@ from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import ADDRESS, DspicRegister
 
 
-class Clock:
+class PlainClock:
     """A clock without a world."""
 
     time_ns = 0
@@ -19,7 +19,7 @@ class Clock:
         self.time_ns = time_ns
 
 
-class Robot:
+class DspicRobot:
     """The part of a robot that is on the bus."""
 
     robot_model = KHEPERA_4
@@ -28,19 +28,19 @@ class Robot:
         self.dspic = Dspic()
 
 
-def machine_of(robot: Robot) -> Machine:
-    return Machine(robot, Clock())  # type: ignore[arg-type]
+def machine_of(robot: DspicRobot) -> Machine:
+    return Machine(robot, PlainClock())  # type: ignore[arg-type]
 
 
 def test_a_read_begins_at_the_register_of_the_last_write_of_any_program() -> None:
-    machine, gains = machine_of(Robot()), bytes([1, 2, 3])
+    machine, gains = machine_of(DspicRobot()), bytes([1, 2, 3])
     machine.transfer(0, [(ADDRESS, 0, bytes([DspicRegister.KP]) + gains)], 0)
     assert machine.transfer(0, [(ADDRESS, READ_FLAG, bytes(3))], 0) == gains
     assert machine.transfer(0, [(ADDRESS, 0, b""), (ADDRESS, READ_FLAG, bytes(1))], 0) == gains[:1]
 
 
 def test_the_reset_pin_resets_and_holds_the_dspic_at_0_only() -> None:
-    robot = Robot()
+    robot = DspicRobot()
     machine = machine_of(robot)
     assert (machine.pin(CHARGER_PIN), machine.pin(RESET_PIN), machine.pin(3)) == (1, 1, 0)
     robot.dspic.write(bytes([DspicRegister.KP, 99]))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from test_compiled_programs import pytestmark
-from test_machine import Chip, Clock, Robot
+from test_machine import BareRobot, Chip, Clock
 
 from khep_twin.programs.computer import PWM, Computer, Devices, Machine, i2c_bus
 from khep_twin.programs.robot_program import RobotProgram, run_programs
@@ -23,7 +23,7 @@ COMPUTER = Computer(
 
 
 def machine_of(chips: dict[tuple[int, int], Chip], clock: Clock) -> Machine:
-    return Machine(Robot(Devices(chips), COMPUTER), clock)  # type: ignore[arg-type]
+    return Machine(BareRobot(Devices(chips), COMPUTER), clock)  # type: ignore[arg-type]
 
 
 def test_a_program_finds_the_buses_memory_and_files_of_its_model(

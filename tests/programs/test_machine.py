@@ -44,7 +44,7 @@ MESSAGES = st.lists(
 )
 
 
-class Robot:
+class BareRobot:
     """A robot with these devices alone, which is its model, too."""
 
     def __init__(self, devices: Devices, computer: Computer = COMPUTER) -> None:
@@ -56,7 +56,7 @@ class Robot:
 
 
 def machine_of(chip: Chip, clock: Clock) -> Machine:
-    return Machine(Robot(Devices({(BUS, ADDRESS): chip})), clock)  # type: ignore[arg-type]
+    return Machine(BareRobot(Devices({(BUS, ADDRESS): chip})), clock)  # type: ignore[arg-type]
 
 
 @given(messages=MESSAGES, byte_ns=st.sampled_from((BYTE_NS, 1, 90_000)))
@@ -84,7 +84,7 @@ def test_a_message_without_an_answer_takes_no_time(fault: str) -> None:
 def test_slaves_of_the_same_address_on_two_buses_are_two() -> None:
     chips = [Chip(), Chip()]
     devices = Devices({(bus, ADDRESS): chip for bus, chip in enumerate(chips)})
-    machine = Machine(Robot(devices), Clock())  # type: ignore[arg-type]
+    machine = Machine(BareRobot(devices), Clock())  # type: ignore[arg-type]
     for bus, chip in enumerate(chips):
         machine.transfer(bus, [(ADDRESS, 0, bytes([bus + 7]))], 0)
         assert chip.content == machine.transfer(bus, [(ADDRESS, READ_FLAG, b"\0")], 0) == bytes([bus + 7])
@@ -93,7 +93,7 @@ def test_slaves_of_the_same_address_on_two_buses_are_two() -> None:
 def test_pins_keep_their_levels_and_the_devices_see_each_new_one() -> None:
     calls: list[tuple[int, int]] = []
     devices = Devices({}, {65: 1}, lambda pin, level: calls.append((pin, level)))
-    machine = Machine(Robot(devices), Clock())  # type: ignore[arg-type]
+    machine = Machine(BareRobot(devices), Clock())  # type: ignore[arg-type]
     assert (machine.pin(65), machine.pin(3)) == (1, 0)
     machine.set_pin(3, 5)
     machine.set_pin(65, 0)

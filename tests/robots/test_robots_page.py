@@ -1,7 +1,10 @@
 """docs/robots.md: its files are those of the Toy, and its commands work where the Toy is installed."""
 
+import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 from command_line import good
 from docs_reader import BLOCK, ROOT, commands
@@ -32,3 +35,11 @@ def test_the_commands_of_the_page_work(installed_toy: Path, tmp_path: Path) -> N
     outputs = {line: good(*line.split()[1:], folder=tmp_path) for line in lines}
     assert len(outputs) == 7
     assert "2 passed, 0 failed" in outputs["khep-twin conform khep://toys.toml --model toy --move"]
+
+
+def test_the_computer_of_the_page_has_its_compass() -> None:
+    names: dict[str, Any] = {}
+    exec(next(text for _, _, text in BLOCK.findall(PAGE) if "COMPUTER = " in text), names)
+    assert names["COMPUTER"].files(3) == {"/etc/toy/number": "3\n"}
+    devices = names["COMPUTER"].connect(SimpleNamespace(pose=(0.0, 0.0, -math.pi / 2)))
+    assert devices.slaves[0, 0x31].read(2) == (270).to_bytes(2, "little")

@@ -31,7 +31,6 @@ enum kind { I2C = 1, GPIO, PWM };
 #define SENDS_EMPTY(node) ((node) >> 15 & 1)
 #define BUS(node) ((node) >> 8 & 0x7F)
 #define SLAVE(node) ((node) & 0x7F)
-
 enum request { TRANSFER = 1, GPIO_SET, GPIO_GET, NOW, SLEEP, HELLO, CANCEL, WAKE, EXEC };
 enum sleep { RELATIVE, ABSOLUTE, EXTERNAL };
 enum variable { PRELOAD, SOCKET, CLOCK, PATHS, FILES };

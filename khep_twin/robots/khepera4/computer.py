@@ -71,5 +71,5 @@ def bus_source(registers: Sequence[int]) -> str:
         else:
             reads.append([place, 1])
     table = ", ".join(f"{place}, {count}" for place, count in reads)
-    source = (Path(__file__).parent / "assets" / "bus.c").read_text()
+    source = Path(__file__).with_name("assets").joinpath("bus.c").read_text()
     return f"static unsigned char READS[] = {{{table}}};\n{source}"
