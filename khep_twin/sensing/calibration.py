@@ -17,6 +17,7 @@ from khep_twin.errors import CalibrationError, Problem
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable
 from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import installed_models
 from khep_twin.units import (
     COUNTS_LIMIT,
     MOTOR_FRICTION_TORQUE,
@@ -353,10 +354,14 @@ def names() -> list[str]:
 def read(name: str) -> tuple[Calibration, str]:
     """Return a calibration by bare name or path, and the text of its file.
 
+    Bare names are those of `names`, and of the usual calibrations of installed models.
+
     Raises:
         CalibrationError: The file is missing or unusable; one line per problem.
     """
-    text, source = toml_files.read("calibration", name, CalibrationError)
+    usual = {model.calibration_name: model.calibration for model in installed_models().values()}
+    path = name if name in names() else usual.get(name, name)
+    text, source = toml_files.read("calibration", path, CalibrationError)
     return toml_files.validate(Calibration, text, source, CalibrationError), text
 
 
