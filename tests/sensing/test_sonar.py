@@ -10,12 +10,12 @@ from khep_twin.playpen.parts import Block
 from khep_twin.robots.body import SonarRing
 from khep_twin.sensing.noise import plain_tables
 from khep_twin.sensing.scene import Beams
-from khep_twin.sensing.sonar import Sonar, cast, measure, next_echo, reading_of
+from khep_twin.sensing.sonar import Sonar, cast, next_echo, reading_of
 from khep_twin.world import World
 
 RING = SonarRing(("left", "front"), (90, 0), 0.0, 0.04, (0, 999), positions=((0.0048, 0.0596), (0.0564, 0.0)))
 LEFT, FRONT = 0, 1
-SONAR = Sonar.of(RING, reach=4.0, nearest=0.2, exponent=3.47, noise_cm=0.4, half_deg=36)
+SONAR = Sonar.of(RING, reach=4.0, nearest=0.2, exponent=3.47, noise_cm=0.4)
 SILENT = plain_tables(0.0)
 
 
@@ -59,15 +59,11 @@ def test_all_rays_of_a_wall_are_one_echo() -> None:
 
 def test_sensors_measure_from_their_places_and_by_their_range() -> None:
     simulated = blocks()
-    robot, beams = simulated.groups[0][0], Beams.of(len(SONAR.gains))
-    readings = [
-        measure(simulated.scene, robot.sensors, robot.pose, SONAR, beams, SILENT, robot.noise, 0, sensor)
-        for sensor in (LEFT, FRONT)
-    ]
+    distances = [echoes(simulated, sensor)[0][0] for sensor in (LEFT, FRONT)]
+    key: Any = simulated.groups[0][0].noise
     # The walls of the arena are 1 m to the left and 1.5 m ahead of the centre.
-    assert readings == [94, 144]
-    near, far = 0.19, 4.01
-    assert [reading_of(SONAR, distance, SILENT, robot.noise, 0) for distance in (near, far)] == [0, 999]
+    readings = [reading_of(SONAR, distance, SILENT, key, 0) for distance in (*distances, 0.19, 4.01)]
+    assert readings == [94, 144, 0, 999]
 
 
 def test_places_without_positions_lie_on_a_circle() -> None:
