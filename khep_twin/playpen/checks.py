@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from itertools import chain, islice
+from pathlib import Path
 from typing import TypeVar, cast
 
 from khep_twin.board.turrets import find_turrets
@@ -127,7 +128,9 @@ def complete_robots(data: dict[str, object]) -> dict[str, object]:
         if not robot_spots and _read_array(robot, "spots"):
             # Unknown names are reported later.
             defaults |= {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}
-        robots.append({**defaults, **robot})
+        usual = Path(str(defaults.get("calibration", ""))).stem
+        stated = {key: value for key, value in robot.items() if (key, value) != ("calibration", usual)}
+        robots.append({**defaults, **stated})
     return {**data, "robot": tuple(robots)} if robots else data
 
 

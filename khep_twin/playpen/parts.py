@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_serializer
 
 from khep_twin.board.rom import Rom
 from khep_twin.board.turrets import installed_turrets
@@ -330,7 +330,8 @@ class RobotEntry(_PlacedTable):
 
     Attributes:
         model: Model; it determines the defaults of calibration and rom.
-        calibration: Calibration of its sensors: a name in assets/calibration, or the path of a file.
+        calibration: Calibration of its sensors: a name in assets/calibration, that of its model's usual one,
+            or the path of a file.
         mode: Running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
             demonstration in which the robot drives, 7 for the self-test, and 8 and 9 with rom khepera2 for
             57600 and 115200 baud.
@@ -353,6 +354,12 @@ class RobotEntry(_PlacedTable):
     rom: Annotated[str, OneOf(installed_roms)] = "5.02"
     turrets: Annotated[tuple[str, ...], Field(max_length=32, description='names, such as ["gripper"]')] = ()
     battery_used_min: Annotated[float | None, Field(ge=0, le=1000)] = None
+
+    @field_serializer("calibration")
+    def _name_calibration(self, calibration: str) -> str:
+        """Return the bare name of the model's usual calibration, whose path differs by machine."""
+        model = self.robot_model
+        return model.calibration_name if calibration == model.calibration else calibration
 
     @property
     def robot_model(self) -> RobotModel:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib.metadata import EntryPoint
 from itertools import accumulate, pairwise
+from pathlib import Path
 from typing import NamedTuple, TypeVar, cast
 
 from khep_twin.board.rom import Rom
@@ -204,7 +205,7 @@ class RobotModel:
         family: Name of the models with the same protocol, sensors and channels.
         title: Name for readers, e.g. "Khepera IV".
         body: Body.
-        calibration: Usual calibration: a shipped name, or the path of a file.
+        calibration: Usual calibration: a shipped name, or the path of a file, whose stem is its bare name.
         roms: Versions of its firmware by name, the default first.
         channels: Columns of its channels in a log, by the name of the channel, in the order of a table.
         bars: Bars of its panel: proximity [counts], light [counts] and speed [register].
@@ -243,6 +244,11 @@ class RobotModel:
     vehicle: Callable[[Sequence[int]], tuple[int, int]] | None = None
     template: str = ""
     bench: Bench | None = None
+
+    @property
+    def calibration_name(self) -> str:
+        """Bare name of its usual calibration."""
+        return Path(self.calibration).stem
 
     def load(self, part: str, kind: type[Base]) -> Base:
         """Return a part that is an instance of `kind`.

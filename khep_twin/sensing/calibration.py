@@ -17,6 +17,7 @@ from khep_twin.errors import CalibrationError, Problem
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable
 from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import installed_models
 from khep_twin.units import (
     COUNTS_LIMIT,
     MOTOR_FRICTION_TORQUE,
@@ -197,23 +198,16 @@ class Calibration(TomlTable):
     ground: GroundCalibration | None = None
 
     @model_validator(mode="after")
-    def _check_ranges(self) -> Self:
-        """Check that counts are in the range of the converter."""
-        problems: list[Problem] = []
-        for table in ("proximity", "ambient", "ground"):
-            for key, value in cast(Iterable[tuple[str, object]], getattr(self, table) or ()):
-                if key.endswith("_counts") and key != "quantum_counts":
-                    problems += _out_of_range(self.largest_count, table, key, value)
-        if self.largest_count > COUNTS_LIMIT and "limit_counts" not in self.proximity.model_fields_set:
-            text = "proximity: limit_counts is missing"
-            problems.append(Problem.of(("proximity", "limit_counts"), text, f"at most {self.largest_count}"))
-        if problems:
-            raise Problems(problems)
-        return self
-
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
-        """Check that floors are below, and other levels at most at, their upper limits."""
+    def _check_counts(self) -> Self:
+        """Check that counts are in range, floors below, and other levels at most at, their upper limits."""
+        if misfits := [
+            problem
+            for table in ("proximity", "ambient", "ground")
+            for key, value in cast(Iterable[tuple[str, object]], getattr(self, table) or ())
+            if key.endswith("_counts") and key != "quantum_counts"
+            for problem in _out_of_range(self.largest_count, table, key, value)
+        ]:
+            raise Problems(misfits)
         ambient, proximity = self.ambient, self.proximity
         levels = (
             ("ambient", "floor_counts", ambient.floor_counts, "dark_counts", ambient.dark_counts),
@@ -240,6 +234,9 @@ class Calibration(TomlTable):
             for (table, key), value in lists.items()
             if len(value) != n_sensors
         ]
+        if self.largest_count > COUNTS_LIMIT and "limit_counts" not in proximity.model_fields_set:
+            text = "proximity: limit_counts is missing"
+            problems.append(Problem.of(("proximity", "limit_counts"), text, f"at most {self.largest_count}"))
         if problems:
             raise Problems(problems)
         return self
@@ -247,22 +244,18 @@ class Calibration(TomlTable):
 
 def _out_of_range(largest: int, table: str, key: str, value: object) -> Iterator[Problem]:
     """Yield the problems of counts out of the range of a converter: of a number, or of numbers in a list."""
-    low, high = {"limit_counts": 1, "threshold_counts": -largest}.get(key, 0), largest
-    if key == "threshold_counts":
-        high = 2 * largest
-    elif (table, key) == ("proximity", "floor_counts"):
-        low = -largest
+    lowest = {("proximity", "limit_counts"): 1, ("proximity", "floor_counts"): -largest}.get((table, key), 0)
+    low, high = (-largest, 2 * largest) if key == "threshold_counts" else (lowest, largest)
     numbers = cast(tuple[float, ...], value if isinstance(value, tuple) else (value,))
     expected = f"{'an integer' if isinstance(value, int) else 'a number'} from {low} to {high}"
-    if key == "noise_counts" and table == "proximity":
+    if (table, key) == ("proximity", "noise_counts"):
         expected += ", or a list of numbers, one per sensor"
         numbers = numbers if len({*numbers}) > 1 else numbers[:1]  # one for all sensors
     elif isinstance(value, tuple):
         expected = "a list of numbers, one per sensor"
     for index, number in enumerate(numbers):
         if not low <= number <= high:
-            is_listed = isinstance(value, tuple) and len(numbers) > 1
-            place, name = ((index,), f"{key} {index + 1}") if is_listed else ((), key)
+            place, name = ((index,), f"{key} {index + 1}") if len(numbers) > 1 else ((), key)
             yield Problem.of((table, key, *place), f"{table}: {name} = {number:g}", expected)
 
 
@@ -353,10 +346,14 @@ def names() -> list[str]:
 def read(name: str) -> tuple[Calibration, str]:
     """Return a calibration by bare name or path, and the text of its file.
 
+    Bare names are those of `names`, and of the usual calibrations of installed models.
+
     Raises:
         CalibrationError: The file is missing or unusable; one line per problem.
     """
-    text, source = toml_files.read("calibration", name, CalibrationError)
+    usual = {model.calibration_name: model.calibration for model in installed_models().values()}
+    path = name if name in names() else usual.get(name, name)
+    text, source = toml_files.read("calibration", path, CalibrationError)
     return toml_files.validate(Calibration, text, source, CalibrationError), text
 
 

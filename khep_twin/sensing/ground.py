@@ -80,18 +80,7 @@ def convert_any(
     channel: int,
     draws: Draws,
 ) -> tuple[int, int]:
-    """Return proximity and ambient counts of a sensor around the robot or of the ground.
-
-    Args:
-        scene: Scene at the time of the conversion.
-        sensors: Sensors of the robot, those of the ground last.
-        ground: Sensors of the ground.
-        light: Lamps of the world.
-        powers: Powers of the lamps (n,) [W].
-        time_ns: Time of the conversion [ns].
-        channel: Number of the sensor.
-        draws: Random draws, from `noise.draws`.
-    """
+    """Return proximity and ambient counts of a sensor, as `optics.convert`; those of the ground are last."""
     number = channel - (len(sensors.cameras) - len(ground.white_counts))
     if number < 0:
         reflected, ambient = convert(scene, sensors, light, powers, time_ns, channel, draws)

@@ -37,7 +37,9 @@ _SURELY_SILENT = 1 - 1e-9
 _KEY_MASK = 0x9E3779B9
 """Arbitrary word that separates their random draws from those of other sensors."""
 
-_STEP_DEG, _ELEVATIONS = 3, np.radians(np.arange(-12, 13, 6))
+_AZIMUTHS, _ELEVATIONS = np.radians(np.arange(-42, 43, 3)), np.radians(np.arange(-12, 13, 6))
+_N_LEVEL, _FIRST_LEVEL = len(_AZIMUTHS), len(_ELEVATIONS) // 2 * len(_AZIMUTHS)
+"""Number of rays of elevation 0, and the first of them."""
 
 
 class Sonar(NamedTuple):
@@ -47,8 +49,6 @@ class Sonar(NamedTuple):
         positions: Positions of the sensors (3 * n_sensors,) [m].
         rays: Unit vectors of their rays in the robot's frame (3 * n * n_sensors,).
         gains: Gains of the rays of a sensor, D(theta)^2 (n,).
-        first_level: First of the rays of elevation 0.
-        n_level: Number of these.
         reach: Longest measured distance [m].
         nearest: Shortest measured distance [m].
         noise_cm: Standard deviation of a distance [cm].
@@ -59,8 +59,6 @@ class Sonar(NamedTuple):
     positions: Sequence[float]
     rays: Sequence[float]
     gains: Sequence[float]
-    first_level: int
-    n_level: int
     reach: float
     nearest: float
     noise_cm: float
@@ -68,18 +66,9 @@ class Sonar(NamedTuple):
     no_echo: int
 
     @classmethod
-    def of(
-        cls,
-        ring: SonarRing,
-        reach: float,
-        nearest: float,
-        exponent: float,
-        noise_cm: float,
-        half_deg: int = 42,
-    ) -> Self:
-        """Return the sensors of a ring; `exponent` is k of the beam, and its rays end at `half_deg`."""
-        azimuths = np.radians(np.arange(-half_deg, half_deg + 1, _STEP_DEG)).tolist()
-        angles = [(el, az) for el in _ELEVATIONS.tolist() for az in azimuths]
+    def of(cls, ring: SonarRing, reach: float, nearest: float, exponent: float, noise_cm: float) -> Self:
+        """Return the sensors of a ring; `exponent` is k of the beam."""
+        angles = [(el, az) for el in _ELEVATIONS.tolist() for az in _AZIMUTHS.tolist()]
         positions: list[float] = []
         rays: list[float] = []
         for *position, heading in ring.places:
@@ -87,37 +76,7 @@ class Sonar(NamedTuple):
             for el, az in angles:
                 rays += cos(el) * cos(heading + az), cos(el) * sin(heading + az), sin(el)
         gains = [(cos(el) * cos(az)) ** (2 * exponent) for el, az in angles]
-        level = len(_ELEVATIONS) // 2 * len(azimuths), len(azimuths)
-        return cls(positions, rays, gains, *level, reach, nearest, noise_cm, *ring.codes[:2])
-
-
-@compilable
-def measure(
-    scene: BeamScene,
-    sensors: RobotSensors,
-    pose: int,
-    sonar: Sonar,
-    beams: Beams,
-    tables: Tables,
-    key: Vector[int],
-    number: int,
-    channel: int,
-) -> int:
-    """Return the reading of a sensor by its first echo [cm], or a code.
-
-    Args:
-        scene: Scene at the time of the burst.
-        sensors: Infrared sensors of the robot.
-        pose: Index of the robot's pose.
-        sonar: Ultrasonic sensors.
-        beams: Buffers for the rays of this one, in the world frame.
-        tables: Quantiles of random draws.
-        key: Words of the key of the robot's random draws (2,).
-        number: Number of the burst, for its draws.
-        channel: Number of the sensor.
-    """
-    nearest = cast(scene, sensors, pose, sonar, beams, channel, 0)
-    return reading_of(sonar, nearest, tables, key, number)
+        return cls(positions, rays, gains, reach, nearest, noise_cm, *ring.codes[:2])
 
 
 @compilable
@@ -136,64 +95,46 @@ def reading_of(sonar: Sonar, distance: float, tables: Tables, key: Vector[int], 
 def cast_level_rays(robot: Any, scene: BeamScene, sensor: int) -> float:
     """Return the distance by level rays, which meet all upright obstacles first, as `Core.echo` does.
 
-    Args:
-        robot: State of a robot with `pose`, `sensors`, `sonar` and `beams`.
-        scene: Its scene.
-        sensor: Number of the ultrasonic sensor.
+    A robot's state has `pose`, `sensors`, `sonar` and `beams`.
     """
-    sonar, beams = robot.sonar, robot.beams
-    n_rays = sonar.n_level
+    sonar, beams, n_rays = robot.sonar, robot.beams, _N_LEVEL
     vectors, normals = beams.vectors[: 3 * n_rays], beams.normals[: 3 * n_rays]
     level = Beams(vectors, beams.lengths[:n_rays], normals, beams.geoms[:n_rays])
-    nearest = cast(scene, robot.sensors, robot.pose, sonar, level, sensor, sonar.first_level)
+    nearest = cast(scene, robot.sensors, robot.pose, sonar, level, sensor, _FIRST_LEVEL)
     return 0.0 if nearest < sonar.nearest else nearest if nearest <= sonar.reach else math.inf
 
 
 @compilable
 def cast(
-    scene: BeamScene,
-    sensors: RobotSensors,
-    pose: int,
-    sonar: Sonar,
-    beams: Beams,
-    channel: int,
-    first_ray: int,
+    scene: BeamScene, sensors: RobotSensors, pose: int, sonar: Sonar, beams: Beams, sensor: int, first: int
 ) -> float:
     """Cast rays from a first one on; return the distance of the nearest audible obstacle [m], or infinity."""
     frame, n_rays = body_frame(scene, sensors), len(sonar.gains)
-    offset = _rotate(frame, sonar.positions, channel)
-    origin = (
-        joint_position(scene, pose) + offset[0],
-        joint_position(scene, pose + 1) + offset[1],
-        joint_position(scene, pose + 2) + offset[2],
+    x, y, z = _rotate(frame, sonar.positions, sensor)
+    x, y, z = (
+        joint_position(scene, pose) + x,
+        joint_position(scene, pose + 1) + y,
+        joint_position(scene, pose + 2) + z,
     )
     for index in range(len(beams.lengths)):
-        x, y, z = _rotate(frame, sonar.rays, channel * n_rays + first_ray + index)
-        beams.vectors[3 * index] = x
-        beams.vectors[3 * index + 1] = y
-        beams.vectors[3 * index + 2] = z
-    cast_rays(scene, sensors, beams, origin, 1.1 * sonar.reach)
-    return _nearest_audible(sonar, beams, first_ray, 0.0)[0]
+        ray = _rotate(frame, sonar.rays, sensor * n_rays + first + index)
+        for axis in range(3):
+            beams.vectors[3 * index + axis] = ray[axis]
+    cast_rays(scene, sensors, beams, (x, y, z), 1.1 * sonar.reach)
+    return _nearest_audible(sonar, beams, first, 0.0)[0]
 
 
 @compilable
 def next_echo(sonar: Sonar, beams: Beams, distance: float) -> tuple[float, float]:
-    """Return distance [m] and loudness of the first echo after one, by the rays that `cast` has cast.
+    """Return distance [m], or infinity, and loudness of the next echo by the rays of `cast`, all of a sensor.
 
-    Args:
-        sonar: Ultrasonic sensors.
-        beams: Rays of one of them, all of them cast.
-        distance: Distance of the last echo [m]; below 0 for the first one.
-
-    Returns:
-        The distance is infinite without an echo.
+    The argument is the distance of the last echo, or below 0 for the first one.
     """
-    end, loudness = distance, 0.0
     while True:
+        end = distance
         distance, loudness = _nearest_audible(sonar, beams, 0, max(end, 0.0))
         if end < 0 or distance > end + _BURST:
             return distance, loudness
-        end = distance
 
 
 @compilable

@@ -38,7 +38,7 @@ class SensorModel:
     """Likelihood of proximity readings.
 
     Attributes:
-        quiet: Highest reading with nothing in reach [counts]; below all readings of sensors that rest above 0.
+        quiet: Highest reading with nothing in reach [counts]; below all of sensors that rest above 0.
         limit: Highest reading [counts].
         usable_range: Part of each sensor's range that the lamps left at the last reply (s,).
     """

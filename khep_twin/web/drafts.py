@@ -74,12 +74,12 @@ def text_of(draft: Mapping[str, object], base: str | None) -> str:
 def models() -> dict[str, object]:
     """Return each model's default keys, the values of its other keys, and whether it has turrets.
 
-    `calibrations` are the built-in ones for its sensors, `modes` has the running modes of each ROM: number
+    `calibrations` are those with a name for its sensors, `modes` has the running modes of each ROM: number
     and description.
     """
     return {
         name: {
-            "defaults": dict(model_defaults(name)),
+            "defaults": {**model_defaults(name), "calibration": model.calibration_name},
             "calibrations": list(_calibrations(model)),
             "modes": {version: _modes(rom) for version, rom in model.roms.items()},
             "has_turrets": Feature.TURRETS in model.features,
@@ -104,8 +104,8 @@ def surfaces() -> dict[str, object]:
 
 
 def _calibrations(model: RobotModel) -> Iterator[str]:
-    """Yield the names of the built-in calibrations that fit a model."""
-    for name in calibration.names():
+    """Yield the names of the built-in calibrations, and of its own one, that fit a model."""
+    for name in dict.fromkeys((*calibration.names(), model.calibration_name)):
         with suppress(CalibrationError):
             calibration.read_for(name, model)
             yield name

@@ -20,6 +20,7 @@ from khep_twin.lab.conformance.port.conform import conform
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.robots import registry
+from khep_twin.robots.body import SonarRing
 from khep_twin.robots.framing import LINES
 from khep_twin.robots.model import RobotModel, parse_channels
 from khep_twin.robots.model_checks import check_identity, check_model
@@ -70,6 +71,11 @@ def test_the_shipped_models_and_the_toy_pass_their_checks() -> None:
             "dialect",
             {"probes": ("I",)},
             "dialect.probes = 'I'; expected the text of a request of its framing",
+        ),
+        (
+            "body",
+            {"sonar": SonarRing(("beacon",), (20.0,), 0.03, 0.03, (0,), positions=((0.03, 0.01), (0.03, 0)))},
+            "body.sonar.positions = ((0.03, 0.01), (0.03, 0)); expected a tuple of 1 positions, one for each",
         ),
         ("", {"roms": {}}, "roms = {}; expected one version of firmware or more"),
         ("", {"plots": {"sonar": "sonar"}}, "expected a channel 'sonar' among them"),

@@ -28,6 +28,7 @@ from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.robots.line_server import LineServer
 from khep_twin.robots.registry import find_model
+from khep_twin.sensing import calibration
 from khep_twin.web import drafts
 from khep_twin.web.robot_shape import robot_shape
 from khep_twin.world import World
@@ -94,6 +95,11 @@ def drive(world: World, left: int = 100, right: int = 50) -> list[str]:
 def test_a_playpen_has_a_toy_with_the_defaults_of_its_model(toys: Playpen, tmp_path: Path) -> None:
     robot = toys.robots[0]
     assert (robot.model, robot.rom, Path(robot.calibration).name) == ("toy", "toy-1", "toy.toml")
+    named = TEXT.replace('"toy"', '"toy"\ncalibration = "toy"', 1)
+    assert playpens.parse(named, "toys") == toys == playpens.parse(text := playpens.dump(toys), "toys")
+    # The path differs by machine.
+    assert 'calibration = "toy"\n' in text
+    assert calibration.read("toy") == calibration.read(robot.calibration)
     (tmp_path / "toys.toml").write_text(TEXT)
     assert good("playpen", "check", "toys.toml", folder=tmp_path) == "toys: 2 robots: no problem\n"
     (tmp_path / "toys.toml").write_text(TEXT.replace('"toy"', '"toy"\ncalibration = "khepera1"'))
@@ -262,7 +268,9 @@ def test_a_twin_of_a_toy_conforms_to_its_checks(toys: Playpen, tmp_path: Path) -
 
 
 def test_the_page_lists_the_model_and_draws_its_shape(toys: Playpen) -> None:
-    assert cast(Any, drafts.models()["toy"])["modes"] == {"toy-1": {1: "57600 baud"}}
+    shown: Any = drafts.models()["toy"]
+    assert shown["modes"] == {"toy-1": {1: "57600 baud"}}
+    assert (shown["defaults"]["calibration"], shown["calibrations"]) == ("toy", ["toy"])
     shape = robot_shape(find_model("toy"), toys.robots[0].calibration)
     assert shape["sensors"][0] == [44.0, 5.0, 5]
     assert len(shape["sonar"]) == 1

@@ -8,6 +8,7 @@ import pytest
 from khep_twin.log.viewer import robot_panel
 from khep_twin.log.viewer.collected import Samples
 from khep_twin.log.viewer.robot_panel import panel_chunks
+from khep_twin.robots.model import bars_of
 from khep_twin.robots.registry import default_model
 
 
@@ -26,6 +27,12 @@ from khep_twin.robots.registry import default_model
 )
 def test_a_bar_is_filled_by_its_value(name: str, value: float, part: float) -> None:
     assert default_model().bars[name].filled_part(value) == pytest.approx(part)
+
+
+def test_a_bar_of_12_bits_is_full_at_their_largest_count_and_empty_below_0() -> None:
+    bar = bars_of(dark=4000, speed=500, largest=4095)["proximity"]
+    assert [bar.filled_part(value) for value in (4095, -2)] == [1, 0]
+    assert bar.legend == "proximity, 0 to 4095"
 
 
 def test_a_recorded_bar_of_light_is_full_in_the_dark_and_short_where_it_is_bright() -> None:

@@ -116,3 +116,47 @@ def test_what_is_wrong_is_reported_by_line_value_and_what_would_be_right(
 ) -> None:
     messages = [re.sub(r":\d+:", ":", message) for message in lines_about(old, new)]
     assert any(message.startswith(f"mine.toml: {line}") for message in messages), messages
+
+
+def test_counts_are_in_the_range_of_the_converter() -> None:
+    text = calibration.read("khepera4")[1].replace("limit_counts = 1004", "limit_counts = 4000")
+    with pytest.raises(CalibrationError, match="limit_counts = 4000; expected an integer from 1 to 1023"):
+        toml_files.validate(calibration.Calibration, text, "mine.toml", CalibrationError)
+    twelve_bits = text.replace("version = 1", "version = 1\nlargest_count = 4095")
+    twelve_bits = twelve_bits.replace("white_counts = [930", "white_counts = [3975")
+    measured = toml_files.validate(calibration.Calibration, twelve_bits, "mine.toml", CalibrationError)
+    assert (measured.largest_count, measured.proximity.limit_counts) == (4095, 4000)
+    assert (
+        toml_files.validate(calibration.Calibration, toml_files.dump(measured), "", CalibrationError)
+        == measured
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("limit_counts = 1004\n", "", "proximity: limit_counts is missing; expected at most 4095"),
+        (
+            "[-96, -96,",
+            "[-96, -4096,",
+            "threshold_counts 2 = -4096; expected a list of numbers, one per sensor",
+        ),
+        ("[930, 930,", "[930, 4096,", "ground: white_counts 2 = 4096; expected a list of numbers"),
+        ("dark_counts = 980", "dark_counts = 4096", "dark_counts = 4096; expected a number from 0 to 4095"),
+        (
+            "noise_counts = 3\nidle",
+            "noise_counts = 5000\nidle",
+            "= 5000; expected a number from 0 to 4095, or",
+        ),
+        (
+            "idle_counts = 0",
+            "idle_counts = 0\nfloor_counts = -4096",
+            "expected an integer from -4095 to 4095",
+        ),
+    ],
+)
+def test_counts_out_of_the_range_of_12_bits_are_refused(old: str, new: str, problem: str) -> None:
+    text = calibration.read("khepera4")[1].replace("version = 1", "version = 1\nlargest_count = 4095")
+    assert old in text
+    with pytest.raises(CalibrationError, match=re.escape(problem)):
+        toml_files.validate(calibration.Calibration, text.replace(old, new), "mine.toml", CalibrationError)

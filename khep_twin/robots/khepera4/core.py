@@ -160,7 +160,7 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
     set_motor(scene, robot.motors[1], 0.0)
 
 
-_PARTS = "motor_control", "dspic", "inertial", "gauge", "infrared", "ultrasonic", "measurements", "core"
+_PARTS = "motor_control", "dspic", "inertial", "gauge", "ultrasonic", "measurements", "core"
 _MODULES = (
     "board.kernel",
     "board.memory",

@@ -9,7 +9,7 @@ from typing import Any
 
 from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4 import infrared, ultrasonic
+from khep_twin.robots.khepera4 import ultrasonic
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC
 from khep_twin.robots.khepera4.inertial import PACKET_SIZE
 from khep_twin.robots.khepera4.model import SAMPLED
@@ -18,7 +18,9 @@ from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.state import Khepera4State
 from khep_twin.sensing import sonar
 from khep_twin.sensing.bursts import ECHO, INFRARED, NONE, record_scan, start_burst
-from khep_twin.sensing.device_faults import set_reading
+from khep_twin.sensing.device_faults import sensor_reading, set_reading
+from khep_twin.sensing.ground import convert_any
+from khep_twin.sensing.noise import draws
 from khep_twin.sensing.scene import BeamScene, update_frames
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 
@@ -46,7 +48,11 @@ WORDS = (
 """Numbers of the dsPIC's memory in the order of `CHANNELS`: first byte, size, 1 if signed, distance from one
 to the next [bytes], and their number."""
 
+INFRARED_NS = 5_000_000
+"""Period of the infrared sensors [ns] (manual)."""
+
 (_DUTY,) = (channel.registers[0] for channel in SAMPLED if channel.name == "duty")
+_PROXIMITY, _AMBIENT = int(DspicRegister.PROXIMITY), int(DspicRegister.AMBIENT)
 _ENABLED, _ULTRASONIC_WORDS = int(DspicRegister.ULTRASONIC_ENABLED), int(DspicRegister.ULTRASONIC)
 
 
@@ -54,7 +60,7 @@ _ENABLED, _ULTRASONIC_WORDS = int(DspicRegister.ULTRASONIC_ENABLED), int(DspicRe
 def sense(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, start: int) -> None:
     """Record the moments of a step, if any are due."""
     time_ns = simulated.counters[STEPS] * simulated.timing.step_ns
-    if start >= 0 and time_ns % infrared.PERIOD_NS == 0:
+    if start >= 0 and time_ns % INFRARED_NS == 0:
         record(robot, simulated, inputs, time_ns)
 
 
@@ -126,23 +132,25 @@ def _measure_distance(
     robot: Khepera4State, scene: BeamScene, inputs: StepInputs, sensor: int, time_ns: int
 ) -> int:
     """Return the reading of an ultrasonic sensor in a scene at its burst."""
-    tables, number = inputs.tables, time_ns // ultrasonic.PERIOD_NS
-    return sonar.measure(
-        scene, robot.sensors, robot.pose, robot.sonar, robot.beams, tables, robot.noise, number, sensor
-    )
+    distance = sonar.cast(scene, robot.sensors, robot.pose, robot.sonar, robot.beams, sensor, 0)
+    number = time_ns // ultrasonic.PERIOD_NS
+    return sonar.reading_of(robot.sonar, distance, inputs.tables, robot.noise, number)
 
 
 @compilable
 def _evaluate_infrared(
     robot: Khepera4State, simulated: Simulated, inputs: StepInputs, powers: Sequence[float]
 ) -> None:
-    """Measure with the infrared sensors in a scene at their moment."""
-    scene, light, memory, time_ns = (
-        simulated.scene,
-        simulated.light,
-        robot.dspic.memory,
-        robot.times[INFRARED],
-    )
-    tables, noise, sensors, faults = inputs.tables, robot.noise, robot.sensors, robot.faults
-    infrared.measure(scene, sensors, faults, robot.ground, light, powers, tables, noise, time_ns, memory)
+    """Set the registers of the infrared sensors by a scene at their moment."""
+    scene, ground, memory, time_ns = simulated.scene, robot.ground, robot.dspic.memory, robot.times[INFRARED]
+    for channel in range(N_INFRARED):
+        random = draws(inputs.tables, robot.noise, time_ns // INFRARED_NS * N_INFRARED + channel)
+        reflected, ambient = convert_any(
+            scene, robot.sensors, ground, simulated.light, powers, time_ns, channel, random
+        )
+        for word, reading, dead in ((_PROXIMITY, reflected, 0), (_AMBIENT, ambient, ground.darkest)):
+            start = word + 2 * channel
+            last = read_signed(memory, start, 2)
+            reading = sensor_reading(robot.faults, channel, reading, last, dead)
+            write_number(memory, start, 2, reading)
     robot.times[INFRARED] = NONE

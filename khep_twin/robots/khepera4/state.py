@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.khepera4 import dspic, gauge, inertial, infrared, ultrasonic
+from khep_twin.robots.khepera4 import dspic, gauge, inertial, ultrasonic
 from khep_twin.robots.khepera4.dspic import N_ULTRASONIC, DspicState
 from khep_twin.robots.khepera4.inertial import InertialState
 from khep_twin.robots.khepera4.model import KHEPERA_4
@@ -100,7 +100,7 @@ def make_state(
         idle_current=entry.body.idle_current,
         is_discharged=int(entry.battery_used_min is not None),
         first_moment=first_moment,
-        ground=Ground.of(measured, infrared.HEIGHT, infrared.LENS),
+        ground=Ground.of(measured, height=0.0047, lens=0.002),  # manual; lens assumed
         sonar=(sonar := ultrasonic.make_sonar()),
         beams=Beams.of(len(sonar.gains)),
         dspic=dspic.power_up(),

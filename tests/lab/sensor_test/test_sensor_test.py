@@ -181,6 +181,14 @@ def test_rows_of_another_shape_are_a_mistake() -> None:
         SensorRun(SensorTest(linear_cm=5), np.zeros((3, 9), np.int64), np.zeros(3))
 
 
+def test_counts_of_another_model_have_the_range_of_its_bar_and_a_sign() -> None:
+    test, dv = SensorTest(linear_cm=10, model="khepera4"), np.full((1, 14), -2)
+    assert SensorRun(test, dv, np.zeros(1)).dv.min() == -2
+    dv[0, 5] = 1024
+    with pytest.raises(SensorTestError, match="row 1: front = 1024; expected -1023 to 1023"):
+        SensorRun(test, dv, np.zeros(1))
+
+
 def test_line_images_are_read_on_the_way() -> None:
     with Khepera("khep://stripes?noise=off") as robot:
         run = sense(robot, SensorTest("vision", rotate_deg=15, speed=1))
