@@ -21,8 +21,8 @@ SUSPICION = Suspicion(("stuck sensor 2", "dead sensor 2"), "proximity", 800 * MS
 def updates(n_sensors: int = 8) -> Iterator[Update]:
     """Yield an update every 50 ms for 3 s, of a robot with this number of sensors around."""
     nothing: Floats = np.full(n_sensors, np.nan)
-    expected: Floats = 100.0 * np.arange(n_sensors)
-    measured: Floats = 101.0 * np.arange(n_sensors)
+    expected: Floats = np.arange(0.0, 100.0 * n_sensors, 100.0)
+    measured: Floats = np.arange(0.0, 101.0 * n_sensors, 101.0)
     for time_ns in range(0, 3001 * MS, 50 * MS):
         x = 0.2 + 0.02 * time_ns * 1e-9
         covariance = np.array([[4e-6, 1e-6, 0], [1e-6, 9e-6, 0], [0, 0, 1e-3]])

@@ -1,6 +1,7 @@
 """Routes of the page: its files, its actions and its messages."""
 
 import asyncio
+from collections import ChainMap
 from pathlib import Path
 from typing import cast
 
@@ -97,21 +98,21 @@ class Page:
         except KhepTwinError as error:
             document = self._documents.new(None)
             error_text = error.plain
+        models = installed_models()
+        sensors = ChainMap(*(colours.sensor_colours(model.body) for model in models.values()))
         return {
             **document,
             "trouble": error_text,
             "surfaces": drafts.surfaces(),
             "library": {name: summary("playpens", name) for name in playpens.names()},
-            "colours": {"sensors": colours.ALL_SENSORS, "wheels": colours.WHEELS},
+            "colours": {"sensors": dict(sensors), "wheels": colours.WHEELS},
             "turrets": {
                 name: {"description": kind.description, "parts": start_parts(name)}
                 for name, kind in installed_turrets().items()
             },
             "models": drafts.models(),
             "choices": drafts.key_choices(),
-            "shapes": {
-                name: robot_shape(model, model.calibration) for name, model in installed_models().items()
-            },
+            "shapes": {name: robot_shape(model, model.calibration) for name, model in models.items()},
             "runs": running_twin,
         }
 

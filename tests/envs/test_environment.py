@@ -97,6 +97,16 @@ def test_the_physics_names_what_it_has() -> None:
         physics.copy()
 
 
+def test_the_physics_of_a_robot_of_any_model_has_its_registers() -> None:
+    environment = dm("ObstacleAvoidance", playpen="arena4", seed=1, noise=False)
+    environment.reset()
+    environment.step([0.25, 0.5])
+    physics = environment.physics
+    assert physics.setpoints().tolist() == [150, 300]
+    assert physics.proximity() == pytest.approx(np.full(8, 100), abs=50)  # with nothing near
+    assert physics.ambient() == pytest.approx(np.full(8, 980), abs=10)
+
+
 def test_the_physics_follows_a_world_that_is_made_anew_each_time() -> None:
     scene = Playpen.load("two-lamps")
     lighting = scene.lighting.model_copy(update={"mode": "sequenced"})

@@ -31,7 +31,7 @@ export class Panel {
   drawRobot({ radius_mm, sensors: sensors_mm, names, n_ground, wheels_mm, bars }) {
     this.#createRows(names);
     this.#setBars(bars);
-    const scale = n_ground ? 27.5 / radius_mm : 1;
+    const scale = n_ground || radius_mm > 40 ? 27.5 / radius_mm : 1;
     const [radius, base] = [radius_mm * scale, wheels_mm[0] * scale];
     const sensors = sensors_mm.map(([ahead, left]) => [ahead * scale, left * scale]);
     const bar = (x, y, fill, name) => createSvg("rect", { x: x - 2, y, width: 4, height: 0, fill, class: name });

@@ -42,7 +42,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
         ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _max_value(robot.ambient)))),
     )
     titles = [f"{name} [counts]" for name, *_ in sensor_kinds]
-    names = robot.model.body.sensors
+    names = [fill(name, 12) for name in robot.model.body.sensors]
     columns = sensor_panels(figure, corner, sensor_height(names), titles, -0.11, names)
     for panels, (name, series, colour, limits) in zip(columns, sensor_kinds, strict=True):
         for sensor, axes in enumerate(panels):
@@ -150,7 +150,7 @@ def sensor_panels(
         height: Total height [inch].
         titles: Titles of both columns.
         label_x: Abscissa of the sensors' names, in widths of the axes.
-        names: Names of the sensors.
+        names: Names of the sensors, in lines that fit.
     """
     grid = axes_edges(figure, corner, height, left=0.98, right=0.1)
     cells = figure.add_gridspec(len(names), 2, hspace=0.22, wspace=0.14, **grid)
@@ -164,7 +164,7 @@ def sensor_panels(
             axes.tick_params(labelbottom=axes is panels[-1])
     label_style: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
     for axes, name in zip(columns[0], names, strict=True):
-        axes.set_ylabel(fill(name, 12), **label_style)
+        axes.set_ylabel(name, **label_style)
         axes.yaxis.set_label_coords(label_x, 0.5)
     return columns
 

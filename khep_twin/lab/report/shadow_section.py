@@ -6,6 +6,7 @@
 import math
 import re
 from collections.abc import Callable, Iterator
+from textwrap import fill
 
 import matplotlib.style
 import numpy as np
@@ -218,7 +219,7 @@ def _states_at(track: ShadowTrack, times_ns: NDArray[np.int64]) -> list[PoseStat
 
 def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
     """Draw the residuals of proximity and light, a strip for each sensor."""
-    kinds, names = ("proximity", "light"), track.sensors
+    kinds, names = ("proximity", "light"), [fill(name, 9) for name in track.sensors]
     titles = [f"{kind}: measured less expected [counts]" for kind in kinds]
     columns = sensor_panels(figure, corner, sensor_height(names), titles, -0.16, names)
     for panels, kind in zip(columns, kinds, strict=True):

@@ -171,7 +171,7 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
         axes = figure.add_subplot(cells[row, column])
         _draw_sensor(axes, runs, index, y_min, grid)
         axes.set_title(name, fontsize=10)
-        if column == 0 or name == "back left":
+        if column == 0 or (is_khepera and name == "back left"):
             axes.set_ylabel(runs[0].test.quantity.title)
         if row > 0 or not is_khepera:
             axes.set_xlabel(_UNITS[runs[0].test.motion], fontsize=8)

@@ -19,7 +19,7 @@ from khep_twin.log.viewer.further_sensors import curves_of
 from khep_twin.log.viewer.ghost import FAULT_PATH, RECKONED, TRUTH
 from khep_twin.log.viewer.robot_panel import PanelGeometry, panel_path, robots_with_images, strip_path
 from khep_twin.robots.model import RobotModel
-from khep_twin.sensing.colours import COLD, WHEELS, Colour, sensor_colour
+from khep_twin.sensing.colours import COLD, WHEELS, Colour, sensor_colours
 
 _SETPOINT: Colour = (235, 235, 235)
 _WHEELS: dict[str, Colour] = {**WHEELS, "setpoint left": _SETPOINT, "setpoint right": _SETPOINT}
@@ -177,7 +177,7 @@ def _curve_views(log: ShownLog) -> list[rrb.Vertical]:
         return _residual_views(log, log.label.robots[0])
     views: list[rrb.Vertical] = []
     for robot, model in _models(log).items():
-        sensors = {name: sensor_colour(name) for name in model.body.sensors}
+        sensors = sensor_colours(model.body)
         base = rrb.Vertical(
             _plot(log, robot, "proximity", "proximity [counts]", sensors),
             _plot(log, robot, "ambient", "ambient light [counts, low is bright]", sensors),
@@ -214,7 +214,8 @@ def _residual_views(log: ShownLog, robot: str) -> list[rrb.Vertical]:
         "wheels: pulses beyond the expected ones",
         "timing: delay of replies [ms]",
     )
-    sensors = {name: sensor_colour(name) for name in _models(log)[robot].body.ring_sensors}
+    body = _models(log)[robot].body
+    sensors = {name: sensor_colours(body)[name] for name in body.ring_sensors}
     curves = sensors, sensors, WHEELS, {"delay": COLD[1]}
     plots = [_plot(log, robot, FAULT_PATH, "suspected faults: probability [%]", y_range=_SUSPICION_RANGE)]
     names = [f"residual_{kind}" for kind in RESIDUALS]

@@ -40,8 +40,8 @@ _OUTLINE, _FRAME = (150, 150, 150), (90, 90, 90)
 _LEGEND = 0.037
 """Top of the legend, below the robot [m]."""
 
-_GROUND_X = (-0.0105, -0.0035, 0.0035, 0.0105)
-"""Positions of the bars of ground sensors to the right [m]."""
+_GROUND_SPACING = 0.007
+"""Distance between the bars of ground sensors [m]."""
 
 ROWS = 100
 """Rows of a strip, one per image."""
@@ -66,7 +66,9 @@ class PanelGeometry:
         self.scale = body.radius / BODY_RADIUS
         # y is downwards in pictures: forward is up, left is left.
         sensor_feet = np.array([(-left, -forward) for forward, left in body.sensor_positions]) * 1.35
-        ground_feet = [(x * self.scale, -0.013 * self.scale) for x in _GROUND_X[: len(body.ground_positions)]]
+        n_ground = len(body.ground_positions)
+        places = [_GROUND_SPACING * (index - (n_ground - 1) / 2) for index in range(n_ground)]
+        ground_feet = [(x * self.scale, -0.013 * self.scale) for x in places]
         feet = np.vstack([sensor_feet, np.array(ground_feet).reshape(-1, 2)])
         offset = np.array([_HALF_WIDTH * 1.15 * self.scale, 0])
         self.feet = feet - offset
