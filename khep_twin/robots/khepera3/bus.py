@@ -166,6 +166,11 @@ class Dspic:
         """True if the supply suffices; otherwise the bus gets no reply."""
         return bool(self._state.board[POWERED])
 
+    @property
+    def vehicle_gain(self) -> int:
+        """Gain of the vehicle of letter A in the configuration."""
+        return int(self._state.board[SETTING + Setting.VEHICLE_GAIN])
+
     def write(self, message: bytes) -> None:
         """Execute a command; one of another length than its first byte says has no effect (assumed)."""
         if message and message[0] == len(message):
