@@ -310,7 +310,7 @@ class Bus:
 
 def _word(number: int, size: int = 2) -> bytes:
     """Return the bytes of a number, truncated as in C."""
-    return (number & (1 << 8 * size) - 1).to_bytes(size, "little")
+    return (int(number) & (1 << 8 * size) - 1).to_bytes(size, "little")
 
 
 def _words(numbers: Iterable[int]) -> bytes:
