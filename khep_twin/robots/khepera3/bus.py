@@ -256,7 +256,7 @@ class Dspic:
         self.before_read(letter)
         registers, board, first = self._state.registers, self._state.board, FIRST[channel]
         readings = (int(registers[first + sensor]) for sensor in range(len(RING) + len(GROUND)))
-        return _words(readings) + _word(int(board[SCAN_MS] - board[TIMER_ZERO_MS]), 4)
+        return _words(readings) + _word(max(board[SCAN_MS] - board[TIMER_ZERO_MS], 0), 4)
 
 
 class RealTimeClock:
