@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from khep_twin.host.khepera import Khepera as Khepera
     from khep_twin.host.moves import turn_pulses as turn_pulses
     from khep_twin.host.moves import way_pulses as way_pulses
+    from khep_twin.host.profile_robot import ProfileRobot as ProfileRobot
     from khep_twin.host.radio import Radio as Radio
     from khep_twin.host.radio import RadioMessage as RadioMessage
     from khep_twin.host.results import MotionStatus as MotionStatus
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from khep_twin.host.results import SensorCounts as SensorCounts
     from khep_twin.host.results import Speeds as Speeds
     from khep_twin.host.results import Versions as Versions
+    from khep_twin.host.results import Wheels as Wheels
     from khep_twin.host.results import WheelStatus as WheelStatus
     from khep_twin.host.vision import Vision as Vision
     from khep_twin.host.vision import read_image as read_image
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
     from khep_twin.robots.khepera4.host_results import Distances as Distances
     from khep_twin.robots.khepera4.host_results import InfraredCounts as InfraredCounts
     from khep_twin.robots.khepera4.host_results import Vector3 as Vector3
-    from khep_twin.robots.khepera4.host_results import Wheels as Wheels
     from khep_twin.units import RadioStatus as RadioStatus
     from khep_twin.units import Sensor as Sensor
 else:

@@ -25,7 +25,7 @@ class HostCommand(Generic[T_co]):
     repeatable: bool = False
 
 
-def order(letter: str, *arguments: int, repeatable: bool = False) -> HostCommand[None]:
+def order(letter: str, *arguments: int | str, repeatable: bool = False) -> HostCommand[None]:
     """Return a command whose reply is only its letter."""
 
     def read(reply: str) -> None:
@@ -60,7 +60,7 @@ def frame_command(
     return HostCommand(text, read, repeatable)
 
 
-def _format_request(letter: str, arguments: Sequence[int]) -> str:
+def _format_request(letter: str, arguments: Sequence[int | str]) -> str:
     return ",".join([letter, *map(str, arguments)])
 
 

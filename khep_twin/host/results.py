@@ -28,6 +28,13 @@ class Speeds(NamedTuple):
         return speed(self.left), speed(self.right)
 
 
+class Wheels(NamedTuple):
+    """Speeds [m/s] or positions [m] of the wheels of a `ProfileRobot`."""
+
+    left: float
+    right: float
+
+
 class Positions(NamedTuple):
     """Command H: position counters of the wheels [pulses], 0.08 mm each."""
 

@@ -44,11 +44,11 @@ class Lines(NamedTuple):
 
     def is_message(self, data: bytes, to_robot: bool = False) -> bool:
         """Return whether bytes are a complete message, and no noise."""
-        return to_robot or data.endswith(b"\n")
+        return to_robot or data.endswith((b"\n", b"\n\r"))
 
     def flaw(self, reply: bytes) -> str:
         """Return the expected form of a malformed reply; empty for another one."""
-        ends = (b"\r\n", b"\n") if self.has_reversed_ends else (b"\r\n",)
+        ends = (b"\r\n", b"\n\r") if self.has_reversed_ends else (b"\r\n",)
         if not reply.endswith(ends) or b"\r" in reply[:-2]:
             return "expected one line that ends in CR LF"
         return "" if reply.isascii() else "expected plain ASCII"
@@ -56,8 +56,11 @@ class Lines(NamedTuple):
     def read(self, port: "Serial", clock: Callable[[], float]) -> bytes:
         """Read a reply, or the part of it that arrives within the port's timeout."""
         reply = port.read_until(b"\n", None)
-        # The CR after the LF of the last reply arrives with this one.
-        return reply.removeprefix(b"\r") if self.has_reversed_ends else reply
+        if not self.has_reversed_ends:
+            return reply
+        # Another reader of the port may have left the CR after the LF of the last reply.
+        reply = reply.removeprefix(b"\r")
+        return reply + port.read(1) if reply.endswith(b"\n") and not reply.endswith(b"\r\n") else reply
 
     def encode(self, text: str) -> bytes:
         """Return the request with a text; raise ValueError for another text."""

@@ -1,10 +1,11 @@
 """`LineServer`: a program on a robot that answers requests on its line, at one baud rate, without turrets."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableSequence
 
 from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.firmware import FirmwareState
 from khep_twin.robots.model import Dialect
+from khep_twin.sensing.buffers import Vector
 
 LONGEST_REQUEST = 1024
 """Bytes of an incomplete request that are kept."""
@@ -85,3 +86,42 @@ class LineServer:
                 f"{sorted(state.turrets)}; expected {self.baud} baud, {self.program!r}, without turrets"
             )
         self._line = state.partial_line
+
+
+class VehicleServer(LineServer):
+    """A program that starts with the first bytes received, and drives the robot as a vehicle on request.
+
+    Args:
+        dialect, execute: See `LineServer`.
+        vehicle: State of the vehicle, all 0 while it does not drive.
+    """
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        execute: Callable[[bytes], bytes],
+        vehicle: Vector[int] | MutableSequence[int],
+    ) -> None:
+        super().__init__(dialect, execute)
+        self._vehicle = vehicle
+        self.forget()
+
+    def forget(self) -> None:
+        """End the program; it restarts with the next bytes."""
+        super().forget()
+        self._is_running = False
+        for index in range(len(self._vehicle)):
+            self._vehicle[index] = 0
+
+    def state(self) -> FirmwareState:
+        """Return the state without that of the vehicle."""
+        return super().state()._replace(running=self.program if self._is_running else "")
+
+    def set_state(self, state: FirmwareState) -> None:
+        """Restore a state without that of the vehicle.
+
+        Raises:
+            ValueError: It is of another robot.
+        """
+        super().set_state(state._replace(running=state.running or self.program))
+        self._is_running = bool(state.running)

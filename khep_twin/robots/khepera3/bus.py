@@ -153,6 +153,11 @@ class Dspic:
         """True if the supply suffices; otherwise the bus gets no reply."""
         return bool(self._state.board[POWERED])
 
+    @property
+    def vehicle_gain(self) -> int:
+        """Gain of the vehicle of letter A in the configuration."""
+        return int(self._state.board[SETTING + Setting.VEHICLE_GAIN])
+
     def write(self, message: bytes) -> None:
         """Execute a command; one of another length than its first byte says has no effect (assumed)."""
         if 1 < message[0] == len(message):
@@ -240,7 +245,7 @@ class Dspic:
         self.before_read(letter)
         registers, board, first = self._state.registers, self._state.board, FIRST[channel]
         readings = (registers[first + sensor] for sensor in range(len(RING) + len(GROUND)))
-        return _words(readings) + _word(board[SCAN_MS] - board[TIMER_ZERO_MS], 4)
+        return _words(readings) + _word(max(board[SCAN_MS] - board[TIMER_ZERO_MS], 0), 4)
 
 
 class RealTimeClock:
@@ -294,7 +299,7 @@ class Bus:
 
 def _word(number: int, size: int = 2) -> bytes:
     """Return the bytes of a number, truncated as in C."""
-    return (number & (1 << 8 * size) - 1).to_bytes(size, "little")
+    return (int(number) & (1 << 8 * size) - 1).to_bytes(size, "little")
 
 
 def _words(numbers: Iterable[int]) -> bytes:

@@ -15,46 +15,27 @@ Each command waits for its reply, as the server discards all input that arrives 
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TypeVar
 
-import serial
-
-from khep_twin.errors import MoveError
-from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand, order, query, split_reply
-from khep_twin.host.host_robot import HostRobot
-from khep_twin.host.moves import check_finite
-from khep_twin.robots.khepera4.channels import BAUD, COUNTS_PER_G, DEGREES_PER_COUNT, LEDS, PACKET_SIZE
-from khep_twin.robots.khepera4.host_results import Battery, Distances, InfraredCounts, Vector3, Wheels
-from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
+from khep_twin.host.profile_robot import ProfileRobot, to_units
+from khep_twin.robots.khepera4.channels import COUNTS_PER_G, DEGREES_PER_COUNT, LEDS, PACKET_SIZE
+from khep_twin.robots.khepera4.host_results import Battery, Distances, InfraredCounts, Vector3
+from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.units import GRAVITY
-
-R = TypeVar("R")
-
-PULSE_LENGTH = BODY.pulse_length
-"""Travel of a wheel per encoder pulse [m]."""
-
-SPEED_UNIT = PULSE_LENGTH / 0.01
-"""Unit of speeds [m/s]: one pulse in 10 ms (manual)."""
-
-WHEEL_BASE = BODY.wheel_base
-"""Distance of the wheels [m]."""
 
 _ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / COUNTS_PER_G, math.radians(DEGREES_PER_COUNT)
 """Units of the accelerometer [m/s^2] and of the gyroscope [rad/s] (library)."""
-
-_POLL_INTERVAL_S, _ARRIVAL_PULSES = 0.05, 200
-"""Time between two reads of the wheels in a move [s]; distance from the target at which stopped wheels count
-as arrived: ten times the server's margin, as they roll past it (1.4 mm)."""
 
 Colour = tuple[int, int, int]
 """Red, green and blue, 0 to 63."""
 
 
-class Khepera4(HostRobot):
+class Khepera4(ProfileRobot):
     """A Khepera IV behind a serial port. Leaving it as a context stops the motors.
 
     Errors are those of `Khepera`: reads are repeated, commands that move the robot never.
+
+    Speeds are about 0.8 m/s at most, steady above 0.003.
 
     Args:
         url: URL of the port, or an open port of pyserial, which keeps its timeout.
@@ -70,32 +51,10 @@ class Khepera4(HostRobot):
 
     model = KHEPERA_4
     leds = LEDS
-
-    def __init__(
-        self,
-        url: StrPath | serial.SerialBase,
-        timeout: float | None = None,
-        baudrate: int = BAUD,
-        *,
-        retries: int = 1,
-        wheel_base: float = WHEEL_BASE,
-    ) -> None:
-        if not 0 < wheel_base < math.inf:
-            raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
-        super().__init__(url, timeout, baudrate, retries=retries)
-        self._wheel_base = wheel_base
-        self._target = (0, 0)
+    speed_pulse_time = 0.01  # (manual)
+    arrival_pulses = 200  # ten times the server's margin, as the wheels roll past it (1.4 mm)
 
     # Motors --------------------------------------------------------------------------------------------
-
-    def set_speed(self, left: float, right: float) -> None:
-        """Drive the wheels at these speeds [m/s], about 0.8 at most, steady above 0.003 (command D)."""
-        pulses = _to_pulses("speed", SPEED_UNIT, (left, right))
-        self._run(order("D", *pulses, repeatable=not any(pulses)))
-
-    def set_target(self, left: float, right: float) -> None:
-        """Move the wheels to these positions [m] along the profile; return immediately (command F)."""
-        self._send_target(*_to_pulses("position", PULSE_LENGTH, (left, right)))
 
     def set_duty(self, left: int, right: int) -> None:
         """Drive the motors with a fixed duty, -2940 to 2940, uncontrolled (command L)."""
@@ -104,14 +63,6 @@ class Khepera4(HostRobot):
     def reset_position(self) -> None:
         """Set the positions of the wheels to 0 (command I)."""
         self._run(order("I"))
-
-    def speed(self) -> Wheels:
-        """Return the measured speeds of the wheels [m/s] (command E)."""
-        return self._run(query("E", 2, lambda pulses: Wheels._make(n * SPEED_UNIT for n in pulses)))
-
-    def position(self) -> Wheels:
-        """Return the positions of the wheels [m] (command R)."""
-        return self._run(query("R", 2, lambda pulses: Wheels._make(n * PULSE_LENGTH for n in pulses)))
 
     def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
         """Set the gains of the speed controller, 0 to 255; 10, 5, 1 at the server's start (command H)."""
@@ -139,55 +90,11 @@ class Khepera4(HostRobot):
 
     def set_margin(self, margin: float) -> None:
         """Set the distance at which a target counts as reached [m]; 20 pulses at the start (command P)."""
-        self._run(order("P", *_to_pulses("margin", PULSE_LENGTH, [margin]), repeatable=True))
+        self._run(order("P", *to_units("margin", self.body.pulse_length, [margin]), repeatable=True))
 
     def reset_motors(self) -> None:
         """Set gains, profile and margin as at the server's start, and leave the motors idle (command M)."""
         self._run(order("M", repeatable=True))
-
-    # Blocking moves ------------------------------------------------------------------------------------
-
-    def move(self, distance: float, timeout: float = 30.0) -> Wheels:
-        """Drive straight by a distance [m], backwards if it is below 0; return on arrival.
-
-        Raises:
-            MoveError: Not on target after `timeout` [s]; the motors are stopped.
-        """
-        return self._drive_by(distance, distance, timeout)
-
-    def turn(self, angle: float, timeout: float = 30.0) -> Wheels:
-        """Turn in place by an angle [rad], left if it is above 0; return on arrival.
-
-        Raises:
-            MoveError: Not on target after `timeout` [s]; the motors are stopped.
-        """
-        distance = angle * self._wheel_base / 2
-        return self._drive_by(-distance, distance, timeout)
-
-    def wait_for_target(self, timeout: float = 30.0) -> None:
-        """Wait until both wheels stand at the target of `set_target`.
-
-        Raises:
-            MoveError: Not on target after `timeout` [s].
-        """
-        end, last_positions = self.time + timeout, ()
-        while True:
-            positions = self._run(query("R", 2, tuple))
-            errors = [abs(target - now) for target, now in zip(self._target, positions, strict=True)]
-            if positions == last_positions and max(errors) <= _ARRIVAL_PULSES:
-                return
-            if not self.time <= end:
-                raise MoveError(f"{self.name}: not on target after {timeout:g} s")
-            last_positions = positions
-            self.sleep(_POLL_INTERVAL_S)
-
-    def wander(self) -> None:
-        """Let the server's vehicle drive and avoid obstacles, until `stop_wandering` (command A)."""
-        self._run(order("A", 0))
-
-    def stop_wandering(self) -> None:
-        """Stop the server's vehicle, if it drives (command A)."""
-        self._run(HostCommand("A,2", lambda reply: split_reply("a", 0, reply), repeatable=True))
 
     # Sensors, LEDs and other commands ------------------------------------------------------------------
 
@@ -254,27 +161,6 @@ class Khepera4(HostRobot):
     def reset(self) -> None:
         """Reset the microcontroller: motors, LEDs and positions (command Z)."""
         self._run(order("Z"))
-
-    def _send_target(self, left_pulses: int, right_pulses: int) -> None:
-        self._target = left_pulses, right_pulses
-        self._run(order("F", left_pulses, right_pulses))
-
-    def _drive_by(self, left: float, right: float, timeout: float) -> Wheels:
-        """Move the wheels by distances [m]; return their positions on arrival [m]."""
-        distances = _to_pulses("distance", PULSE_LENGTH, (left, right))
-        positions = self._run(query("R", 2, tuple))
-        self._send_target(positions[0] + distances[0], positions[1] + distances[1])
-        try:
-            self.wait_for_target(timeout)
-        except MoveError as error:
-            self.set_speed(0, 0)
-            raise MoveError(f"{error}; stopped at {tuple(self.position())} m") from None
-        return self.position()
-
-
-def _to_pulses(name: str, unit: float, values: Sequence[float]) -> list[int]:
-    """Divide values by a unit and round them; raise ValueError with the name unless they are finite."""
-    return [round(check_finite(name, value) / unit) for value in values]
 
 
 def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:

@@ -56,13 +56,6 @@ class Vector3(NamedTuple):
     z: float
 
 
-class Wheels(NamedTuple):
-    """Speeds [m/s] or positions [m] of the wheels."""
-
-    left: float
-    right: float
-
-
 class Battery(NamedTuple):
     """Command V: state of the battery.
 

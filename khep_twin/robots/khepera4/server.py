@@ -13,13 +13,12 @@ byte of X's readings, and all bytes of X after the first 67. docs/khepera4.md li
 import re
 from collections.abc import Sequence
 
-from khep_twin.firmware import FirmwareState
 from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE, RING
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
 from khep_twin.robots.khepera4.vehicle import vehicle_speeds
-from khep_twin.robots.line_server import LineServer
+from khep_twin.robots.line_server import VehicleServer
 from khep_twin.sensing.buffers import Vector
 
 ANSWER_NS = 2_000_000
@@ -74,7 +73,7 @@ _FRONT = 3
 _INTEGER = re.compile(rb"\s*[+-]?\d+")
 
 
-class Kh4Server(LineServer):
+class Kh4Server(VehicleServer):
     """The program on its serial line; it starts with the first bytes received.
 
     Args:
@@ -88,16 +87,7 @@ class Kh4Server(LineServer):
 
     def __init__(self, dspic: Dspic, vehicle: Vector[int] | None = None) -> None:
         self._dspic = dspic
-        self._vehicle = [0] * N_VEHICLE if vehicle is None else vehicle
-        super().__init__(KHEPERA_4.dialect, self.execute)
-        self.forget()
-
-    def forget(self) -> None:
-        """End the program; it restarts with the next bytes."""
-        super().forget()
-        self._is_running = False
-        for index in range(N_VEHICLE):
-            self._vehicle[index] = 0
+        super().__init__(KHEPERA_4.dialect, self.execute, [0] * N_VEHICLE if vehicle is None else vehicle)
 
     def reset(self) -> bytes:
         """Reset robot and program; return its banner, which is empty."""
@@ -108,19 +98,6 @@ class Kh4Server(LineServer):
     def powered(self) -> bool:
         """True while the robot has power."""
         return self._dspic.is_powered
-
-    def state(self) -> FirmwareState:
-        """Return the state without that of the vehicle."""
-        return super().state()._replace(running=self.program if self._is_running else "")
-
-    def set_state(self, state: FirmwareState) -> None:
-        """Restore a state without that of the vehicle.
-
-        Raises:
-            ValueError: It is of another robot.
-        """
-        super().set_state(state._replace(running=state.running or self.program))
-        self._is_running = bool(state.running)
 
     def receive(self, data: bytes) -> bytes:
         """Receive bytes; return the reply to the command that they complete, if any."""
