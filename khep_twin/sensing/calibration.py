@@ -212,7 +212,7 @@ class Calibration(TomlTable):
         problems: list[Problem] = []
         for table in ("proximity", "ambient", "ground"):
             for key, value in cast(Iterable[tuple[str, object]], getattr(self, table) or ()):
-                if key.endswith("_counts") and key != "quantum_counts":
+                if key.endswith("_counts") and key != "quantum_counts" and value is not None:
                     problems += _out_of_range(self.largest_count, table, key, value)
         if self.largest_count > COUNTS_LIMIT and "limit_counts" not in self.proximity.model_fields_set:
             text = "proximity: limit_counts is missing"

@@ -18,8 +18,8 @@ from khep_twin.sensing.seen_surfaces import N_COLUMNS, SQUARE
 NEGLIGIBLE = 4.0
 """Negligible reflected light [counts]: a fifth of the noise."""
 
-FLOOR_REACH = 0.06
-"""Distance from a sensor up to which it sees the floor [m] (assumed)."""
+FLOOR_REACH = 0.03
+"""Distance before a sensor at which it sees a free floor [m] (assumed)."""
 
 EMITTER_DELAY_NS = 1_250_000
 """Time from a sensor's conversion with its emitter off to that with it on [ns]: half a step (assumed)."""
@@ -97,9 +97,8 @@ def proximity_counts(
     lobe = sensor_lobe(proximity, channel, floor)
     count, bound = remove_faint(buffer, count, lobe, NEGLIGIBLE / gain)
     if count and gain * bound > -level:
-        level += (
-            gain * reflected_light(buffer, count, sensor_chip, lobe) * (1 + proximity.noise_growth * noise)
-        )
+        growth = 1 + proximity.noise_growth * noise
+        level += gain * reflected_light(buffer, count, sensor_chip, lobe) * growth
     limit = int(proximity.limit * range_left)
     if proximity.saturates and 0 < limit and 0 < level:
         ratio = level / limit
@@ -112,17 +111,11 @@ def proximity_counts(
 
 @compilable
 def _floor_reflectance(scene: Scene, sensors: RobotSensors, channel: int, count: int) -> float:
-    """Return the mean reflectance of the floor between a sensor and the nearest of `count` surfaces."""
+    """Return the reflectance of the floor halfway to the nearest of `count` surfaces."""
     x, y, z = position(scene, sensors, channel)
-    frame, reach, total = body_frame(scene, sensors), FLOOR_REACH, 0.0
+    frame, reach = body_frame(scene, sensors), FLOOR_REACH
     c, s = sensors.ambient.cosine[channel], sensors.ambient.sine[channel]
     for row in range(0, count * N_COLUMNS, N_COLUMNS):
-        reach = min(reach, math.sqrt(sensors.proximity.surfaces[row + SQUARE]))
-    for part in (0.2, 0.5, 0.8):
-        start = (
-            x + part * reach * (frame[0] * c + frame[1] * s),
-            y + part * reach * (frame[3] * c + frame[4] * s),
-            z,
-        )
-        total += ray(scene, sensors, start, (0.0, 0.0, -1.0))[1]
-    return total / 3
+        reach = min(reach, math.sqrt(sensors.proximity.surfaces[row + SQUARE]) / 2)
+    start = x + reach * (frame[0] * c + frame[1] * s), y + reach * (frame[3] * c + frame[4] * s), z
+    return ray(scene, sensors, start, (0.0, 0.0, -1.0))[1]
