@@ -80,7 +80,7 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
     return Proximity(
         gain=gains,
         bound=[
-            gain * brightest * lobes.width(exponent) / lobes.norm(exponent)
+            gain * brightest * lobes.width(exponent) / lobes.norm(exponent) * max(proximity.mirror, 1.0)
             for gain, exponent in zip(gains, exponents, strict=True)
         ],
         threshold=list(proximity.threshold_counts),
@@ -98,6 +98,11 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
         floor=proximity.floor_counts,
         quantum=proximity.quantum_counts,
         noise=list(proximity.noise_counts),
+        noise_growth=proximity.noise_growth,
         idle=proximity.idle_counts,
+        saturates=int(proximity.saturates),
+        floor_light=list(proximity.floor_light_counts or [0.0] * len(gains)),
+        narrowing=proximity.elevation_exponent // 2 - 1,
+        mirror=proximity.mirror,
         surfaces=[0.0] * (N_SURFACES * N_COLUMNS),
     )

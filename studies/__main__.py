@@ -9,6 +9,7 @@ STUDIES = {
     "behaviour": "behaviour",
     "infrared-fits": "infrared_fits",
     "khepera2-fits": "khepera2_fits",
+    "khepera3-fits": "khepera3_fits",
     "public-programs": "public_programs",
     "khepera4-transfer": "khepera4_transfer",
     "infrared-picture": "infrared_picture",

@@ -7,7 +7,7 @@ assets/calibration are used by bare name, others by path. `khep_twin.sensors` ex
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from statistics import mode
-from typing import Annotated, Self, TypeVar, cast
+from typing import Annotated, Literal, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,10 +53,15 @@ class ProximityCalibration(TomlTable):
         threshold_spread: Relative standard deviation of the thresholds among robots of the same model.
         offset_mm: Offset of the chip behind the sensor's face.
         lobe_exponent: Exponent of the cosine off the sensor's axis, in azimuth.
+        elevation_exponent: Exponent of the cosine in elevation, an odd number.
+        floor_light_counts: Part of `-threshold_counts` from a white floor; others give less light.
+        mirror: Weight of the mirror images of objects in a white floor.
         limit_counts: Highest reading.
+        saturates: Whether readings approach it gradually.
         floor_counts: Lowest reading, also where ambient light saturates the sensor; may be below 0.
         quantum_counts: Step between readings.
         noise_counts: Standard deviation of one reading; one number applies to all sensors.
+        noise_growth: Relative growth of this deviation per count of reflected light.
         idle_counts: Mean of the noise with nothing in range.
     """
 
@@ -65,12 +70,17 @@ class ProximityCalibration(TomlTable):
     threshold_spread: Annotated[float, Field(ge=0, le=1)] = THRESHOLD_SPREAD
     offset_mm: Annotated[tuple[_Offset, ...], _PerSensor]
     lobe_exponent: Annotated[tuple[_Exponent, ...], _PerSensor]
+    elevation_exponent: Literal[3, 5, 7, 9, 11] = 3
+    floor_light_counts: Annotated[tuple[float, ...], _PerSensor] | None = None
+    mirror: Annotated[float, Field(ge=0, le=3)] = 1.0
     limit_counts: int = COUNTS_LIMIT
+    saturates: bool = False
     floor_counts: int = 0
     quantum_counts: Annotated[int, Field(ge=1, le=64)] = 1
     noise_counts: Annotated[
         tuple[float, ...], Field(description="a number from 0, or a list of numbers, one per sensor")
     ]
+    noise_growth: Annotated[float, Field(ge=0, le=1)] = 0.0
     idle_counts: float
 
     @model_validator(mode="before")
@@ -204,7 +214,7 @@ class Calibration(TomlTable):
             problem
             for table in ("proximity", "ambient", "ground")
             for key, value in cast(Iterable[tuple[str, object]], getattr(self, table) or ())
-            if key.endswith("_counts") and key != "quantum_counts"
+            if key.endswith("_counts") and key != "quantum_counts" and value is not None
             for problem in _out_of_range(self.largest_count, table, key, value)
         ]:
             raise Problems(misfits)

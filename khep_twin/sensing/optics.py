@@ -4,6 +4,7 @@
 `compilable`: they index lists in plain code, arrays in compiled code, and query the scene by `scene`.
 """
 
+import math
 from collections.abc import Sequence
 
 from khep_twin.compilable import compilable
@@ -11,10 +12,14 @@ from khep_twin.sensing.light import Light, flicker_wave, light_counts
 from khep_twin.sensing.noise import ambient_noise, idle_counts, proximity_noise
 from khep_twin.sensing.reflection import reflected_light, remove_faint
 from khep_twin.sensing.robot_sensors import RobotSensors, sensor_lobe
-from khep_twin.sensing.scene import Scene, chip, surfaces
+from khep_twin.sensing.scene import Scene, body_frame, chip, position, ray, surfaces
+from khep_twin.sensing.seen_surfaces import N_COLUMNS, SQUARE
 
 NEGLIGIBLE = 4.0
 """Negligible reflected light [counts]: a fifth of the noise."""
+
+FLOOR_REACH = 0.03
+"""Distance before a sensor at which it sees a free floor [m] (assumed)."""
 
 EMITTER_DELAY_NS = 1_250_000
 """Time from a sensor's conversion with its emitter off to that with it on [ns]: half a step (assumed)."""
@@ -85,11 +90,32 @@ def proximity_counts(
     min_light = max(-level, proximity.quantum / 2)
     sensor_chip = chip(scene, sensors, channel)
     count = surfaces(scene, sensors, channel, sensor_chip, min_light)
-    gain, buffer = proximity.gain[channel], proximity.surfaces
-    lobe = sensor_lobe(proximity, channel)
+    gain, buffer, floor = proximity.gain[channel], proximity.surfaces, 1.0
+    if proximity.floor_light[channel] > 0:
+        floor = _floor_reflectance(scene, sensors, channel, count)
+        level -= proximity.floor_light[channel] * (1 - floor)
+    lobe = sensor_lobe(proximity, channel, floor)
     count, bound = remove_faint(buffer, count, lobe, NEGLIGIBLE / gain)
     if count and gain * bound > -level:
-        level += gain * reflected_light(buffer, count, sensor_chip, lobe)
+        growth = 1 + proximity.noise_growth * noise
+        level += gain * reflected_light(buffer, count, sensor_chip, lobe) * growth
     limit = int(proximity.limit * range_left)
+    if proximity.saturates and 0 < limit and 0 < level:
+        ratio = level / limit
+        square = ratio * ratio
+        power = square * square
+        level /= math.sqrt(math.sqrt(math.sqrt(1 + power * power)))
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
     return max(counts, min(idle + min(proximity.floor, 0), limit), proximity.floor)
+
+
+@compilable
+def _floor_reflectance(scene: Scene, sensors: RobotSensors, channel: int, count: int) -> float:
+    """Return the reflectance of the floor halfway to the nearest of `count` surfaces."""
+    x, y, z = position(scene, sensors, channel)
+    frame, reach = body_frame(scene, sensors), FLOOR_REACH
+    c, s = sensors.ambient.cosine[channel], sensors.ambient.sine[channel]
+    for row in range(0, count * N_COLUMNS, N_COLUMNS):
+        reach = min(reach, math.sqrt(sensors.proximity.surfaces[row + SQUARE]) / 2)
+    start = x + reach * (frame[0] * c + frame[1] * s), y + reach * (frame[3] * c + frame[4] * s), z
+    return ray(scene, sensors, start, (0.0, 0.0, -1.0))[1]

@@ -11,9 +11,9 @@ an infinite wall at distance d, perpendicular to the axis, gives 1 / d^2. The in
 of each surface from edge to edge, so that light changes smoothly as objects move. Faces use the tables of
 `lobes`, cylinders a quadrature.
 
-In elevation the lobe is cos^3 (assumed), which gives F a closed form. The floor acts as a mirror (assumed:
-parameters fitted to a wall alone then predict a cylinder best, and vice versa). Objects behind a nearer one
-are visible above its top.
+In elevation the lobe is cos^3 or narrower (assumed), which gives F a closed form. The floor acts as a mirror
+(assumed: parameters fitted to a wall alone then predict a cylinder best, and vice versa). Objects behind a
+nearer one are visible above its top.
 """
 
 import math
@@ -59,6 +59,8 @@ class Lobe(NamedTuple):
         norm: Norm N.
         width: Integral of the lobe over the azimuth, over N.
         table: Cumulative light of faces, from `lobes.table`.
+        narrowing: Factors cos^2 of the elevation beside cos^3.
+        mirror: Weight of the mirror images in the floor.
     """
 
     exponent: int
@@ -66,6 +68,8 @@ class Lobe(NamedTuple):
     norm: float
     width: float
     table: Sequence[Sequence[float]]
+    narrowing: int = 0
+    mirror: float = 1.0
 
 
 @compilable
@@ -80,7 +84,8 @@ def remove_faint(surfaces: Vector[float], count: int, lobe: Lobe, min_light: flo
         lobe: Lobe of the sensor.
         min_light: Negligible light [1/m^2].
     """
-    total, end = 0.0, 0
+    total, end, strongest = 0.0, 0, max(lobe.mirror, 1.0)
+    min_light /= strongest
     for row in range(0, count * N_COLUMNS, N_COLUMNS):
         low, high = surfaces[row + LOW], surfaces[row + HIGH]
         # A bound by the smallest distance: the integral of cos^n over an arc is at most the difference of the
@@ -108,7 +113,7 @@ def remove_faint(surfaces: Vector[float], count: int, lobe: Lobe, min_light: flo
                 for column in range(N_COLUMNS):
                     surfaces[end + column] = surfaces[row + column]
             end += N_COLUMNS
-    return end // N_COLUMNS, total
+    return end // N_COLUMNS, total * strongest
 
 
 @compilable
@@ -248,7 +253,11 @@ def _face_light(
         y = sines[0] if sines[0] * norm >= y else sines[1]
         x, norm = math.sqrt(1 - y * y), 1.0
     length = distance * norm / (x * c + y * s) * (1 + spread / 2)
-    return max(light, 0.0) / (distance * distance) * _lobe_part(surfaces, index, hidden, chip.height, length)
+    return (
+        max(light, 0.0)
+        / (distance * distance)
+        * _lobe_part(surfaces, index, hidden, chip.height, length, lobe)
+    )
 
 
 @compilable
@@ -297,13 +306,18 @@ def _cylinder_light(
         strength = 1 - lobe.fraction + lobe.fraction * axis_cosine
         for _ in range(lobe.exponent):
             strength *= axis_cosine
-        total += weight * density * strength * _lobe_part(surfaces, index, hidden, chip.height, length)
+        total += weight * density * strength * _lobe_part(surfaces, index, hidden, chip.height, length, lobe)
     return total * half / lobe.norm
 
 
 @compilable
 def _lobe_part(
-    surfaces: Vector[float], index: int, hidden: tuple[float, float], height: float, distance: float
+    surfaces: Vector[float],
+    index: int,
+    hidden: tuple[float, float],
+    height: float,
+    distance: float,
+    lobe: Lobe,
 ) -> float:
     """Return the part of the lobe in elevation that a surface and its mirror image in the floor cover.
 
@@ -312,12 +326,14 @@ def _lobe_part(
     """
     top, bottom = surfaces[index + TOP], surfaces[index + BOTTOM]
     image_top, image_bottom = -2 * height - top, -2 * height - bottom
-    if hidden[0] == -math.inf and bottom <= -height:
-        return _part_below(top, distance) - _part_below(image_top, distance)
+    narrowing, mirror = lobe.narrowing, lobe.mirror
+    if hidden[0] == -math.inf and bottom <= -height and mirror == 1:
+        return _part_below(top, distance, narrowing) - _part_below(image_top, distance, narrowing)
     lower, upper = hidden[0] * distance, hidden[1] * distance
-    direct = _part_below(max(top, lower), distance) - _part_below(max(bottom, lower), distance)
-    direct += _part_below(min(image_bottom, upper), distance)
-    return direct - _part_below(min(image_top, upper), distance)
+    direct = _part_below(max(top, lower), distance, narrowing)
+    direct -= _part_below(max(bottom, lower), distance, narrowing)
+    direct += mirror * _part_below(min(image_bottom, upper), distance, narrowing)
+    return direct - mirror * _part_below(min(image_top, upper), distance, narrowing)
 
 
 @compilable
@@ -345,12 +361,20 @@ def _hidden_slopes(
 
 
 @compilable
-def _part_below(height: float, distance: float) -> float:
+def _part_below(height: float, distance: float, narrowing: int) -> float:
     """Return the part of the lobe in elevation below a height at a horizontal distance [m], minus 0.5."""
     sine = height / math.sqrt(height * height + distance * distance)
     square = sine * sine
     # The integral of cos^7: cos^3 of the lobe, and four factors cos of the elevation.
-    return sine * (1 - square * (1 - square * (0.6 - square * (1 / 7)))) * (35 / 32)
+    part = sine * (1 - square * (1 - square * (0.6 - square * (1 / 7)))) * (35 / 32)
+    if narrowing:
+        # Integrals of cos^9, cos^11, and so on, by their recurrence.
+        cosine_square = 1 - square
+        term = sine * cosine_square * cosine_square * cosine_square * (5 / 32)
+        for power in range(7, 7 + 2 * narrowing, 2):
+            term *= cosine_square * power / (power + 1)
+            part += term
+    return part
 
 
 @compilable

@@ -27,7 +27,12 @@ class Proximity(NamedTuple):
         floor: Lowest reading [counts].
         quantum: Step between readings [counts].
         noise: Standard deviation of one reading (n_sensors,) [counts].
+        noise_growth: Relative growth of the noise with the light [1/counts].
         idle: Mean of the noise with nothing in range [counts].
+        saturates: 1 if readings approach the limit gradually.
+        floor_light: Part of minus the threshold from a white floor, 0 if all are white (n_sensors,) [counts].
+        narrowing: Factors cos^2 of the elevation beside cos^3.
+        mirror: Weight of the mirror images in a white floor.
         surfaces: Buffer for the surfaces that a sensor sees (N_SURFACES * N_COLUMNS,).
     """
 
@@ -45,7 +50,12 @@ class Proximity(NamedTuple):
     floor: int
     quantum: int
     noise: Sequence[float]
+    noise_growth: float
     idle: float
+    saturates: int
+    floor_light: Sequence[float]
+    narrowing: int
+    mirror: float
     surfaces: list[float]
 
 
@@ -114,12 +124,14 @@ def chip_behind(
 
 
 @compilable
-def sensor_lobe(proximity: Proximity, channel: int) -> Lobe:
-    """Return the lobe of a sensor."""
+def sensor_lobe(proximity: Proximity, channel: int, floor: float = 1.0) -> Lobe:
+    """Return the lobe of a sensor above a floor with a reflectance."""
     return Lobe(
         proximity.exponent[channel],
         proximity.fraction[channel],
         proximity.norm[channel],
         proximity.width[channel],
         proximity.table[channel],
+        proximity.narrowing,
+        proximity.mirror * floor,
     )

@@ -135,9 +135,13 @@ class Scene(Protocol):
         """
         ...
 
+    def ray(self, sensors: RobotSensors, start: Triple, direction: Triple) -> tuple[float, float]:
+        """Return length [m] and reflectance of a ray's end, floor and paint included; length -1 for none."""
+        ...
+
 
 class BeamScene(Scene, Protocol):
-    """A scene for robots that record moments, and whose rays meet the floor or form beams."""
+    """A scene for robots that record moments, and whose rays form beams."""
 
     def update_frames(self) -> None:
         """Move all bodies and sensors to the present positions of the joints, as the next step does."""
@@ -150,10 +154,6 @@ class BeamScene(Scene, Protocol):
 
     def sensor_frame(self, sensors: RobotSensors, channel: int) -> Sequence[float]:
         """Return the rotation matrix of a sensor, row by row (9,); it looks along its -z axis."""
-        ...
-
-    def ray(self, sensors: RobotSensors, start: Triple, direction: Triple) -> tuple[float, float]:
-        """Return length [m] and reflectance of a ray's end, floor and paint included; length -1 for none."""
         ...
 
     def cast_rays(self, sensors: RobotSensors, beams: Beams, start: Triple, reach: float) -> None:
@@ -196,5 +196,5 @@ update_frames = _query(BeamScene.update_frames)
 save_moment = _query(BeamScene.save_moment)
 copy_moment = _query(BeamScene.copy_moment)
 sensor_frame = _query(BeamScene.sensor_frame)
-ray = _query(BeamScene.ray)
+ray = _query(Scene.ray)
 cast_rays = _query(BeamScene.cast_rays)
