@@ -83,8 +83,8 @@ class _Program(NamedTuple):
 
 def _parse(request: bytes) -> _Command | None:
     """Return a command of the firmware; None if it is malformed."""
-    head, *fields = request.strip().split(b",")
-    if (arguments := _ARGUMENTS.get(letter := head.decode("latin-1"))) is None:
+    head, *fields = request.split(b",")
+    if (arguments := _ARGUMENTS.get(letter := head.strip().decode("latin-1"))) is None:
         return None
     matches = [match for match in map(_PREFIXED.match, fields[: len(arguments)]) if match]
     numbers, limits = [int(match[2]) for match in matches], [_LIMITS[match[1]] for match in matches]
