@@ -226,10 +226,10 @@ class Letters(VehicleServer):
 
     def _on_m(self, values: Sequence[int]) -> Sequence[int]:
         self._set(MotorRegister.MODE, 1, Mode.IDLE)
-        for register, (value, size) in DEFAULTS.items():
+        for register, size, value in DEFAULTS:
             self._set(register, size, value)
         self._set(MotorRegister.HARDWARE_OPTIONS, 1, 0)
-        self._set(MotorRegister.SOFTWARE_OPTIONS, 1, _OPTIONS | Option.INVERTED, _OPTIONS)
+        self._set(MotorRegister.OPTIONS, 1, _OPTIONS | Option.INVERTED, _OPTIONS)
         self._set(MotorRegister.ERRORS, 1, 0)
         return self._on_j(self._program.profile)
 
@@ -258,8 +258,7 @@ class Letters(VehicleServer):
         """Set mode, control type and set points of the motors."""
         self._set(MotorRegister.MODE, 1, Mode.NORMAL)
         self._set(MotorRegister.CONTROL, 1, _ORDERS[letter])
-        self._set(MotorRegister.SET_POINT, 4, *orders)
-        return self._set(MotorRegister.SOURCE, 1, 0)
+        return self._set(MotorRegister.SET_POINT, 4, *orders)
 
     def _set(self, register: int, size: int, *values: int) -> Sequence[int]:
         """Set a register of both motors, to one value or two; return the values of an empty reply."""

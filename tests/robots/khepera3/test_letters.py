@@ -150,7 +150,7 @@ def test_both_programs_configure_the_motors_at_their_start_and_by_m(
     for _ in range(2):
         started.letters.receive(b"\n")
         left, right = started.bus.motors
-        assert [left.get(MotorRegister.SOFTWARE_OPTIONS, 1) & 0xFF, right.get(0x2B, 1)] == [0xA2, 0x22]
+        assert [left.get(MotorRegister.OPTIONS, 1) & 0xFF, right.get(0x2B, 1)] == [0xA2, 0x22]
         for register, size, value in (
             (MotorRegister.MODE, 1, Mode.IDLE),
             (MotorRegister.SAMPLE_TIME, 2, 1550),
