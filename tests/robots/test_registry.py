@@ -31,13 +31,13 @@ def environment(tmp_path: Path) -> dict[str, str]:
 def test_a_model_that_cannot_be_loaded_is_one_warning_of_a_command_without_it(
     environment: dict[str, str],
 ) -> None:
-    command = [sys.executable, "-m", "khep_twin", "playpen", "list"]
+    command = [sys.executable, "-m", "khep_twin", "playpen", "check", "obstacles"]
     process = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert (process.returncode, process.stderr) == (
         0,
         f"khep-twin: {REASON}; continuing without this model\n",
     )
-    assert "default" in process.stdout
+    assert "obstacles" in process.stdout
 
 
 def test_a_model_that_cannot_be_loaded_leaves_gymnasium_the_tasks_of_the_others(
