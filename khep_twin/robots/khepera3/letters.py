@@ -41,9 +41,6 @@ _ORDERS = dict(
 )
 _MEASURES = {"E": MotorRegister.SPEED, "R": MotorRegister.POSITION}
 
-_FRAMES = {"B": "<2H", "C": "<", "G": "<H" + 5 * "HHi" + "H", "K": "<", "O": "<11HI", "V": "<2H", "Z": "<"}
-"""Layout of the dsPIC's replies besides N."""
-
 _ARGUMENTS = {
     **dict.fromkeys("BEMNORXZ", ""),
     **dict.fromkeys("AGV", "b"),
@@ -75,7 +72,7 @@ class _Program(NamedTuple):
     longest: int  # bytes of a request that are read
     discards: bool  # the input after a command
     profile: tuple[int, int]  # speed and acceleration of moves at the start
-    proximity: str  # layout of the dsPIC's reply to N
+    proximity: int  # mask of a count of N
     mask: int  # of a value of C
     charge: str  # format of the battery's charge
     nests: bool  # the vehicle, which takes the readings from the second one on
@@ -112,10 +109,10 @@ def _parse_as_server(request: bytes) -> _Command | None:
 
 
 _FIRMWARE = _Program(
-    _parse, b"\n\r", None, 0, LONGEST_REQUEST, False, (20_000, 64), "<11hI", 0xFFFF, "{:d}", False
+    _parse, b"\n\r", None, 0, LONGEST_REQUEST, False, (20_000, 64), -1, 0xFFFF, "{:d}", False
 )
 _SERVER = _Program(
-    _parse_as_server, b"\r\n", b"", 3_000_000, 82, True, (15_000, 10), "<11HI", 0xFF, "{:03d}", True
+    _parse_as_server, b"\r\n", b"", 3_000_000, 82, True, (15_000, 10), 0xFFFF, 0xFF, "{:03d}", True
 )
 """The programs. The firmware's profile: manual; the server's time: an exchange with the dsPIC (a program)."""
 
@@ -138,9 +135,9 @@ class Letters(VehicleServer):
     def reset(self) -> bytes:
         """Reset robot and program; return its banner, which is empty."""
         for index, value in enumerate(SETTINGS):
-            self._ask("C", bytes([index]) + value.to_bytes(2, "big"))
+            self._bus.dspic.ask("C", index, *divmod(value, 256))
         for led in range(2):
-            self._ask("K", bytes([led, 0]))
+            self._bus.dspic.ask("K", led, 0)
         self._set(MotorRegister.MODE, 1, Mode.RESET)
         return super().reset()
 
@@ -192,10 +189,12 @@ class Letters(VehicleServer):
             return self._measure(letter)
         if handler := getattr(self, f"_on_{letter.lower()}", None):
             return handler(values)
-        arguments = bytes(value & 0xFF for value in values)
+        arguments = [value & 0xFF for value in values]
         if letter == "C":
-            arguments = arguments[:1] + (values[1] & self._program.mask).to_bytes(2, "big")
-        reply = self._ask(letter, arguments)
+            arguments[1:] = divmod(values[1] & self._program.mask, 256)
+        reply = self._bus.dspic.ask(letter, *arguments)
+        if letter == "N" and reply is not None:
+            reply = *(count & self._program.proximity for count in reply[:-1]), reply[-1]
         return self._program.silence if reply is None else reply
 
     def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
@@ -236,7 +235,7 @@ class Letters(VehicleServer):
     def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
         """Return a value of the battery, by its kind: 0 voltage [V] to 5 charge [%]."""
         kind = values[0] & 0xFFFF
-        if kind > 5 or (reply := self._ask("V", bytes([kind]))) is None:
+        if (reply := self._bus.dspic.ask("V", kind)) is None:
             return None
         whole, fraction = reply
         sign = "-" if kind in (1, 2) and whole & 0x8000 else ""
@@ -248,11 +247,6 @@ class Letters(VehicleServer):
         proximity, ambient = (self._bus.dspic.execute(letter)[1:] for letter in (b"N", b"O"))
         motors = struct.pack("<4i", *self._measure("E"), *self._measure("R"))
         return b"".join([b"x", proximity[:22], ambient[:22], motors, ambient[22:], b"\n\r"])
-
-    def _ask(self, letter: str, arguments: bytes = b"") -> tuple[int, ...] | None:
-        """Return the numbers in the dsPIC's reply to a command; None without a reply."""
-        reply = self._bus.dspic.execute(letter.encode() + arguments)
-        return struct.unpack(_FRAMES.get(letter, self._program.proximity), reply[1:]) if reply else None
 
     def _order(self, letter: str, orders: Sequence[int]) -> Sequence[int]:
         """Set mode, control type and set points of the motors."""
@@ -274,5 +268,5 @@ class Letters(VehicleServer):
     def _vehicle_readings(self) -> Sequence[int]:
         """Return the readings of the infrared sensors, or those of the ultrasonic ones in their place."""
         if self._vehicle[WANDERING] == 1 or self._program.nests:
-            return self._ask("N") or ()
-        return echo_readings([self._ask("G", bytes([number])) or () for number in ECHO_SENSORS])
+            return self._bus.dspic.ask("N") or ()
+        return echo_readings([self._bus.dspic.ask("G", number) or () for number in ECHO_SENSORS])

@@ -164,9 +164,10 @@ KHEPERA_3 = RobotModel(
 
 KHEPERA_3_V2 = replace(
     KHEPERA_3,
-    name="khepera3-2",
+    name="khepera3-firmware2",
     title="Khepera III with firmware 2",
     body=replace(BODY, pulses_per_turn=2764.8),
+    calibration=str(ASSETS / "khepera3-firmware2.toml"),
     roms={name: rom for name, rom in zip(("2.0", SERVER), KHEPERA_3.roms.values(), strict=True)},
 )
 """Before firmware 3.0: motors of another gear, 43.2:1, with 64 pulses a turn (manual)."""

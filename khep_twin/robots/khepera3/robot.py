@@ -93,4 +93,7 @@ class Khepera3Robot(MeasuringRobot):
 
     def _evaluate_pending(self, letter: str) -> None:
         """Evaluate the pending measurements that a command reads, by its letter."""
-        self._evaluate(*(range(ECHO, N_MOMENTS) if letter == "G" else (INFRARED,)))
+        if letter == "G":
+            self._evaluate(*range(ECHO, N_MOMENTS))
+        elif letter in "NO":
+            self._evaluate(INFRARED)
