@@ -113,7 +113,7 @@ def test_each_check_is_listed_once_and_those_that_move_come_last() -> None:
 @pytest.mark.parametrize(
     ("name", "mutation"),
     [
-        pytest.param(name, mutation, id=f"{name}-{number}")
+        pytest.param(name, mutation, id=f"{name}-{number}", marks=pytest.mark.long if number else ())
         for name, mutations in BROKEN.items()
         for number, mutation in enumerate(mutations)
     ],
