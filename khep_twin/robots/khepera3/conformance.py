@@ -188,7 +188,7 @@ def driven_speed(line: CheckedPort) -> None:
 
 @check("D and L drive the left and the right wheel in this order", "A, commands D and L", SPIN)
 def wheel_order(line: CheckedPort) -> None:
-    for order, sign in (("D,l8000,l-8000", 1), ("L,l-12000,l12000", -1)):
+    for order, sign in (("D,l8000,l-8000", 1), ("L,l-400,l400", -1)):
         left, right = _drive(line, order, 0.5)
         if min(left * sign, -right * sign) <= 0:
             raise Deviation(f"{order} moved the positions by {left}, {right}")
