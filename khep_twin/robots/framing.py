@@ -70,7 +70,7 @@ class Lines(NamedTuple):
 
     def decode(self, message: bytes) -> str:
         """Return the text of a message, with or without its end."""
-        return message.decode("latin-1").rstrip("\r\n")
+        return message.decode("latin-1").strip("\r\n")
 
     def command(self, text: str) -> str:
         """Return the command of a message by its text: a letter, or a tool's word."""

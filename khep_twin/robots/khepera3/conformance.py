@@ -110,6 +110,7 @@ def infrared(line: CheckedPort) -> None:
 
 @check("the last value of N is the time since Z in ms", "A, command Z")
 def timer(line: CheckedPort) -> None:
+    line.sleep(0.4)
     line.order("Z", pause=1.0)
     expect_range("N", line.numbers("N", 12)[11:], 850, 1150)
 
@@ -187,7 +188,7 @@ def driven_speed(line: CheckedPort) -> None:
 
 @check("D and L drive the left and the right wheel in this order", "A, commands D and L", SPIN)
 def wheel_order(line: CheckedPort) -> None:
-    for order, sign in (("D,l8000,l-8000", 1), ("L,l-12000,l12000", -1)):
+    for order, sign in (("D,l8000,l-8000", 1), ("L,l-400,l400", -1)):
         left, right = _drive(line, order, 0.5)
         if min(left * sign, -right * sign) <= 0:
             raise Deviation(f"{order} moved the positions by {left}, {right}")
@@ -208,9 +209,10 @@ def targets(line: CheckedPort) -> None:
 def gains(line: CheckedPort) -> None:
     line.order("H,d0,d10,d0,d0", "D,l20000,l20000", pause=0.5)
     speeds = line.numbers("E", 2)
-    line.order("M", "D,l8000,l8000", pause=0.4)
-    line.order("M")
     expect_range("E", speeds, 0, 10_000)
+    line.order("M", "D,l8000,l8000", pause=0.4)
+    expect_range("E", line.numbers("E", 2), 4000, 12_000)
+    line.order("M")
     _expect_standing(line, "after M in motion")
 
 
@@ -225,6 +227,4 @@ def vehicle(line: CheckedPort) -> None:
 
 
 CHECKS = tuple(value for value in vars().values() if isinstance(value, Check))
-"""All checks, in the order of this module."""
-
 KHEPERA_3_CHECKS = Catalogue(CHECKS, counters="R")

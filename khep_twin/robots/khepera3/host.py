@@ -173,10 +173,11 @@ class Khepera3(ProfileRobot):
 
 def _battery_command(kind: int) -> HostCommand[float]:
     """Return a command that reads a value, which has a whole part and, except charges, a fraction."""
+    parts = 10 if kind == 4 else 10_000  # of a degree, a volt or an ampere (manual)
 
     def read(reply: str) -> float:
         whole, *fraction = split_reply("v", 1 if kind in (3, 5) else 2, reply)
-        size = abs(int(whole)) + sum(map(int, fraction)) / 10_000
+        size = abs(int(whole)) + sum(map(int, fraction)) / parts
         return -size if whole.startswith("-") else size
 
     return HostCommand(f"V,{kind}", read, repeatable=True)

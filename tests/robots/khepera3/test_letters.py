@@ -13,7 +13,7 @@ from khep_twin.robots.khepera3 import state as indices
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.letters import Letters
 from khep_twin.robots.khepera3.model import FIRST, KHEPERA_3, SERVER
-from khep_twin.robots.khepera3.motor_control import N_MOTOR
+from khep_twin.robots.khepera3.motor_control import power_up
 from khep_twin.robots.khepera3.registers import SETTINGS, Control, Mode, MotorRegister
 
 FIRMWARE = "3.0"
@@ -47,8 +47,8 @@ def robot(rom: str = FIRMWARE) -> Robot:
     board = np.zeros(indices.N_BOARD, np.int64)
     board[indices.POWERED], board[indices.SETTING :] = 1, SETTINGS
     state: Any = SimpleNamespace(
-        memory=indices.power_up_memory(),
-        controllers=np.zeros(2 * N_MOTOR, np.int64),
+        left=power_up(-1),
+        right=power_up(1),
         board=board,
         echoes=np.zeros(5 * indices.N_ECHO, np.int64),
         battery=np.array([0.0, 0.2, 1.25]),
@@ -81,7 +81,7 @@ COMMON = [
     ("V,0", "v,8,2000"),
     ("V,1", "v,-0,2000"),
     ("V,2", "v,-1,2500"),
-    ("V,3", "v,1350"),
+    ("V,3", "v,1400"),
     ("V,4", "v,25,0"),
     ("V,5", "v,100"),
     ("Z", "z"),
@@ -137,7 +137,7 @@ def test_each_command_has_the_reply_of_its_program(rom: str, request_line: str, 
 def test_a_charge_has_three_digits_only_from_the_server() -> None:
     for rom, reply in ((FIRMWARE, "v,7"), (SERVER, "v,007")):
         almost_empty = robot(rom)
-        almost_empty.state.battery[indices.USED] = 4860 - 7 * 3.6 - 0.1
+        almost_empty.state.battery[indices.USED] = indices.CAPACITY - 7 * 3.6
         assert almost_empty.ask("V,3") == [reply]
 
 
@@ -146,7 +146,7 @@ def test_both_programs_configure_the_motors_at_their_start_and_by_m(
     rom: str, profile: tuple[int, int]
 ) -> None:
     started = robot(rom)
-    started.state.memory[:] = 1
+    started.state.left.memory[:] = started.state.right.memory[:] = 1
     for _ in range(2):
         started.letters.receive(b"\n")
         left, right = started.bus.motors
@@ -166,7 +166,7 @@ def test_both_programs_configure_the_motors_at_their_start_and_by_m(
         ):
             assert started.numbers(register, size) == [value, value]
         started.ask("D,l1,l1", "H,d0,d1,d2,d3", "J,d5,d6")
-        started.state.memory[MotorRegister.ERRORS] = 16
+        started.state.left.memory[MotorRegister.ERRORS] = 16
         assert started.ask("M") == ["m"]
 
 

@@ -1,0 +1,191 @@
+"""The host library for a Khepera III, on twins with its firmware and with kh3server, and behind ports."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+
+import pytest
+
+from khep_twin.errors import MoveError, PortError, ProtocolError, StoppedError
+from khep_twin.host import Khepera, Khepera3, Khepera4
+from khep_twin.host.discovery import identify_robot
+from khep_twin.playpen import Playpen
+from khep_twin.robots.khepera3.channels import PWM_LIMIT
+from khep_twin.robots.khepera3.host_results import Distances, Echo, InfraredCounts
+from khep_twin.robots.khepera3.registers import Control, Mode, MotorRegister
+from khep_twin.robots.khepera3.robot import Khepera3Robot
+from khep_twin.robots.registry import find_model
+
+FIRMWARE, SERVER = "khep://arena3?noise=off", "khep://arena3?noise=off&rom=kh3server"
+
+
+@pytest.fixture(params=[FIRMWARE, SERVER], ids=["firmware", "kh3server"])
+def robot(request: pytest.FixtureRequest) -> Iterator[Khepera3]:
+    with Khepera3(request.param) as khepera3:
+        yield khepera3
+
+
+def twin_of(robot: Khepera3) -> Khepera3Robot:
+    twin = robot.port.twin.robot  # type: ignore[attr-defined]
+    assert isinstance(twin, Khepera3Robot)
+    return twin
+
+
+def registers(robot: Khepera3, register: int, size: int) -> list[int]:
+    return [motor.get(register, size) for motor in twin_of(robot).bus.motors]
+
+
+def test_every_setting_reaches_its_registers(robot: Khepera3) -> None:
+    assert robot.version() == (3, 0)
+    robot.configure_speed_controller(40, 2, 1)
+    robot.configure_position_controller(50, 4, 3)
+    robot.configure_profile(0.05, 20)
+    for first, gains in ((MotorRegister.SPEED_GAINS, (40, 1, 2)), (MotorRegister.POSITION_GAINS, (50, 3, 4))):
+        for index, gain in enumerate(gains):
+            assert registers(robot, first + 2 * index, 2) == [gain, gain]
+    assert registers(robot, MotorRegister.TOP_SPEED, 2) == [10_937, 10_937]  # 218.75 units per mm/s
+    assert registers(robot, MotorRegister.ACCELERATION, 1) == [20, 20]
+    robot.reset_motors()
+    assert registers(robot, MotorRegister.SPEED_GAINS, 2) == [620, 620]
+    robot.light_leds([True, False])
+    assert twin_of(robot).readings()["leds"] == [1, 0]
+    robot.light_leds([False, True])
+    assert twin_of(robot).readings()["leds"] == [0, 1]
+
+
+def test_speeds_and_positions_are_in_si_units(robot: Khepera3) -> None:
+    robot.set_speed(0.1, -0.1)
+    robot.sleep(1)
+    assert robot.speed() == pytest.approx((0.1, -0.1), abs=0.005)
+    assert robot.position() == pytest.approx((0.095, -0.095), abs=0.02)
+    robot.stop()
+    robot.sleep(0.5)
+    robot.reset_position()
+    assert robot.position() == (0, 0)
+    robot.set_duty(0.5, 0.5)
+    assert registers(robot, MotorRegister.SET_POINT, 4) == [round(PWM_LIMIT / 2)] * 2
+    robot.sleep(0.3)
+    assert min(robot.speed()) > 0.05
+
+
+def test_a_robot_of_the_first_generation_has_its_own_units(tmp_path) -> None:
+    playpen = tmp_path / "old.toml"
+    playpen.write_text(
+        'version = 1\nname = "old"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n[[robot]]\n'
+        'model = "khepera3-2"\nx_mm = 500\ny_mm = 300\nheading_deg = 90\n'
+    )
+    for rom in ("2.0", "kh3server"):
+        with Khepera3(f"khep://{playpen}?rom={rom}") as robot:
+            assert robot.version() == (2, 0)
+            _, y, _ = twin_of(robot).pose
+            robot.set_speed(0.1, 0.1)
+            assert registers(robot, MotorRegister.SET_POINT, 4) == [14_405, 14_405]  # 144.05 units per mm/s
+            robot.stop()
+            robot.reset_position()
+            robot.move(0.1)
+            assert twin_of(robot).pose[1] == pytest.approx(y + 0.1, abs=3e-3)
+
+
+def test_moves_wait_until_the_wheels_stand_at_their_target(robot: Khepera3) -> None:
+    x, y, heading = twin_of(robot).pose
+    assert robot.move(0.1) == pytest.approx((0.1, 0.1), abs=2e-3)
+    assert twin_of(robot).pose == pytest.approx((x, y + 0.1, heading), abs=3e-3)
+    robot.turn(-math.pi / 2)
+    assert twin_of(robot).pose[2] == pytest.approx(heading - math.pi / 2, abs=0.03)
+    with pytest.raises(MoveError, match=r"not on target after 0\.2 s; stopped at"):
+        robot.move(0.3, timeout=0.2)
+    assert registers(robot, MotorRegister.CONTROL, 1) == [Control.SPEED] * 2
+
+
+def test_sensors_have_names_and_units(robot: Khepera3) -> None:
+    robot.sleep(0.25)
+    assert robot.proximity().back in range(20, 200)  # the floor's reflection
+    assert robot.proximity().ground_left > 3900
+    assert robot.ambient() == InfraredCounts(*[4000] * 11)
+    assert robot.infrared_time() == pytest.approx(0.25, abs=0.06)
+    robot.reset_timer()
+    robot.sleep(0.1)
+    assert robot.infrared_time() == pytest.approx(0.1, abs=0.04)
+    distances = robot.ultrasonic()
+    assert distances == Distances(None, None, pytest.approx(0.94, abs=0.03), None, None)
+    robot.configure_ultrasonic([0, 1], n_echoes=1)
+    robot.sleep(0.3)
+    left, front_left, *others = robot.ultrasonic()
+    assert left == pytest.approx(0.94, abs=0.03)
+    assert front_left == math.inf
+    assert others == [None] * 3
+    (echo,) = robot.echoes(0)
+    assert echo.amplitude > 200
+    assert 0 < echo.time < 1
+    assert robot.echoes(2) == []
+
+
+def test_replies_have_units_and_signs() -> None:
+    assert InfraredCounts.from_reply([65_535, -2, *range(9), 123]).left == -2
+    assert InfraredCounts.from_reply([65_535, -2, *range(9), 123]).back_left == -1
+    values = [2, 27, 2900, 1500, 94, 300, 2500, *[0] * 9, 1800]
+    assert Echo.from_reply(values) == [Echo(0.27, 2900, 1.5), Echo(0.94, 300, 2.5)]
+
+
+def test_a_battery_has_its_voltage_and_charge(robot: Khepera3) -> None:
+    battery = robot.battery()
+    assert battery.voltage == pytest.approx(8.2, abs=0.2)
+    assert battery.current == pytest.approx(battery.average_current, abs=0.01)
+    assert -0.5 < battery.current < -0.1
+    assert battery[3:] == (1400, 25, 1)
+    assert robot.supply_voltage() == battery.voltage
+
+
+def test_its_vehicle_stops_at_the_end_whatever_drives(robot: Khepera3) -> None:
+    with Khepera3(robot.port.name) as other:
+        other.wander()
+        other.wander()
+        other.sleep(1)
+        assert any(other.speed())
+        twin = twin_of(other)
+    assert twin.readings()["speed"][2:] == [0, 0]
+    robot.wander()
+    robot.stop_wandering()
+    assert registers(robot, MotorRegister.MODE, 1) == [Mode.STOP] * 2
+    robot.hold()
+    with pytest.raises(StoppedError, match="'A,0' is not sent"):
+        robot.wander()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda robot: robot.set_speed(math.nan, 0), "speed = nan; expected a finite number"),
+        (lambda robot: robot.configure_ultrasonic([0, 2]), r"sensors = \[0, 2\]; expected neighbours among"),
+        (lambda robot: robot.configure_ultrasonic([5]), r"sensors = \[5\]; expected neighbours among 0 to 4"),
+        (lambda robot: robot.configure_ultrasonic([-1]), r"sensors = \[-1\]; expected neighbours among 0 to"),
+        (lambda robot: robot.configure_ultrasonic(n_echoes=6), "n_echoes = 6; expected 1 to 5"),
+        (lambda robot: robot.echoes(5), "sensor = 5; expected 0 to 4"),
+        (lambda robot: Khepera3(FIRMWARE, wheel_base=0), "wheel_base = 0; expected a number above 0"),
+    ],
+)
+def test_what_is_out_of_range_is_refused_before_it_is_sent(wrong, message: str) -> None:
+    with Khepera3(FIRMWARE) as robot, pytest.raises(ValueError, match=message):
+        wrong(robot)
+
+
+def test_a_robot_of_another_kind_is_named_at_a_twin_and_by_its_replies() -> None:
+    with pytest.raises(PortError, match=r"^khep://arena3\?noise=off: the robot is a Khepera III; expected a"):
+        Khepera(FIRMWARE)
+    with pytest.raises(PortError, match=r"the robot is a Khepera IV; expected a Khepera III"):
+        Khepera3("khep://arena4")
+
+
+@pytest.mark.filterwarnings("ignore:.*a host came in the moment another left")
+def test_a_served_twin_answers_hosts_of_its_kind(
+    served: Callable[[Playpen], AbstractContextManager[str]],
+) -> None:
+    with served(Playpen.load("arena3")) as url:
+        with Khepera3(url, 2.0) as robot:
+            robot.set_speed(0.05, 0.05)
+            assert robot.proximity().ground_left > 3900
+            assert len(robot.read_panel()["ambient"]) == 11
+        with Khepera4(url, 2.0) as wrong:
+            with pytest.raises(ProtocolError, match="and 5 values; a Khepera III answers so"):
+                wrong.ultrasonic()
+        assert identify_robot(url)[1:] == (find_model("khepera3"), "b,3,0")
