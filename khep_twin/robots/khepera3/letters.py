@@ -193,8 +193,6 @@ class Letters(VehicleServer):
         if letter == "C":
             arguments[1:] = divmod(values[1] & self._program.mask, 256)
         reply = self._bus.dspic.ask(letter, *arguments)
-        if letter == "N" and reply is not None:
-            reply = *(count & self._program.proximity for count in reply[:-1]), reply[-1]
         return self._program.silence if reply is None else reply
 
     def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
@@ -232,6 +230,10 @@ class Letters(VehicleServer):
         self._set(MotorRegister.ERRORS, 1, 0)
         return self._on_j(self._program.profile)
 
+    def _on_n(self, values: Sequence[int]) -> Sequence[int]:
+        *counts, time_ms = self._bus.dspic.ask("N") or ()
+        return *(count & self._program.proximity for count in counts), time_ms
+
     def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
         """Return a value of the battery, by its kind: 0 voltage [V] to 5 charge [%]."""
         kind = values[0] & 0xFFFF
@@ -268,5 +270,5 @@ class Letters(VehicleServer):
     def _vehicle_readings(self) -> Sequence[int]:
         """Return the readings of the infrared sensors, or those of the ultrasonic ones in their place."""
         if self._vehicle[WANDERING] == 1 or self._program.nests:
-            return self._bus.dspic.ask("N") or ()
+            return self._on_n(())
         return echo_readings([self._bus.dspic.ask("G", number) or () for number in ECHO_SENSORS])

@@ -1,6 +1,7 @@
 """Speeds of the Braitenberg vehicle of letter A (library)."""
 
 from collections.abc import Sequence
+from operator import mul
 
 from khep_twin.board.kernel import divide
 from khep_twin.robots.khepera3.registers import SETTINGS, Setting
@@ -24,7 +25,7 @@ def vehicle_speeds(proximity: Sequence[int], gain: int = _GAIN) -> tuple[int, in
         for count in proximity
     ]
     left, right = (
-        divide(gain * sum(map(int.__mul__, weights, inputs)), _GAIN * _DIVISOR) + _FORWARD
+        divide(gain * sum(map(mul, weights, inputs)), _GAIN * _DIVISOR) + _FORWARD
         for weights in (_LEFT_WEIGHTS, _RIGHT_WEIGHTS)
     )
     return _UNIT * _at_least_least(left), _UNIT * _at_least_least(right)

@@ -72,7 +72,7 @@ def test_a_robot_of_the_first_generation_has_its_own_units(tmp_path) -> None:
     playpen = tmp_path / "old.toml"
     playpen.write_text(
         'version = 1\nname = "old"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n[[robot]]\n'
-        'model = "khepera3-2"\nx_mm = 500\ny_mm = 300\nheading_deg = 90\n'
+        'model = "khepera3-firmware2"\nx_mm = 500\ny_mm = 300\nheading_deg = 90\n'
     )
     for rom in ("2.0", "kh3server"):
         with Khepera3(f"khep://{playpen}?rom={rom}") as robot:
