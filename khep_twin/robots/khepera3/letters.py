@@ -231,7 +231,7 @@ class Letters(VehicleServer):
         return self._on_j(self._program.profile)
 
     def _on_n(self, values: Sequence[int]) -> Sequence[int]:
-        *counts, time_ms = self._bus.dspic.ask("N") or ()
+        *counts, time_ms = self._bus.dspic.ask("N") or (0,)
         return *(count & self._program.proximity for count in counts), time_ms
 
     def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:

@@ -1,7 +1,7 @@
 """Measurements of a Khepera III: moments of its sensors, their evaluation, and the registers of a log.
 
-Infrared sensors record a moment every 33 ms (toolbox), active ultrasonic ones in turn every 50 ms (assumed). A
-moment is evaluated when its readings are read. The functions are `compilable`, see `robots.core`.
+Infrared sensors record a moment every 33 ms (manual), active ultrasonic ones in turn every 50 ms (assumed).
+A moment is evaluated when its readings are read. The functions are `compilable`, see `robots.core`.
 """
 
 from collections.abc import Collection, Sequence

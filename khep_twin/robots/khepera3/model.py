@@ -111,7 +111,7 @@ _TERMS = (
 )
 
 _FRAMING = Lines(number=re.compile("[dl]?(-?[0-9]{1,10})"), has_reversed_ends=True)
-"""Numbers in requests have a prefix of their size; replies end in LF CR (a host), those of kh3server in CR LF."""
+"""Numbers in requests have a prefix of their size. Replies end in LF CR (a host), of kh3server in CR LF."""
 
 KHEPERA_3 = RobotModel(
     name="khepera3",

@@ -104,8 +104,8 @@ DEFAULTS = (
     *((MotorRegister.POSITION_GAINS + 2 * index, 2, gain) for index, gain in enumerate((600, 20, 30))),
     (MotorRegister.TOP_SPEED, 2, 20_000),
 )
-"""Size and value of registers that are not 0 at power-up: acceleration and top speed by the manual, the others
-as most programs write them (assumed)."""
+"""Size and value of registers that are not 0 at power-up: acceleration and top speed by the manual, others as
+most programs write them (assumed)."""
 
 
 class Setting(IntEnum):
