@@ -124,7 +124,7 @@ KHEPERA_4 = RobotModel(
         **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),
         "computer": "khep_twin.robots.khepera4.computer:COMPUTER",
         "program": "khep_twin.robots.khepera4.computer:bus_source",
-        "conformance": "khep_twin.robots.khepera4.conformance.catalogue:KHEPERA_4_CHECKS",
+        "conformance": "khep_twin.robots.khepera4.conformance:KHEPERA_4_CHECKS",
     },
     plots={
         "ultrasonic": "ultrasonic [cm]",

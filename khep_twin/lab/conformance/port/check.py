@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import serial
 
@@ -25,6 +26,9 @@ SETTLE = 0.2
 
 _STOPPING = 0.3
 """Time in which a robot stops, or its wheels turn by several pulses [s]."""
+
+REFUSED = "z,.*"
+"""Pattern of the reply to a wrong command."""
 
 _NUMBER = re.compile("-?(0|[1-9][0-9]*)")
 
@@ -153,8 +157,13 @@ class CheckedPort:
         return [int(field) for field in fields]
 
     def expect(self, request: str, reply: str) -> None:
-        """Raise a `Deviation` unless the reply to a request is as expected."""
-        if (answer := self.ask(request)) != reply:
+        """Raise a `Deviation` unless the reply to a request is this text, or matches it as a pattern."""
+        self.port.write(self.framing.encode(request))
+        self.expect_reply(request, reply)
+
+    def expect_reply(self, request: str, reply: str) -> None:
+        """Raise a `Deviation` unless the next reply is this text, or matches it as a pattern."""
+        if (answer := self.reply(request)) != reply and not re.fullmatch(reply, answer):
             raise Deviation(f"{request!r} was answered {answer!r}; expected {reply!r}")
 
     def order(self, *requests: str, pause: float = 0.0) -> None:
@@ -199,6 +208,38 @@ def expect_range(request: str, values: list[int], low: int, high: int) -> None:
             raise Deviation(f"{request!r} gave {value}; expected {low} to {high}")
 
 
+class Numbers(NamedTuple):
+    """A request for integers."""
+
+    request: str
+    count: int  # of integers in the reply
+    low: int  # least and greatest value
+    high: int
+    part: slice = slice(None)  # of the reply, which has these values
+
+
+def replies(name: str, section: str, *steps: str | float | tuple[str, ...], at_rest: bool = False) -> Check:
+    """Return a check of replies, with the attributes of a `Check`.
+
+    A step is a command that is acknowledged, a pause [s], `Numbers`, or a reply, as for `CheckedPort.expect`,
+    and the requests that get it.
+    """
+
+    def body(line: CheckedPort) -> None:
+        for step in steps:
+            if isinstance(step, str):
+                line.order(step)
+            elif isinstance(step, float):
+                line.sleep(step)
+            elif isinstance(step, Numbers):
+                expect_range(step.request, line.numbers(*step[:2])[step.part], step.low, step.high)
+            else:
+                for request in step[1:]:
+                    line.expect(request, step[0])
+
+    return Check(name, section, "", body, at_rest=at_rest)
+
+
 def ask_turret(line: CheckedPort, turret: int, message: str, count: int) -> list[int]:
     """Return the numbers of a turret's answer to a message; raise a `Deviation` unless there are `count`."""
     request = f"T,{turret},{message}"
@@ -212,14 +253,6 @@ def numbers_of_turret(request: str, answer: str, count: int) -> list[int]:
     if not re.fullmatch(rf"{head}(,(0|[1-9]\d*)){{{count}}}", answer):
         raise Deviation(f"{request!r} was answered {answer!r}; expected {head!r} and {count} numbers")
     return [int(field) for field in answer.split(",")[3:]]
-
-
-def expect_refusals(line: CheckedPort, *requests: str) -> None:
-    """Raise a `Deviation` unless each request is answered by a line that starts with "z,"."""
-    for request in requests:
-        answer = line.ask(request)
-        if not answer.startswith("z,"):
-            raise Deviation(f"{request!r} was answered {answer!r}; expected a line that starts with 'z,'")
 
 
 def expect_in_time(line: CheckedPort, request: str) -> None:

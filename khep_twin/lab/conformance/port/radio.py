@@ -1,13 +1,13 @@
 """Checks of a radio turret."""
 
 from khep_twin.lab.conformance.port.check import (
+    REFUSED,
     SETTLE,
     CheckedPort,
     Deviation,
     ask_turret,
     check,
     expect_range,
-    expect_refusals,
     numbers_of_turret,
 )
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
@@ -67,7 +67,8 @@ def refusals(line: CheckedPort) -> None:
     _wait_until_sent(line)
     invalid = ["S", f"S,{NOBODY},1,2", _order(NOBODY, 1) + ",0", _order(NOBODY, RADIO_BYTES + 1)]
     invalid += [_order(NOBODY, -1), _order(NOBODY, 1, 256), _order(NOBODY + 1, 1), _order(RADIO_ALL - 1, 1)]
-    expect_refusals(line, *(f"T,{RADIO_NUMBER},{message}" for message in (*invalid, "F,1", "R,1", "Q")))
+    for message in (*invalid, "F,1", "R,1", "Q"):
+        line.expect(f"T,{RADIO_NUMBER},{message}", REFUSED)
     if _wait_until_sent(line) & RadioStatus.FAILED:
         raise Deviation("a radio sent a message that it had refused")
 

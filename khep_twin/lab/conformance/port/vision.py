@@ -5,13 +5,13 @@ wrong parameter, for which there is no source.
 """
 
 from khep_twin.lab.conformance.port.check import (
+    REFUSED,
     CheckedPort,
     Deviation,
     ask_turret,
     check,
     expect_in_time,
     expect_range,
-    expect_refusals,
 )
 from khep_twin.units import K213_NUMBER, K213_PERIODS_MS, K213_PIXELS
 
@@ -95,7 +95,8 @@ def refusals(line: CheckedPort) -> None:
 
 
 def _expect_refused(line: CheckedPort, *messages: str) -> None:
-    expect_refusals(line, *(f"T,{K213_NUMBER},{message}" for message in messages))
+    for message in messages:
+        line.expect(f"T,{K213_NUMBER},{message}", REFUSED)
 
 
 @check(

@@ -1,1 +1,0 @@
-"""Checks of a Khepera IV on which kh4server runs, at a port."""
