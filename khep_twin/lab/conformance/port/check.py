@@ -212,13 +212,15 @@ class Numbers(NamedTuple):
     """A request for integers."""
 
     request: str
-    count: int  # of integers in the reply
+    n_values: int  # in the reply
     low: int  # least and greatest value
     high: int
     part: slice = slice(None)  # of the reply, which has these values
 
 
-def replies(name: str, section: str, *steps: str | float | tuple[str, ...], at_rest: bool = False) -> Check:
+def replies(
+    name: str, section: str, *steps: str | float | Numbers | tuple[str, ...], at_rest: bool = False
+) -> Check:
     """Return a check of replies, with the attributes of a `Check`.
 
     A step is a command that is acknowledged, a pause [s], `Numbers`, or a reply, as for `CheckedPort.expect`,
@@ -229,13 +231,13 @@ def replies(name: str, section: str, *steps: str | float | tuple[str, ...], at_r
         for step in steps:
             if isinstance(step, str):
                 line.order(step)
-            elif isinstance(step, float):
-                line.sleep(step)
             elif isinstance(step, Numbers):
                 expect_range(step.request, line.numbers(*step[:2])[step.part], step.low, step.high)
-            else:
+            elif isinstance(step, tuple):
                 for request in step[1:]:
                     line.expect(request, step[0])
+            else:
+                line.sleep(step)
 
     return Check(name, section, "", body, at_rest=at_rest)
 

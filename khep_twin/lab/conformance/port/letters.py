@@ -47,6 +47,12 @@ def single_bytes(section: str, request: str) -> Check:
     return Check("bytes sent one at a time make up a line", section, "", body)
 
 
+def is_server(line: CheckedPort) -> bool:
+    """Return whether a server answers, whose replies end in CR LF, those of a firmware in LF CR."""
+    line.send("B\n")
+    return line.framing.read(line.port, line.time).endswith(b"\r\n")
+
+
 @dataclass(frozen=True, slots=True)
 class LetterChecks:
     """Checks of a robot with the commands A, B, D, E, F, H, I, L, M, R and X."""
@@ -95,7 +101,10 @@ class LetterChecks:
             line_endings(section, self.version),
             Check("of commands sent together a server answers the first", "server", "", self._pipelining),
             *(at_rest, *further),
-            *(Check(name, f"{section}, command {name[0]}", *body, at_rest=True) for name, *body in bodies),
+            *(
+                Check(name, f"{section}, command {name[0]}", moves, body, at_rest=True)
+                for name, moves, body in bodies
+            ),
         )
         return Catalogue(tuple(sorted(checks, key=lambda check: bool(check.moves))), counters="R")
 
@@ -110,10 +119,9 @@ class LetterChecks:
             raise Deviation(f"after {order} in motion the positions changed by {pulses}; expected a stop")
 
     def _pipelining(self, line: CheckedPort) -> None:
-        line.send("B\n")
-        is_server = line.framing.read(line.port, line.time).endswith(b"\r\n")
+        requests = "B" if is_server(line) else "BEE"
         line.send("B\nE\nE\n")
-        for request in "B" if is_server else "BEE":
+        for request in requests:
             line.expect_reply(request, f"{request.lower()},.*")
         line.expect_silence("after the replies to commands sent together")
 
