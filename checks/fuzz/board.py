@@ -104,7 +104,7 @@ def check_khepera4(stream: bytes) -> None:
     """
     from khep_twin.robots.khepera4.dspic import Dspic
     from khep_twin.robots.khepera4.motor_control import PWM_LIMIT
-    from khep_twin.robots.khepera4.server import BINARY_BYTES, END, ERROR, Kh4Server
+    from khep_twin.robots.khepera4.server import BINARY_BYTES, Kh4Server
 
     dspic = Dspic()
     server, pulses = Kh4Server(dspic), 0
@@ -118,13 +118,15 @@ def check_khepera4(stream: bytes) -> None:
         reply = server.receive(piece)
         if reply.startswith(b"x") and len(reply) == BINARY_BYTES:
             continue
-        is_line = reply.isascii() and reply.endswith(END) and reply.count(b"\r") == reply.count(b"\n") == 1
+        is_line = (
+            reply.isascii() and reply.endswith(server.end) and reply.count(b"\r") == reply.count(b"\n") == 1
+        )
         assert not reply or is_line, reply
     numbers = [*dspic.state.motors]
     assert all(-(2**31) <= number < 2**31 for number in numbers), numbers
     server.receive(b"\n")
-    assert server.receive(b"B\n") == b"b,B,0" + END
-    assert server.receive(b"b\n") == ERROR
+    assert server.receive(b"B\n") == b"b,B,0\r\n"
+    assert server.receive(b"b\n") == b"$\r\n"
 
 
 def seeds(folder: Path) -> None:

@@ -1,14 +1,24 @@
 """`LineServer`: a program on a robot that answers requests on its line, at one baud rate, without turrets."""
 
-from collections.abc import Callable, Mapping, MutableSequence
+from collections.abc import Callable, Mapping, MutableSequence, Sequence
 
 from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.firmware import FirmwareState
 from khep_twin.robots.model import Dialect
+from khep_twin.robots.vehicle import LAST_LEFT, LAST_RIGHT, N_STILL, TURNING, Vehicle
 from khep_twin.sensing.buffers import Vector
 
 LONGEST_REQUEST = 1024
 """Bytes of an incomplete request that are kept."""
+
+_BLOCKED, _N_STUCK = 250, 5
+"""Front reading above which a vehicle is blocked, and rounds without motion after which it is stuck."""
+
+Command = tuple[str, Sequence[int]]
+"""Letter and numbers of a command."""
+
+Reply = Sequence[object] | bytes | None
+"""Values of a reply, a whole reply, or None for an error."""
 
 
 class LineServer:
@@ -17,6 +27,7 @@ class LineServer:
     Args:
         dialect: Protocol on the line.
         execute: Function that executes a request, without the ending of a line, and returns the reply.
+        is_powered: Function that returns whether the robot has power.
 
     Attributes:
         baud: Speed of the line [baud].
@@ -29,17 +40,22 @@ class LineServer:
     program = ""
     """Name of the program in snapshots."""
 
-    def __init__(self, dialect: Dialect, execute: Callable[[bytes], bytes]) -> None:
+    def __init__(
+        self,
+        dialect: Dialect,
+        execute: Callable[[bytes], bytes],
+        is_powered: Callable[[], bool] = lambda: True,
+    ) -> None:
         self.baud = self.reply_baud = dialect.baud
         self._framing = dialect.framing
-        self._execute = execute
+        self._execute, self._is_powered = execute, is_powered
         self.turrets: Mapping[TurretKind, Turret] = {}
         self._line = b""
 
     @property
     def powered(self) -> bool:
         """True while the robot has power."""
-        return True
+        return self._is_powered()
 
     def request_length(self, data: bytearray) -> int:
         """Return how many of the next bytes complete a request; more than their number if they do not."""
@@ -89,29 +105,63 @@ class LineServer:
 
 
 class VehicleServer(LineServer):
-    """A program that starts with the first bytes received, and drives the robot as a vehicle on request.
+    """A program whose commands are letters with numbers; it starts with the first bytes, by its command M.
+
+    A command B is executed by the method `_on_b`.
 
     Args:
-        dialect, execute: See `LineServer`.
-        vehicle: State of the vehicle, all 0 while it does not drive.
+        dialect, is_powered: See `LineServer`.
+        vehicle: Numbers of its vehicle.
+        state: State of the vehicle, all 0 while it does not drive.
     """
+
+    end = b"\r\n"  # of a reply
+    longest = 82  # bytes of a request that are read
+    discards = True  # the input after a command
 
     def __init__(
         self,
         dialect: Dialect,
-        execute: Callable[[bytes], bytes],
-        vehicle: Vector[int] | MutableSequence[int],
+        vehicle: Vehicle,
+        state: Vector[int] | MutableSequence[int],
+        is_powered: Callable[[], bool],
     ) -> None:
-        super().__init__(dialect, execute)
-        self._vehicle = vehicle
+        super().__init__(dialect, self.execute, is_powered)
+        self._vehicle, self._state = vehicle, state
         self.forget()
 
     def forget(self) -> None:
         """End the program; it restarts with the next bytes."""
         super().forget()
         self._is_running = False
-        for index in range(len(self._vehicle)):
-            self._vehicle[index] = 0
+        for index in range(len(self._state)):
+            self._state[index] = 0
+
+    def receive(self, data: bytes) -> bytes:
+        """Receive bytes; return the replies to the commands that they complete."""
+        if not self.powered:
+            return b""
+        if not self._is_running:
+            self._is_running = True
+            self._run("M", ())
+        messages, line = self._framing.split(self._line + data, to_robot=True)
+        self._line, replies = line[: self.longest], b""
+        for request in filter(None, messages):
+            replies += self.execute(request[: self.longest])
+            if replies and self.discards:
+                self._line = b""
+                break
+        return replies
+
+    def execute(self, request: bytes) -> bytes:
+        """Execute a command; return its reply."""
+        command = self._parse(request)
+        reply = None if command is None else self._run(*command)
+        if isinstance(reply, bytes):
+            return reply
+        if command is None or reply is None:
+            return b"$" + self.end
+        return ",".join([command[0].lower(), *map(str, reply)]).encode() + self.end
 
     def state(self) -> FirmwareState:
         """Return the state without that of the vehicle."""
@@ -125,3 +175,34 @@ class VehicleServer(LineServer):
         """
         super().set_state(state._replace(running=state.running or self.program))
         self._is_running = bool(state.running)
+
+    def _parse(self, request: bytes) -> Command | None:
+        """Return letter and numbers of a request; None if it is malformed."""
+        raise NotImplementedError
+
+    def _run(self, letter: str, values: Sequence[int]) -> Reply:
+        handler = getattr(self, f"_on_{letter.lower()}", None)
+        return None if handler is None else handler(values)
+
+    def _start_vehicle(self, level: int, positions: Sequence[int]) -> Reply:
+        for index, value in enumerate((level, 0, 0, *positions)):
+            self._state[index] = value
+        return ()
+
+    def _next_speeds(
+        self, readings: Sequence[int], positions: Sequence[int], gain: int | None = None
+    ) -> tuple[int, int] | None:
+        """Run a round of the vehicle; return the speeds to set, None for the present ones."""
+        state, vehicle = self._state, self._vehicle
+        is_blocked, was_turning = max(readings[vehicle.front]) > _BLOCKED, state[TURNING]
+        if vehicle.waits and was_turning and is_blocked:
+            return None
+        is_still = all(map(vehicle.is_near, positions, (int(state[LAST_LEFT]), int(state[LAST_RIGHT]))))
+        n_still = state[N_STILL] = state[N_STILL] + 1 if is_still else 0
+        is_stuck = n_still > _N_STUCK
+        is_turning = is_stuck if vehicle.waits else is_blocked and (was_turning or is_stuck)
+        state[TURNING] = int(is_turning)
+        if (is_stuck or not is_still) and (vehicle.waits or not is_turning):
+            state[N_STILL], state[LAST_LEFT], state[LAST_RIGHT] = 0, *positions
+        turn = vehicle.turn * vehicle.unit
+        return (turn, -turn) if is_turning else vehicle.speeds(readings, gain)

@@ -15,7 +15,7 @@ from khep_twin.robots.core import Core, register
 from khep_twin.robots.khepera3 import measurements, state
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
-from khep_twin.robots.khepera3.letters import Letters
+from khep_twin.robots.khepera3.letters import Letters, program_of
 from khep_twin.robots.khepera3.model import KHEPERA_3, version_of
 from khep_twin.robots.khepera3.motor_control import (
     Motor,
@@ -28,6 +28,7 @@ from khep_twin.robots.khepera3.motor_control import (
 )
 from khep_twin.robots.khepera3.registers import SINGLE_COUNT, Control, Mode, MotorRegister
 from khep_twin.robots.khepera3.state import Khepera3State
+from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.bursts import scan
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
@@ -70,7 +71,7 @@ def _tick(robot: Khepera3State, simulated: Simulated, inputs: StepInputs, time_n
     if robot.is_discharged:
         battery[state.USED] = min(battery[state.USED] + current * (TICK_NS * 1e-9), state.CAPACITY)
     if voltage > CUT_OFF:
-        return robot.vehicle[state.WANDERING] != 0
+        return robot.vehicle[WANDERING] != 0
     robot.board[state.POWERED] = 0
     _cut_off(scene, robot, 0, robot.left)
     _cut_off(scene, robot, 1, robot.right)
@@ -139,7 +140,7 @@ def _is_powered(robot: Khepera3State) -> bool:
 
 def _program(entry: RobotEntry, robot: Khepera3State) -> Letters:
     """Return the program on the line of a state, started."""
-    letters = Letters(Bus(robot, version_of(entry.robot_model)), robot.vehicle, entry.rom)
+    letters = program_of(Bus(robot, version_of(entry.robot_model)), robot.vehicle, entry.rom)
     letters.receive(b"\n")
     return letters
 

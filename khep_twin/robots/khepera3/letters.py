@@ -19,19 +19,15 @@ place is answered at once here.
 
 import re
 import struct
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.model import KHEPERA_3, SERVER
 from khep_twin.robots.khepera3.registers import DEFAULTS, SETTINGS, Control, Mode, MotorRegister, Option
-from khep_twin.robots.khepera3.state import LAST_LEFT, LAST_RIGHT, N_STILL, TURNING, WANDERING
-from khep_twin.robots.khepera3.wandering import ECHO_SENSORS, echo_readings, next_speeds
-from khep_twin.robots.line_server import LONGEST_REQUEST, VehicleServer
+from khep_twin.robots.khepera3.vehicle import SERVER_VEHICLE, VEHICLE
+from khep_twin.robots.line_server import LONGEST_REQUEST, Command, Reply, VehicleServer
+from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.buffers import Vector
-
-ERROR = b"$"
-"""Reply to an unknown or malformed command (library; assumed for the firmware)."""
 
 _ROUND_MS = 20
 """Time of a round of the vehicle (library)."""
@@ -58,79 +54,31 @@ _N_NUMBERS, _NUMBER_BYTES = 4, 10
 _OPTIONS = Option.ANTI_WINDUP | Option.STOP_WHEN_BLOCKED
 """Options at the start; the other settings are those at power-up (library; assumed for the firmware)."""
 
-_Command = tuple[str, Sequence[int]]
-"""Letter and numbers of a command."""
-
-
-class _Program(NamedTuple):
-    """Properties in which the programs differ."""
-
-    parse: Callable[[bytes], _Command | None]
-    end: bytes  # of a reply
-    silence: bytes | None  # reply to a command that the dsPIC does not answer; None for an error
-    answer_ns: int  # time to a reply
-    longest: int  # bytes of a request that are read
-    discards: bool  # the input after a command
-    profile: tuple[int, int]  # speed and acceleration of moves at the start
-    proximity: int  # mask of a count of N
-    mask: int  # of a value of C
-    charge: str  # format of the battery's charge
-    nests: bool  # the vehicle, which takes the readings from the second one on
-
-
-def _parse(request: bytes) -> _Command | None:
-    """Return a command of the firmware; None if it is malformed."""
-    head, *fields = request.split(b",")
-    if (arguments := _ARGUMENTS.get(letter := head.strip().decode("latin-1"))) is None:
-        return None
-    matches = [match for match in map(_PREFIXED.match, fields[: len(arguments)]) if match]
-    numbers, limits = [int(match[2]) for match in matches], [_LIMITS[match[1]] for match in matches]
-    is_valid = all(low <= number <= high for number, (low, high) in zip(numbers, limits, strict=True))
-    return (letter, numbers) if is_valid and len(numbers) == len(arguments) else None
-
-
-def _parse_as_server(request: bytes) -> _Command | None:
-    """Return a command of kh3server; None for an unknown letter."""
-    text = request.partition(b"\0")[0]
-    if (arguments := _ARGUMENTS.get(letter := text[:1].decode("latin-1"))) is None:
-        return None
-    fields = [field for field in text[2:].split(b",") if field][:_N_NUMBERS]
-    if letter in "AV" and len(fields) != 1:
-        return letter, [-1]
-    memory = bytearray(_N_NUMBERS * _NUMBER_BYTES + len(text) + 1)
-    starts = range(0, _N_NUMBERS * _NUMBER_BYTES, _NUMBER_BYTES)
-    for start, field in zip(starts, fields, strict=False):
-        memory[start : start + len(field) + 1] = field + b"\0"
-    for start, kind in zip(starts, arguments, strict=False):
-        memory[start] = ord(" ") if kind == "p" else memory[start]
-    matches = (_INTEGER.match(memory[start:].partition(b"\0")[0]) for start in starts[: len(arguments)])
-    low, high = _LIMITS[b"l"]
-    return letter, [min(max(int(match[0]), low), high) if match else 0 for match in matches]
-
-
-_FIRMWARE = _Program(
-    _parse, b"\n\r", None, 0, LONGEST_REQUEST, False, (20_000, 64), -1, 0xFFFF, "{:d}", False
-)
-_SERVER = _Program(
-    _parse_as_server, b"\r\n", b"", 3_000_000, 82, True, (15_000, 10), 0xFFFF, 0xFF, "{:03d}", True
-)
-"""The programs. The firmware's profile: manual; the server's time: an exchange with the dsPIC (a program)."""
+_ECHO_SENSORS, _FAR_CM, _COUNTS_PER_CM = (1, 2, 3, 3, 4, 5), 70, 20
+"""Ultrasonic sensors in place of the infrared ones from the left to the right, distance of an echo with a
+reading of 0, and its rise, to 1000 at 20 cm (assumed)."""
 
 
 class Letters(VehicleServer):
-    """The program on the serial line; it starts with the first bytes received.
+    """The firmware on the serial line.
 
     Args:
         bus: Devices of the robot.
-        vehicle: State of the vehicle (N_VEHICLE,).
+        state: State of the vehicle (N_VEHICLE,).
         rom: Name of the firmware.
     """
 
-    def __init__(self, bus: Bus, vehicle: Vector[int], rom: str) -> None:
+    end, longest, discards = b"\n\r", LONGEST_REQUEST, False
+    vehicle = VEHICLE
+    nests = False  # a vehicle in another one, by the infrared sensors
+    profile = 20_000, 64  # speed and acceleration of moves at the start (manual)
+    charge = "{:d}"  # format of the battery's charge
+    silence: bytes | None = None  # reply to a command that the dsPIC does not answer
+    count_mask, value_mask = -1, 0xFFFF  # of a count of N, and of a value of C
+
+    def __init__(self, bus: Bus, state: Vector[int], rom: str) -> None:
         self._bus, self.program = bus, rom
-        self._program = _SERVER if rom == SERVER else _FIRMWARE
-        self.answer_ns = self._program.answer_ns
-        super().__init__(KHEPERA_3.dialect, self.execute, vehicle)
+        super().__init__(KHEPERA_3.dialect, self.vehicle, state, lambda: bus.dspic.is_powered)
 
     def reset(self) -> bytes:
         """Reset robot and program; return its banner, which is empty."""
@@ -141,69 +89,49 @@ class Letters(VehicleServer):
         self._set(MotorRegister.MODE, 1, Mode.RESET)
         return super().reset()
 
-    @property
-    def powered(self) -> bool:
-        """True while the robot has power."""
-        return self._bus.dspic.is_powered
-
-    def receive(self, data: bytes) -> bytes:
-        """Receive bytes; return the replies to the commands that they complete."""
-        if not self.powered:
-            return b""
-        if not self._is_running:
-            self._is_running = True
-            self._on_m(())
-        messages, line = self._framing.split(self._line + data, to_robot=True)
-        self._line, replies = line[: self._program.longest], b""
-        for request in filter(None, messages):
-            replies += self.execute(request[: self._program.longest])
-            if replies and self._program.discards:
-                self._line = b""
-                break
-        return replies
-
     def tick(self) -> None:
         """Run the vehicle of A for a control period."""
-        if not self._vehicle[WANDERING] or self._bus.dspic.time_ms() % _ROUND_MS:
+        dspic = self._bus.dspic
+        if not self._state[WANDERING] or dspic.time_ms() % _ROUND_MS:
             return
-        readings, positions = self._vehicle_readings(), self._measure("R")
-        gain, is_server = self._bus.dspic.vehicle_gain, self._program.nests
-        if speeds := next_speeds(self._vehicle, readings, positions, gain, is_server):
+        if self._state[WANDERING] == 1 or self.nests:
+            readings = self._on_n(())
+        else:
+            echoes = [dspic.ask("G", number) or () for number in _ECHO_SENSORS]
+            readings = [_COUNTS_PER_CM * (_FAR_CM - distance) * (count > 0) for count, distance, *_ in echoes]
+            readings = [0, *(max(reading, 0) for reading in readings), *[0] * 4]
+        gain = None if self.nests else dspic.vehicle_gain
+        if speeds := self._next_speeds(readings, self._measure("R"), gain):
             self._order("D", speeds)
 
-    def execute(self, request: bytes) -> bytes:
-        """Execute a command by the tables, or by its method, `_on_a` for A; return its reply."""
-        command = self._program.parse(request)
-        reply = None if command is None else self._run(*command)
-        if isinstance(reply, bytes):
-            return reply
-        if command is None or reply is None:
-            return ERROR + self._program.end
-        return ",".join([command[0].lower(), *map(str, reply)]).encode() + self._program.end
+    def _parse(self, request: bytes) -> Command | None:
+        head, *fields = request.split(b",")
+        if (arguments := _ARGUMENTS.get(letter := head.strip().decode("latin-1"))) is None:
+            return None
+        matches = [match for match in map(_PREFIXED.match, fields[: len(arguments)]) if match]
+        numbers, limits = [int(match[2]) for match in matches], [_LIMITS[match[1]] for match in matches]
+        is_valid = all(low <= number <= high for number, (low, high) in zip(numbers, limits, strict=True))
+        return (letter, numbers) if is_valid and len(numbers) == len(arguments) else None
 
-    def _run(self, letter: str, values: Sequence[int]) -> Sequence[object] | bytes | None:
-        """Execute a command; return the values of its reply, a binary reply, or None for an error."""
+    def _run(self, letter: str, values: Sequence[int]) -> Reply:
         if letter in _ORDERS:
             return self._order(letter, values)
         if letter in _MEASURES:
             return self._measure(letter)
-        if handler := getattr(self, f"_on_{letter.lower()}", None):
-            return handler(values)
+        if hasattr(self, f"_on_{letter.lower()}"):
+            return super()._run(letter, values)
         arguments = [value & 0xFF for value in values]
         if letter == "C":
-            arguments[1:] = divmod(values[1] & self._program.mask, 256)
+            arguments[1:] = divmod(values[1] & self.value_mask, 256)
         reply = self._bus.dspic.ask(letter, *arguments)
-        return self._program.silence if reply is None else reply
+        return self.silence if reply is None else reply
 
-    def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
-        vehicle, (mode,), nests = self._vehicle, values, self._program.nests
+    def _on_a(self, values: Sequence[int]) -> Reply:
+        (mode,), level = values, int(self._state[WANDERING])
         if mode in (0, 1):
-            drives = vehicle[WANDERING] + 1 if nests else mode + 1
-            vehicle[WANDERING], vehicle[TURNING], vehicle[N_STILL] = drives, 0, 0
-            vehicle[LAST_LEFT], vehicle[LAST_RIGHT] = self._measure("R")
-            return ()
-        if vehicle[WANDERING] and (nests or mode == 2):
-            vehicle[WANDERING] = vehicle[WANDERING] - 1 if nests else 0
+            return self._start_vehicle(level + 1 if self.nests else mode + 1, self._measure("R"))
+        if level and (self.nests or mode == 2):
+            self._state[WANDERING] = level - 1 if self.nests else 0
             self._set(MotorRegister.MODE, 1, Mode.STOP)
         return () if mode == 2 else None
 
@@ -228,13 +156,13 @@ class Letters(VehicleServer):
         self._set(MotorRegister.HARDWARE_OPTIONS, 1, 0)
         self._set(MotorRegister.OPTIONS, 1, _OPTIONS | Option.INVERTED, _OPTIONS)
         self._set(MotorRegister.ERRORS, 1, 0)
-        return self._on_j(self._program.profile)
+        return self._on_j(self.profile)
 
     def _on_n(self, values: Sequence[int]) -> Sequence[int]:
         *counts, time_ms = self._bus.dspic.ask("N") or (0,)
-        return *(count & self._program.proximity for count in counts), time_ms
+        return *(count & self.count_mask for count in counts), time_ms
 
-    def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
+    def _on_v(self, values: Sequence[int]) -> Reply:
         """Return a value of the battery, by its kind: 0 voltage [V] to 5 charge [%]."""
         kind = values[0] & 0xFFFF
         if (reply := self._bus.dspic.ask("V", kind)) is None:
@@ -242,7 +170,7 @@ class Letters(VehicleServer):
         whole, fraction = reply
         sign = "-" if kind in (1, 2) and whole & 0x8000 else ""
         if kind in (3, 5):
-            return [self._program.charge.format(whole) if kind == 3 else whole]
+            return [self.charge.format(whole) if kind == 3 else whole]
         return f"{sign}{whole & 0x7FFF if sign else whole}", fraction
 
     def _on_x(self, values: Sequence[int]) -> bytes:
@@ -267,8 +195,34 @@ class Letters(VehicleServer):
         left, right = self._bus.motors
         return left.get(_MEASURES[letter], 4), right.get(_MEASURES[letter], 4)
 
-    def _vehicle_readings(self) -> Sequence[int]:
-        """Return the readings of the infrared sensors, or those of the ultrasonic ones in their place."""
-        if self._vehicle[WANDERING] == 1 or self._program.nests:
-            return self._on_n(())
-        return echo_readings([self._bus.dspic.ask("G", number) or () for number in ECHO_SENSORS])
+
+class Kh3Server(Letters):
+    """kh3server on a KoreBot."""
+
+    end, longest, discards = VehicleServer.end, VehicleServer.longest, True
+    answer_ns = 3_000_000  # an exchange with the dsPIC (a program)
+    vehicle, nests = SERVER_VEHICLE, True
+    profile, charge, silence = (15_000, 10), "{:03d}", b""
+    count_mask, value_mask = 0xFFFF, 0xFF
+
+    def _parse(self, request: bytes) -> Command | None:
+        text = request.partition(b"\0")[0]
+        if (arguments := _ARGUMENTS.get(letter := text[:1].decode("latin-1"))) is None:
+            return None
+        fields = [field for field in text[2:].split(b",") if field][:_N_NUMBERS]
+        if letter in "AV" and len(fields) != 1:
+            return letter, [-1]
+        memory = bytearray(_N_NUMBERS * _NUMBER_BYTES + len(text) + 1)
+        starts = range(0, _N_NUMBERS * _NUMBER_BYTES, _NUMBER_BYTES)
+        for start, field in zip(starts, fields, strict=False):
+            memory[start : start + len(field) + 1] = field + b"\0"
+        for start, kind in zip(starts, arguments, strict=False):
+            memory[start] = ord(" ") if kind == "p" else memory[start]
+        matches = (_INTEGER.match(memory[start:].partition(b"\0")[0]) for start in starts[: len(arguments)])
+        low, high = _LIMITS[b"l"]
+        return letter, [min(max(int(match[0]), low), high) if match else 0 for match in matches]
+
+
+def program_of(bus: Bus, state: Vector[int], rom: str) -> Letters:
+    """Return the program of a firmware's name; the arguments are those of `Letters`."""
+    return (Kh3Server if rom == SERVER else Letters)(bus, state, rom)

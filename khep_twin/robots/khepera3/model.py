@@ -20,7 +20,7 @@ from khep_twin.robots.khepera3.channels import (
     ULTRASONIC,
 )
 from khep_twin.robots.khepera3.registers import Control, Mode
-from khep_twin.robots.khepera3.vehicle import vehicle_speeds
+from khep_twin.robots.khepera3.vehicle import VEHICLE
 from khep_twin.robots.model import (
     Dialect,
     Interface,
@@ -158,7 +158,7 @@ KHEPERA_3 = RobotModel(
         FIRST["control"] + index: value
         for index, value in enumerate((Mode.NORMAL, Mode.NORMAL, Control.SPEED, Control.SPEED))
     },
-    vehicle=vehicle_speeds,
+    vehicle=VEHICLE.speeds,
     template=str(ASSETS / "template.py"),
 )
 

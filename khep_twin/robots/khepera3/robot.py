@@ -2,7 +2,7 @@
 
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.core import wheel_pulses
-from khep_twin.robots.khepera3.letters import Letters
+from khep_twin.robots.khepera3.letters import Letters, program_of
 from khep_twin.robots.khepera3.measurements import BURST_NS, fill_registers
 from khep_twin.robots.khepera3.model import SAMPLED, version_of
 from khep_twin.robots.khepera3.motor_control import Motor, reset
@@ -13,11 +13,11 @@ from khep_twin.robots.khepera3.state import (
     N_ECHO,
     N_MOMENTS,
     N_ULTRASONIC,
-    N_VEHICLE,
     Khepera3State,
 )
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
+from khep_twin.robots.vehicle import N_VEHICLE
 from khep_twin.sensing.bursts import ECHO, INFRARED, NONE
 from khep_twin.simulation.robot_arrays import Layout, Part
 
@@ -66,7 +66,7 @@ class Khepera3Robot(MeasuringRobot):
         context, entry = setup.context, setup.context.playpen.robots[setup.index]
         state: Khepera3State = context.simulation.robots.state_of(setup.index)
         self.bus = Bus(state, version_of(entry.robot_model))
-        super().__init__(setup, Letters(self.bus, state.vehicle, entry.rom), fill_registers, BURST_NS)
+        super().__init__(setup, program_of(self.bus, state.vehicle, entry.rom), fill_registers, BURST_NS)
         self.bus.dspic.before_read = self._evaluate_pending
         self.bus.dspic.time_ms = lambda: context.time_ns // 1_000_000
 

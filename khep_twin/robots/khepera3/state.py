@@ -14,6 +14,7 @@ from khep_twin.robots.khepera3.channels import ULTRASONIC
 from khep_twin.robots.khepera3.model import GROUND_HEIGHT, KHEPERA_3, SONAR
 from khep_twin.robots.khepera3.motor_control import MotorState
 from khep_twin.robots.khepera3.registers import SETTINGS
+from khep_twin.robots.vehicle import N_VEHICLE
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.bursts import ECHO, NONE
 from khep_twin.sensing.calibration import Calibration
@@ -36,11 +37,6 @@ N_BOARD = SETTING + len(SETTINGS)
 MAX_ECHOES = 5
 N_ECHO = 1 + 3 * MAX_ECHOES
 """Numbers of an ultrasonic reading: number of echoes; distance [cm], amplitude and time [ms] of each."""
-
-WANDERING, TURNING, N_STILL, LAST_LEFT, LAST_RIGHT = range(5)
-"""Indices in the state of the vehicle of letter A: 1 by infrared, 2 by ultrasonic sensors; whether it
-turns in place, control periods without motion, and position at the last motion [pulses]."""
-N_VEHICLE = 5
 
 USED, CURRENT, AVERAGE = range(3)
 """Indices in the state of the battery: used charge [C], current and average current [A]."""

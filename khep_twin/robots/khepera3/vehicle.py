@@ -1,35 +1,24 @@
-"""Speeds of the Braitenberg vehicle of letter A (library)."""
+"""Braitenberg vehicle of letter A (library); the firmware's has the gain of its configuration (assumed)."""
 
-from collections.abc import Sequence
-from operator import mul
+from dataclasses import replace
 
-from khep_twin.board.kernel import divide
 from khep_twin.robots.khepera3.registers import SETTINGS, Setting
+from khep_twin.robots.vehicle import Vehicle
 
-_LEFT_WEIGHTS = 2, 2, 2, 5, -12, -4, -2, 2, 4
-_RIGHT_WEIGHTS = 2, -2, -4, -12, 5, 2, 2, 2, 4
-_THRESHOLD, _SATURATION, _LARGEST = 100, 1000, 450
-_GAIN, _DIVISOR, _FORWARD, _LEAST, _UNIT = SETTINGS[Setting.VEHICLE_GAIN], 30, 20, 10, 256
-"""Weights of nine sensors; counts below which readings have no effect, and above which they have the largest
-one; usual gain and its divisor; speed without obstacles and least speed, in a unit of 256."""
-
-
-def vehicle_speeds(proximity: Sequence[int], gain: int = _GAIN) -> tuple[int, int]:
-    """Return the speeds of the left and right wheel by nine readings.
-
-    kh3server passes the readings 1 to 9, so that of the right ground sensor takes the place of the last. The
-    firmware has the same law with the gain of its configuration (assumed).
-    """
-    inputs = [
-        0 if count < _THRESHOLD else _LARGEST if count > _SATURATION else (count - _THRESHOLD) // 2
-        for count in proximity
-    ]
-    left, right = (
-        divide(gain * sum(map(mul, weights, inputs)), _GAIN * _DIVISOR) + _FORWARD
-        for weights in (_LEFT_WEIGHTS, _RIGHT_WEIGHTS)
-    )
-    return _UNIT * _at_least_least(left), _UNIT * _at_least_least(right)
-
-
-def _at_least_least(speed: int) -> int:
-    return max(speed, _LEAST) if speed >= 0 else min(speed, -_LEAST)
+VEHICLE = Vehicle(
+    left=(2, 2, 2, 5, -12, -4, -2, 2, 4),
+    right=(2, -2, -4, -12, 5, 2, 2, 2, 4),
+    threshold=100,
+    saturation=1000,
+    divisor=30 * SETTINGS[Setting.VEHICLE_GAIN],
+    forward=20,
+    least=10,
+    turn=50,
+    moved_pulses=700,
+    front=slice(3, 5),
+    unit=256,
+    gain=SETTINGS[Setting.VEHICLE_GAIN],
+    waits=True,
+)
+SERVER_VEHICLE = replace(VEHICLE, left=(0, *VEHICLE.left), right=(0, *VEHICLE.right), is_unsigned=True)
+"""That of kh3server, which passes the readings 1 to 9: the last is that of the right ground sensor."""

@@ -19,8 +19,9 @@ from khep_twin.robots.khepera4 import dspic, gauge, inertial, measurements
 from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
 from khep_twin.robots.khepera4.motor_control import LEFT_PWM, N_MOTOR, PWM_LIMIT, RIGHT_PWM, Motor, stop
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
-from khep_twin.robots.khepera4.server import WANDERING, Kh4Server
+from khep_twin.robots.khepera4.server import Kh4Server
 from khep_twin.robots.khepera4.state import N_MOMENTS, Khepera4State, make_state
+from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.bursts import scan
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor

@@ -17,7 +17,7 @@ from khep_twin.robots.khepera4.channels import (
     ULTRASONIC_CODES,
 )
 from khep_twin.robots.khepera4.registers import Control
-from khep_twin.robots.khepera4.vehicle import vehicle_speeds
+from khep_twin.robots.khepera4.vehicle import VEHICLE
 from khep_twin.robots.model import (
     Bench,
     Dialect,
@@ -135,7 +135,7 @@ KHEPERA_4 = RobotModel(
     interface=_INTERFACE,
     terms=_TERMS,
     speed_modes={_FIRST["control"]: Control.SPEED},
-    vehicle=vehicle_speeds,
+    vehicle=VEHICLE.speeds,
     template=str(Path(__file__).parent / "assets" / "template.py"),
     # At full duty the twin's tyres slip by 0.05 %; paper of A4 is 210 mm wide.
     bench=Bench(

@@ -1,7 +1,7 @@
-"""kh4server, the program on the Khepera IV that answers ASCII commands on a serial line (manual, chapter 6).
+r"""kh4server, the program on the Khepera IV that answers ASCII commands on a serial line (manual, chapter 6).
 
     server = Kh4Server(Dspic())
-    reply = server.receive(b"D,100,100" + END)
+    reply = server.receive(b"D,100,100\r\n")
 
 A command is a capital letter and numbers, separated by commas; the reply is the small letter and values. The
 published program is reproduced to the byte (library): a reply discards all input after its command; an A
@@ -11,65 +11,42 @@ byte of X's readings, and all bytes of X after the first 67. docs/khepera4.md li
 """
 
 import re
+import struct
 from collections.abc import Sequence
 
-from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE, RING
+from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
-from khep_twin.robots.khepera4.vehicle import vehicle_speeds
-from khep_twin.robots.line_server import VehicleServer
+from khep_twin.robots.khepera4.vehicle import VEHICLE
+from khep_twin.robots.line_server import Command, Reply, VehicleServer
+from khep_twin.robots.vehicle import N_VEHICLE, WANDERING
 from khep_twin.sensing.buffers import Vector
 
-ANSWER_NS = 2_000_000
-"""Time from a command to its reply [ns]: that of some 60 bytes on the bus (assumed)."""
-
-END = b"\r\n"
-ERROR = b"$" + END
-"""Reply to an unknown command, or to a wrong number of values."""
-
-DEFAULT_PROFILE = (3, 0, 20, 1, 400)
-WANDERING_PROFILE = (10, 0, 20, 1, 400)
+_DEFAULT_PROFILE, _WANDERING_PROFILE = (3, 0, 20, 1, 400), (10, 0, 20, 1, 400)
 """Profiles of J: the default, and that of the Braitenberg vehicle."""
 
-MARGIN = 20
-"""Default position margin [pulses]."""
-
-LONGEST_LINE = 82
-"""Bytes of a command that are read; the rest of its line is discarded."""
-
-TURN_SPEED, BLOCKED, N_STUCK, MOVED_PULSES = 120, 250, 5, 4424
-"""Parameters of the vehicle besides those of `vehicle_speeds`: speed of a turn in place [pulses/10 ms]; the
-front reading above which it turns in place, after so many periods in which it moved less than 30 mm
-[pulses]."""
-
-WANDERING, _TURNING, _N_STILL, _LAST_LEFT, _LAST_RIGHT = range(5)
-"""Indices in the state of the vehicle: whether it drives, whether it turns in place, control periods without
-motion, and position at the last motion [pulses]."""
-N_VEHICLE = 5
-
 _READS = {
-    "e": (DspicRegister.SPEED_LEFT, 2, 2, True),
-    "g": (DspicRegister.ULTRASONIC, N_ULTRASONIC, 2, False),
-    "n": (DspicRegister.PROXIMITY, N_INFRARED, 2, False),
-    "o": (DspicRegister.AMBIENT, N_INFRARED, 2, False),
-    "r": (DspicRegister.POSITION_LEFT, 2, 4, True),
-    "s": (DspicRegister.GYROSCOPE, 3 * PACKET_SIZE, 2, True),
-    "t": (DspicRegister.ACCELEROMETER, 3 * PACKET_SIZE, 2, True),
+    "E": (DspicRegister.SPEED_LEFT, "<2h"),
+    "G": (DspicRegister.ULTRASONIC, f"<{N_ULTRASONIC}H"),
+    "N": (DspicRegister.PROXIMITY, f"<{N_INFRARED}H"),
+    "O": (DspicRegister.AMBIENT, f"<{N_INFRARED}H"),
+    "R": (DspicRegister.POSITION_LEFT, "<2i"),
+    "S": (DspicRegister.GYROSCOPE, f"<{3 * PACKET_SIZE}h"),
+    "T": (DspicRegister.ACCELEROMETER, f"<{3 * PACKET_SIZE}h"),
 }
-"""Commands that read numbers: first register, count, bytes of each, and whether they are signed."""
+"""Commands that read numbers: first register, and layout."""
 
 _WRITES = {
-    "d": (DspicRegister.SPEED_ORDER_LEFT, 2, 2, Control.SPEED),
-    "f": (DspicRegister.POSITION_ORDER_LEFT, 2, 4, Control.POSITION),
-    "h": (DspicRegister.KP, 3, 1, None),
-    "l": (DspicRegister.PWM_ORDER_LEFT, 2, 2, Control.OPEN_LOOP),
-    "p": (DspicRegister.POSITION_MARGIN, 1, 2, None),
-    "u": (DspicRegister.ULTRASONIC_ENABLED, 1, 1, None),
+    "D": (DspicRegister.SPEED_ORDER_LEFT, 2, 2, Control.SPEED),
+    "F": (DspicRegister.POSITION_ORDER_LEFT, 2, 4, Control.POSITION),
+    "H": (DspicRegister.KP, 3, 1, None),
+    "L": (DspicRegister.PWM_ORDER_LEFT, 2, 2, Control.OPEN_LOOP),
+    "P": (DspicRegister.POSITION_MARGIN, 1, 2, None),
+    "U": (DspicRegister.ULTRASONIC_ENABLED, 1, 1, None),
 }
 """Commands that write their values: first register, count, bytes of each, and the control type to set."""
 
-_FRONT = 3
 _INTEGER = re.compile(rb"\s*[+-]?\d+")
 
 
@@ -79,90 +56,52 @@ class Kh4Server(VehicleServer):
     Args:
         dspic: Microcontroller that it controls.
         vehicle: State of the vehicle (N_VEHICLE,).
-
     """
 
-    answer_ns = ANSWER_NS
+    answer_ns = 2_000_000  # some 60 bytes on the bus (assumed)
     program = "kh4server"
 
     def __init__(self, dspic: Dspic, vehicle: Vector[int] | None = None) -> None:
         self._dspic = dspic
-        super().__init__(KHEPERA_4.dialect, self.execute, [0] * N_VEHICLE if vehicle is None else vehicle)
+        state = [0] * N_VEHICLE if vehicle is None else vehicle
+        super().__init__(KHEPERA_4.dialect, VEHICLE, state, lambda: dspic.is_powered)
 
     def reset(self) -> bytes:
         """Reset robot and program; return its banner, which is empty."""
         self._dspic.reset()
         return super().reset()
 
-    @property
-    def powered(self) -> bool:
-        """True while the robot has power."""
-        return self._dspic.is_powered
-
-    def receive(self, data: bytes) -> bytes:
-        """Receive bytes; return the reply to the command that they complete, if any."""
-        if not self.powered:
-            return b""
-        if not self._is_running:
-            self._is_running = True
-            self._set_defaults()
-        messages, line = self._framing.split(self._line + data, to_robot=True)
-        request = next(filter(None, messages), b"")[:LONGEST_LINE]
-        self._line = b"" if request else line[:LONGEST_LINE]
-        return self.execute(request) if request else b""
-
     def tick(self) -> None:
         """Run the vehicle of A for a control period (assumed; the program loops as fast as it can)."""
-        vehicle = self._vehicle
-        if not vehicle[WANDERING]:
-            return
-        proximity, position = self._read(DspicRegister.PROXIMITY, len(RING)), self._read(*_READS["r"])
-        last_position = vehicle[_LAST_LEFT], vehicle[_LAST_RIGHT]
-        is_still = all(
-            abs(new - old) < MOVED_PULSES for new, old in zip(position, last_position, strict=True)
-        )
-        n_still = vehicle[_N_STILL] = vehicle[_N_STILL] + 1 if is_still else 0
-        is_stuck = n_still > N_STUCK
-        vehicle[_TURNING] = proximity[_FRONT] > BLOCKED and (vehicle[_TURNING] or is_stuck)
-        if vehicle[_TURNING]:
-            self._order_speeds((TURN_SPEED, -TURN_SPEED))
-            return
-        if is_stuck or not is_still:
-            vehicle[_N_STILL] = 0
-            vehicle[_LAST_LEFT], vehicle[_LAST_RIGHT] = position
-        self._order_speeds(vehicle_speeds(proximity))
+        if self._state[WANDERING] and (speeds := self._next_speeds(self._read("N"), self._read("R"))):
+            self._order_speeds(speeds)
 
-    def execute(self, request: bytes) -> bytes:
-        """Execute a command by the tables, or by its method, `_on_a` for A; return its reply or ERROR."""
+    def _parse(self, request: bytes) -> Command | None:
         fields = [field for field in request[2:].split(b",") if field]
         values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
-        letter = request[:1].decode("latin-1").lower() if request[:1].isupper() else ""
-        if letter in _READS:
-            reply = self._read(*_READS[letter])
-        elif letter in _WRITES:
-            register, count, size, control = _WRITES[letter]
-            self._set_control(control)
-            reply = self._write(register, _pad_values(values, count), size)
-        else:
-            handler = getattr(self, f"_on_{letter}", None)
-            reply = None if handler is None else handler(values)
-        if reply is None:
-            return ERROR
-        return reply if isinstance(reply, bytes) else ",".join([letter, *map(str, reply)]).encode() + END
+        return (request[:1].decode(), values) if request[:1].isupper() else None
 
-    def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
+    def _run(self, letter: str, values: Sequence[int]) -> Reply:
+        if letter in _READS:
+            return self._read(letter)
+        if letter not in _WRITES:
+            return super()._run(letter, values)
+        register, count, size, control = _WRITES[letter]
+        if control is not None:
+            self._set_control(control)
+        return self._write(register, _pad_values(values, count), size)
+
+    def _on_a(self, values: Sequence[int]) -> Reply:
         if values not in ([0], [1]):
-            if self._vehicle[WANDERING]:
+            if self._state[WANDERING]:
                 self._order_speeds((0, 0))
                 self._set_control(Control.IDLE)
-                self._set_profile(DEFAULT_PROFILE)
-            self._vehicle[WANDERING] = 0
+                self._set_profile(_DEFAULT_PROFILE)
+            self._state[WANDERING] = 0
             return () if values == [2] else None
-        self._set_profile(WANDERING_PROFILE)
+        self._set_profile(_WANDERING_PROFILE)
         self._set_control(Control.SPEED_PROFILE)
-        for index, value in enumerate((1, 0, 0, *self._read(*_READS["r"]))):
-            self._vehicle[index] = value
-        return ()
+        return self._start_vehicle(1, self._read("R"))
 
     def _on_b(self, values: Sequence[int]) -> Sequence[object]:
         revision = self._dspic.read(DspicRegister.REVISION, 1)[0]
@@ -174,54 +113,44 @@ class Kh4Server(VehicleServer):
     def _on_j(self, values: Sequence[int]) -> Sequence[int]:
         return self._set_profile(_pad_values(values, 5))
 
-    def _on_k(self, values: Sequence[int]) -> Sequence[int] | None:
+    def _on_k(self, values: Sequence[int]) -> Reply:
         if len(values) != 9:
             return None
         return self._write(DspicRegister.LEDS, [value & 0x3F for value in values], size=1)
 
-    def _on_m(self, values: Sequence[int]) -> Sequence[int]:
-        self._set_defaults()
-        return ()
+    def _on_m(self, values: Sequence[int]) -> Reply:
+        self._write(DspicRegister.POSITION_MARGIN, [20])
+        self._write(DspicRegister.KP, (10, 5, 1), size=1)
+        self._set_profile(_DEFAULT_PROFILE)
+        return self._set_control(Control.IDLE)
 
-    def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
+    def _on_v(self, values: Sequence[int]) -> Reply:
         """Return one value of the battery, by its kind: 0 voltage [mV] to 7 status of the gauge."""
         if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
             return None
-        block = self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)
-        signed = (int.from_bytes(block[start : start + 2], "little", signed=True) for start in (4, 6, 8))
-        current, average, temperature = signed
-        voltage = int.from_bytes(block[10:12], "little")
+        block = struct.unpack("<BHBhhhH", self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES))
+        status, charge, percent, current, average_current, temperature, voltage = block
         values_by_kind: Sequence[object] = (
             f"{voltage * 9.76:.0f}",
             f"{current * 0.07813:.0f}",
-            f"{average * 0.07813:.0f}",
-            f"{int.from_bytes(block[1:3], 'little') * 1.6:.0f}",
+            f"{average_current * 0.07813:.0f}",
+            f"{charge * 1.6:.0f}",
             f"{temperature * 0.003906:.1f}",
-            block[3],
+            percent,
             0,  # the charger is never plugged in
-            block[0],
+            status,
         )
         return [values_by_kind[kind]]
 
     def _on_x(self, values: Sequence[int]) -> bytes:
-        readings = [
-            self._dspic.read(register, 2 * N_INFRARED)[1:] + b"\0"
-            for register in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
-        ]
-        motors = *self._read(*_READS["e"]), *self._read(*_READS["r"])
-        reply = b"".join([b"x", *readings, *(value.to_bytes(4, "little", signed=True) for value in motors)])
-        return (reply + b"\n\r").ljust(BINARY_BYTES, b"\0")
+        registers = DspicRegister.PROXIMITY, DspicRegister.AMBIENT
+        readings = (self._dspic.read(register, 2 * N_INFRARED)[1:] + b"\0" for register in registers)
+        motors = struct.pack("<4i", *self._read("E"), *self._read("R"))
+        return b"".join([b"x", *readings, motors, b"\n\r"]).ljust(BINARY_BYTES, b"\0")
 
     def _on_z(self, values: Sequence[int]) -> Sequence[int]:
         self._dspic.reset()
         return ()
-
-    def _set_defaults(self) -> None:
-        """Set the default settings of the motors."""
-        self._write(DspicRegister.POSITION_MARGIN, [MARGIN])
-        self._write(DspicRegister.KP, (10, 5, 1), size=1)
-        self._set_profile(DEFAULT_PROFILE)
-        self._set_control(Control.IDLE)
 
     def _set_profile(self, profile: Sequence[int]) -> Sequence[int]:
         self._write(DspicRegister.ACCELERATION, profile[:4], size=1)
@@ -232,9 +161,8 @@ class Kh4Server(VehicleServer):
         is_open = self._dspic.read(DspicRegister.CONTROL, 1)[0] == Control.OPEN_LOOP
         self._write(DspicRegister.PWM_ORDER_LEFT if is_open else DspicRegister.SPEED_ORDER_LEFT, orders)
 
-    def _set_control(self, control: Control | None) -> None:
-        if control is not None:
-            self._write(DspicRegister.CONTROL, [control], size=1)
+    def _set_control(self, control: Control) -> Sequence[int]:
+        return self._write(DspicRegister.CONTROL, [control], size=1)
 
     def _write(self, register: DspicRegister, values: Sequence[int], size: int = 2) -> Sequence[int]:
         """Write numbers of `size` bytes, truncated as in C; return the values of an empty reply."""
@@ -242,13 +170,9 @@ class Kh4Server(VehicleServer):
         self._dspic.write(bytes([register]) + b"".join((v & mask).to_bytes(size, "little") for v in values))
         return ()
 
-    def _read(
-        self, register: DspicRegister, count: int, size: int = 2, signed: bool = False
-    ) -> tuple[int, ...]:
-        """Return numbers of `size` bytes."""
-        content = self._dspic.read(register, size * count)
-        numbers = (content[offset : offset + size] for offset in range(0, size * count, size))
-        return tuple(int.from_bytes(number, "little", signed=signed) for number in numbers)
+    def _read(self, letter: str) -> tuple[int, ...]:
+        register, layout = _READS[letter]
+        return struct.unpack(layout, self._dspic.read(register, struct.calcsize(layout)))
 
 
 def _pad_values(values: Sequence[int], count: int) -> list[int]:

@@ -11,7 +11,7 @@ from khep_twin.robots.khepera4 import dspic, gauge, inertial, ultrasonic
 from khep_twin.robots.khepera4.dspic import N_ULTRASONIC, DspicState
 from khep_twin.robots.khepera4.inertial import InertialState
 from khep_twin.robots.khepera4.model import KHEPERA_4
-from khep_twin.robots.khepera4.server import N_VEHICLE
+from khep_twin.robots.vehicle import N_VEHICLE
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.bursts import ECHO, NONE
 from khep_twin.sensing.calibration import Calibration

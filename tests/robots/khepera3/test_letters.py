@@ -11,10 +11,11 @@ import pytest
 from khep_twin.firmware import FirmwareState
 from khep_twin.robots.khepera3 import state as indices
 from khep_twin.robots.khepera3.bus import Bus
-from khep_twin.robots.khepera3.letters import Letters
+from khep_twin.robots.khepera3.letters import Letters, program_of
 from khep_twin.robots.khepera3.model import FIRST, KHEPERA_3, SERVER
 from khep_twin.robots.khepera3.motor_control import power_up
 from khep_twin.robots.khepera3.registers import SETTINGS, Control, Mode, MotorRegister
+from khep_twin.robots.vehicle import N_VEHICLE, WANDERING
 
 FIRMWARE = "3.0"
 END = {FIRMWARE: b"\n\r", SERVER: b"\r\n"}
@@ -52,12 +53,12 @@ def robot(rom: str = FIRMWARE) -> Robot:
         board=board,
         echoes=np.zeros(5 * indices.N_ECHO, np.int64),
         battery=np.array([0.0, 0.2, 1.25]),
-        vehicle=np.zeros(indices.N_VEHICLE, np.int64),
+        vehicle=np.zeros(N_VEHICLE, np.int64),
         registers=np.zeros(KHEPERA_3.interface.n_registers, np.int64),
     )
     state.echoes[2 * indices.N_ECHO :][:4] = 1, 27, 2900, 100_000
     bus = Bus(state, (3, 0))
-    made = Robot(state, bus, Letters(bus, state.vehicle, rom))
+    made = Robot(state, bus, program_of(bus, state.vehicle, rom))
     made.set_proximity(PROXIMITY)
     return made
 
@@ -309,10 +310,10 @@ def test_an_a_2_ends_one_vehicle_of_the_server_and_all_of_the_firmware() -> None
     for rom, n_left in ((FIRMWARE, 0), (SERVER, 1)):
         wanderer = robot(rom)
         assert wanderer.ask("A,0", "A,1", "A,2") == ["a"] * 3
-        assert wanderer.state.vehicle[indices.WANDERING] == n_left
+        assert wanderer.state.vehicle[WANDERING] == n_left
         assert wanderer.numbers(MotorRegister.MODE, 1) == [Mode.STOP] * 2
     assert wanderer.ask("A") == ["$"]  # also ends it
-    assert wanderer.state.vehicle[indices.WANDERING] == 0
+    assert wanderer.state.vehicle[WANDERING] == 0
     assert rounds(wanderer) == [0, 0]
 
 
