@@ -1,11 +1,12 @@
 """`LineServer`: a program on a robot that answers requests on its line, at one baud rate, without turrets."""
 
 from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from typing import Any
 
 from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.firmware import FirmwareState
 from khep_twin.robots.model import Dialect
-from khep_twin.robots.vehicle import LAST_LEFT, LAST_RIGHT, N_STILL, TURNING, Vehicle
+from khep_twin.robots.vehicle import LAST_LEFT, LAST_RIGHT, N_STILL, TURNING, WANDERING, Vehicle
 from khep_twin.sensing.buffers import Vector
 
 LONGEST_REQUEST = 1024
@@ -17,7 +18,7 @@ _BLOCKED, _N_STUCK = 250, 5
 Command = tuple[str, Sequence[int]]
 """Letter and numbers of a command."""
 
-Reply = Sequence[object] | bytes | None
+Reply = Any
 """Values of a reply, a whole reply, or None for an error."""
 
 
@@ -128,6 +129,7 @@ class VehicleServer(LineServer):
     ) -> None:
         super().__init__(dialect, self.execute, is_powered)
         self._vehicle, self._state = vehicle, state
+        self._gain: int | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -163,6 +165,25 @@ class VehicleServer(LineServer):
             return b"$" + self.end
         return ",".join([command[0].lower(), *map(str, reply)]).encode() + self.end
 
+    def tick(self) -> None:
+        """Run the vehicle, if it drives, for a round."""
+        state, vehicle = self._state, self._vehicle
+        if not state[WANDERING]:
+            return
+        readings, positions, was_turning = self._readings(), self._run("R", ()), state[TURNING]
+        is_blocked = max(readings[vehicle.front]) > _BLOCKED
+        if vehicle.waits and was_turning and is_blocked:
+            return
+        is_still = all(map(vehicle.is_near, positions, (int(state[LAST_LEFT]), int(state[LAST_RIGHT]))))
+        state[N_STILL] = state[N_STILL] + 1 if is_still else 0
+        is_stuck = state[N_STILL] > _N_STUCK
+        is_turning = is_stuck if vehicle.waits else is_blocked and (was_turning or is_stuck)
+        state[TURNING] = int(is_turning)
+        if (is_stuck or not is_still) and (vehicle.waits or not is_turning):
+            state[N_STILL], state[LAST_LEFT], state[LAST_RIGHT] = 0, *positions
+        turn = vehicle.turn * vehicle.unit
+        self._order_speeds((turn, -turn) if is_turning else vehicle.speeds(readings, self._gain))
+
     def state(self) -> FirmwareState:
         """Return the state without that of the vehicle."""
         return super().state()._replace(running=self.program if self._is_running else "")
@@ -189,20 +210,8 @@ class VehicleServer(LineServer):
             self._state[index] = value
         return ()
 
-    def _next_speeds(
-        self, readings: Sequence[int], positions: Sequence[int], gain: int | None = None
-    ) -> tuple[int, int] | None:
-        """Run a round of the vehicle; return the speeds to set, None for the present ones."""
-        state, vehicle = self._state, self._vehicle
-        is_blocked, was_turning = max(readings[vehicle.front]) > _BLOCKED, state[TURNING]
-        if vehicle.waits and was_turning and is_blocked:
-            return None
-        is_still = all(map(vehicle.is_near, positions, (int(state[LAST_LEFT]), int(state[LAST_RIGHT]))))
-        n_still = state[N_STILL] = state[N_STILL] + 1 if is_still else 0
-        is_stuck = n_still > _N_STUCK
-        is_turning = is_stuck if vehicle.waits else is_blocked and (was_turning or is_stuck)
-        state[TURNING] = int(is_turning)
-        if (is_stuck or not is_still) and (vehicle.waits or not is_turning):
-            state[N_STILL], state[LAST_LEFT], state[LAST_RIGHT] = 0, *positions
-        turn = vehicle.turn * vehicle.unit
-        return (turn, -turn) if is_turning else vehicle.speeds(readings, gain)
+    def _readings(self) -> Any:
+        return self._run("N", ())
+
+    def _order_speeds(self, speeds: tuple[int, int]) -> None:
+        self._run("D", speeds)

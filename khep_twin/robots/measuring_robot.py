@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import step
+from khep_twin.robots.line_server import VehicleServer
 from khep_twin.robots.robot import Robot, RobotSetup
 from khep_twin.sensing.bursts import BURST, NONE
 from khep_twin.simulation.robot_arrays import Part, read
-from khep_twin.simulation.wired_board import BoardFirmware
 from khep_twin.simulation.world_state import POSITIONS, RobotSnapshot
 
 _BATTERY_EMPTY = "the battery is empty: the robot stands still"
@@ -22,24 +22,21 @@ class MeasuringRobot(Robot):
 
     Args:
         setup: See `Robot`.
-        firmware: Command interpreter, with `tick` for the periods in which the stepping core asks for it.
+        firmware: Program on its line.
         fill_registers: Function that sets the registers of a state.
         burst_ns: Time from one burst to the next [ns].
     """
 
+    firmware: VehicleServer
+
     def __init__(
-        self, setup: RobotSetup, firmware: BoardFirmware, fill_registers: Callable[[Any], None], burst_ns: int
+        self, setup: RobotSetup, firmware: VehicleServer, fill_registers: Callable[[Any], None], burst_ns: int
     ) -> None:
         super().__init__(setup, firmware)
         self._state: Any = setup.context.simulation.robots.state_of(setup.index)
         self._fill_registers, self._burst_ns = fill_registers, burst_ns
         self.registers = self._record["registers"]
         setup.context.observers.evaluations.append(self.refresh)
-
-    @property
-    @abstractmethod
-    def is_powered(self) -> bool:
-        """True if the supply suffices."""
 
     @abstractmethod
     def evaluate_all(self) -> None:
@@ -48,7 +45,7 @@ class MeasuringRobot(Robot):
     def act_after(self, reason: int) -> None:
         """Update faults before a control period, and act after it if the stepping core has asked for it."""
         super().act_after(reason)
-        if reason == step.Reason.TICKED and self.is_powered:
+        if reason == step.Reason.TICKED and self.firmware.powered:
             self.firmware.tick()
         elif reason == step.Reason.TICKED and not self._has_stopped:
             self._has_stopped = True
@@ -77,7 +74,7 @@ class MeasuringRobot(Robot):
         arrays = dict(state.arrays)
         positions = arrays.pop(POSITIONS, b"")
         super().set_state(state._replace(arrays=arrays))
-        if (powered := int(self.is_powered)) == state.is_stopped:
+        if (powered := int(self.firmware.powered)) == state.is_stopped:
             raise ValueError(f"powered = {powered}; expected {1 - powered}")
         for moment in range(len(self._state.times)):
             self._state.times[moment] = NONE

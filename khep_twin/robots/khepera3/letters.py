@@ -91,18 +91,16 @@ class Letters(VehicleServer):
 
     def tick(self) -> None:
         """Run the vehicle of A for a control period."""
-        dspic = self._bus.dspic
-        if not self._state[WANDERING] or dspic.time_ms() % _ROUND_MS:
-            return
+        if not self._bus.dspic.time_ms() % _ROUND_MS:
+            self._gain = None if self.nests else self._bus.dspic.vehicle_gain
+            super().tick()
+
+    def _readings(self) -> Sequence[int]:
         if self._state[WANDERING] == 1 or self.nests:
-            readings = self._on_n(())
-        else:
-            echoes = [dspic.ask("G", number) or () for number in _ECHO_SENSORS]
-            readings = [_COUNTS_PER_CM * (_FAR_CM - distance) * (count > 0) for count, distance, *_ in echoes]
-            readings = [0, *(max(reading, 0) for reading in readings), *[0] * 4]
-        gain = None if self.nests else dspic.vehicle_gain
-        if speeds := self._next_speeds(readings, self._measure("R"), gain):
-            self._order("D", speeds)
+            return self._on_n(())
+        echoes = [self._bus.dspic.ask("G", number) or (0, 0) for number in _ECHO_SENSORS]
+        readings = [_COUNTS_PER_CM * (_FAR_CM - echo[1]) * (echo[0] > 0) for echo in echoes]
+        return [0, *(max(reading, 0) for reading in readings), *[0] * 4]
 
     def _parse(self, request: bytes) -> Command | None:
         head, *fields = request.split(b",")
@@ -129,7 +127,7 @@ class Letters(VehicleServer):
     def _on_a(self, values: Sequence[int]) -> Reply:
         (mode,), level = values, int(self._state[WANDERING])
         if mode in (0, 1):
-            return self._start_vehicle(level + 1 if self.nests else mode + 1, self._measure("R"))
+            return self._start_vehicle(1 + (level if self.nests else mode), self._measure("R"))
         if level and (self.nests or mode == 2):
             self._state[WANDERING] = level - 1 if self.nests else 0
             self._set(MotorRegister.MODE, 1, Mode.STOP)

@@ -2,7 +2,7 @@
 
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.core import wheel_pulses
-from khep_twin.robots.khepera3.letters import Letters, program_of
+from khep_twin.robots.khepera3.letters import program_of
 from khep_twin.robots.khepera3.measurements import BURST_NS, fill_registers
 from khep_twin.robots.khepera3.model import SAMPLED, version_of
 from khep_twin.robots.khepera3.motor_control import Motor, reset
@@ -58,7 +58,6 @@ class Khepera3Robot(MeasuringRobot):
         registers: Values of `SAMPLED` at the last `refresh`.
     """
 
-    firmware: Letters
     sampled = SAMPLED
     layout = LAYOUT
 
@@ -69,11 +68,6 @@ class Khepera3Robot(MeasuringRobot):
         super().__init__(setup, program_of(self.bus, state.vehicle, entry.rom), fill_registers, BURST_NS)
         self.bus.dspic.before_read = self._evaluate_pending
         self.bus.dspic.time_ms = lambda: context.time_ns // 1_000_000
-
-    @property
-    def is_powered(self) -> bool:
-        """True if the supply suffices."""
-        return self.bus.dspic.is_powered
 
     @property
     def lit_leds(self) -> list[int]:

@@ -74,7 +74,6 @@ class Khepera4Robot(MeasuringRobot):
         registers: Values of `SAMPLED` at the last `refresh`.
     """
 
-    firmware: Kh4Server
     sampled = SAMPLED
     layout = LAYOUT
 
@@ -83,11 +82,6 @@ class Khepera4Robot(MeasuringRobot):
         self.dspic = Dspic(state.dspic)
         super().__init__(setup, Kh4Server(self.dspic, state.vehicle), fill_registers, ultrasonic.PERIOD_NS)
         self.dspic.before_read = self._evaluate_pending
-
-    @property
-    def is_powered(self) -> bool:
-        """True if the supply suffices."""
-        return self.dspic.is_powered
 
     def set_state(self, state: RobotSnapshot) -> None:
         """Restore a state."""

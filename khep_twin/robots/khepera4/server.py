@@ -71,11 +71,6 @@ class Kh4Server(VehicleServer):
         self._dspic.reset()
         return super().reset()
 
-    def tick(self) -> None:
-        """Run the vehicle of A for a control period (assumed; the program loops as fast as it can)."""
-        if self._state[WANDERING] and (speeds := self._next_speeds(self._read("N"), self._read("R"))):
-            self._order_speeds(speeds)
-
     def _parse(self, request: bytes) -> Command | None:
         fields = [field for field in request[2:].split(b",") if field]
         values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
@@ -156,10 +151,10 @@ class Kh4Server(VehicleServer):
         self._write(DspicRegister.ACCELERATION, profile[:4], size=1)
         return self._write(DspicRegister.POSITION_SPEED, profile[4:])
 
-    def _order_speeds(self, orders: Sequence[int]) -> None:
+    def _order_speeds(self, speeds: tuple[int, int]) -> None:
         """Order speeds; in open-loop control the library uses them as PWM."""
         is_open = self._dspic.read(DspicRegister.CONTROL, 1)[0] == Control.OPEN_LOOP
-        self._write(DspicRegister.PWM_ORDER_LEFT if is_open else DspicRegister.SPEED_ORDER_LEFT, orders)
+        self._write(DspicRegister.PWM_ORDER_LEFT if is_open else DspicRegister.SPEED_ORDER_LEFT, speeds)
 
     def _set_control(self, control: Control) -> Sequence[int]:
         return self._write(DspicRegister.CONTROL, [control], size=1)
