@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from khep_twin.host.profile_robot import ProfileRobot as ProfileRobot
     from khep_twin.host.radio import Radio as Radio
     from khep_twin.host.radio import RadioMessage as RadioMessage
+    from khep_twin.host.results import Battery as Battery
+    from khep_twin.host.results import Distances as Distances
     from khep_twin.host.results import MotionStatus as MotionStatus
     from khep_twin.host.results import MotorMode as MotorMode
     from khep_twin.host.results import Positions as Positions
@@ -26,11 +28,9 @@ if TYPE_CHECKING:
     from khep_twin.host.vision import read_image as read_image
     from khep_twin.host.vision import read_light as read_light
     from khep_twin.host.vision import read_region as read_region
+    from khep_twin.robots.khepera4.host import InfraredCounts as InfraredCounts
     from khep_twin.robots.khepera4.host import Khepera4 as Khepera4
-    from khep_twin.robots.khepera4.host_results import Battery as Battery
-    from khep_twin.robots.khepera4.host_results import Distances as Distances
-    from khep_twin.robots.khepera4.host_results import InfraredCounts as InfraredCounts
-    from khep_twin.robots.khepera4.host_results import Vector3 as Vector3
+    from khep_twin.robots.khepera4.host import Vector3 as Vector3
     from khep_twin.units import RadioStatus as RadioStatus
     from khep_twin.units import Sensor as Sensor
 else:

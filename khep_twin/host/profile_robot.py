@@ -1,7 +1,9 @@
 """`ProfileRobot`: a robot behind a serial port whose wheels move along a profile, in SI units."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Generic, TypeVar
 
 import serial
 
@@ -10,21 +12,31 @@ from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.moves import check_finite
-from khep_twin.host.results import Wheels
+from khep_twin.host.results import Battery, Wheels
 from khep_twin.robots.body import Body
+
+Counts = TypeVar("Counts", bound=tuple[int, ...])
 
 _POLL_INTERVAL_S = 0.05
 """Time between two reads of the wheels in a move [s]."""
 
 
-class ProfileRobot(HostRobot):
-    """A robot with the commands A, D, E, F and R of a Khepera IV. Leaving it as a context stops the motors.
+class ProfileRobot(HostRobot, Generic[Counts]):
+    """A robot with the commands A, D, E, F, M, N, O, R and V of a Khepera IV.
+
+    Leaving it as a context stops the motors. Errors are those of `Khepera`: reads are repeated, commands that
+    move the robot never.
 
     Args:
-        url, timeout, baudrate, retries: See `HostRobot`.
+        url: URL of the port, or an open port of pyserial, which keeps its timeout.
+        timeout: Longest wait for a silent robot [s], in the port's time, as for a `Khepera`.
+        baudrate: Baud rate.
+        retries: Number of repetitions of a read.
         wheel_base: Distance of the wheels [m], for `turn`; None for that of the model.
 
     Attributes:
+        counts: Class of the results of N and O.
+        zero_request: Letter and arguments of the command that sets the positions to 0.
         speed_pulse_time: Time of one pulse at a speed of 1 [s].
         arrival_pulses: Distance from the target at which stopped wheels count as arrived.
         number_prefix: Prefix of speeds and positions in requests.
@@ -34,6 +46,8 @@ class ProfileRobot(HostRobot):
         ValueError: A duration, distance or number is out of range.
     """
 
+    counts: Callable[..., Counts]
+    zero_request: tuple[str, ...]
     speed_pulse_time: float
     arrival_pulses: int
     number_prefix = ""
@@ -82,6 +96,32 @@ class ProfileRobot(HostRobot):
         unit = self.body.pulse_length
         return self._run(query("R", 2, lambda pulses: Wheels._make(n * unit for n in pulses)))
 
+    def reset_position(self) -> None:
+        """Set the positions of the wheels to 0 (command I)."""
+        self._run(order(*self.zero_request))
+
+    def reset_motors(self) -> None:
+        """Set gains and profile as at the start of the robot's program, with idle motors (command M)."""
+        self._run(order("M", repeatable=True))
+
+    def proximity(self) -> Counts:
+        """Return the proximity counts (command N); those below 0 may be sent as unsigned ones of 16 bits."""
+        counts = self.read_channels("proximity")["proximity"]
+        return self.counts(*(count - 0x10000 if count > 0x7FFF else count for count in counts))
+
+    def ambient(self) -> Counts:
+        """Return the ambient counts, which are high in the dark (command O)."""
+        return self.counts(*self.read_channels("ambient")["ambient"])
+
+    def supply_voltage(self) -> float:
+        """Return the voltage of the battery [V] (command V)."""
+        return self._read_battery(0)
+
+    def battery(self) -> Battery:
+        """Return the state of the battery (command V, once for each value)."""
+        *values, percent = map(self._read_battery, range(6))
+        return Battery._make([*values, percent / 100, None])
+
     def move(self, distance: float, timeout: float = 30.0) -> Wheels:
         """Drive straight by a distance [m], backwards if it is below 0; return on arrival.
 
@@ -123,6 +163,13 @@ class ProfileRobot(HostRobot):
     def stop_wandering(self) -> None:
         """Stop the robot's vehicle, if it drives (command A)."""
         self._run(HostCommand("A,2", lambda reply: split_reply("a", 0, reply), repeatable=True))
+
+    def _read_battery(self, kind: int) -> float:
+        return self._run(HostCommand(f"V,{kind}", partial(self._battery_value, kind), repeatable=True))
+
+    def _battery_value(self, kind: int, reply: str) -> float:
+        """Return a value of `Battery` by the reply to V, the level in percent."""
+        raise NotImplementedError
 
     def _wheel_order(
         self, letter: str, numbers: Sequence[int], repeatable: bool = False

@@ -96,3 +96,32 @@ class MotionStatus(NamedTuple):
     def on_target(self) -> bool:
         """True if both wheels have reached their targets."""
         return self.left.on_target and self.right.on_target
+
+
+class Distances(NamedTuple):
+    """Command G: distances by five ultrasonic sensors [m].
+
+    0 is an object that is too near, infinity no object in range, None a sensor that is off.
+    """
+
+    left: float | None
+    front_left: float | None
+    front: float | None
+    front_right: float | None
+    right: float | None
+
+
+class Battery(NamedTuple):
+    """Command V: state of the battery.
+
+    Voltage [V]; current and average current, below 0 while it is discharged [A]; remaining charge [mAh];
+    temperature [degrees Celsius]; remaining part of the charge, 0 to 1; whether it is charged, None if unknown.
+    """
+
+    voltage: float
+    current: float
+    average_current: float
+    charge_mah: float
+    temperature_celsius: float
+    level: float
+    is_charging: bool | None = None

@@ -1,8 +1,5 @@
 """`Khepera3`: a Khepera III at the other end of a serial port, real or simulated.
 
-The port is a URL of pyserial, as for a `Khepera`: `/dev/rfcomm0` is a robot over Bluetooth, the link of
-`khep-twin serve arena3` a twin in real time, `khep://arena3` a twin in this process, in lock-step.
-
     from khep_twin.host import Khepera3
 
     with Khepera3("khep://arena3") as robot:
@@ -16,38 +13,46 @@ first use of speeds or positions asks for the version.
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
-from khep_twin.host.host_command import HostCommand, order, query, split_reply
+from khep_twin.host.host_command import order, query, split_reply
 from khep_twin.host.profile_robot import ProfileRobot, to_units
+from khep_twin.host.results import Distances
 from khep_twin.robots.body import Body
 from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, PWM_LIMIT, ULTRASONIC
-from khep_twin.robots.khepera3.host_results import Battery, Distances, Echo, InfraredCounts
 from khep_twin.robots.khepera3.model import KHEPERA_3, KHEPERA_3_V2
 from khep_twin.robots.khepera3.registers import SETTINGS, Setting
 
-_N_ECHO_VALUES = 17
-_ACTIVE_MASKS = {((1 << count) - 1) << first for count in range(6) for first in range(6 - count)}
-"""Masks of active ultrasonic sensors: none, one, or neighbours (manual)."""
+_FIELDS = [(name.replace(" ", "_"), int) for name in KHEPERA_3.body.sensors]
+InfraredCounts = NamedTuple("InfraredCounts", _FIELDS)
+"""Commands N and O: eleven counts, 0 to 4095, around the robot and of the ground below it.
+
+Proximity is about 3980 at white paper; noise may be below 0. Ambient counts are about 4000 in the dark.
+"""
 
 
-class Khepera3(ProfileRobot):
-    """A Khepera III behind a serial port. Leaving it as a context stops the motors.
+class Echo(NamedTuple):
+    """Command G: an echo.
 
-    Errors are those of `Khepera`: reads are repeated, commands that move the robot never. Speeds are about
-    0.2 m/s at most, 0.3 before firmware 3.0.
-
-    Args:
-        url: URL of the port, or an open port of pyserial, which keeps its timeout.
-        timeout: Longest wait for a silent robot [s], in the port's time, as for a `Khepera`.
-        baudrate: Baud rate.
-        retries: Number of repetitions of a read.
-        wheel_base: Distance of the wheels [m], for `turn`.
-
-    Raises:
-        PortError: The port cannot be opened, or its twin is no Khepera III.
-        ValueError: A duration, distance or number is out of range.
+    Distance [m], amplitude [counts], and time since the robot's start or `reset_timer` [s].
     """
 
+    distance: float
+    amplitude: int
+    time: float
+
+
+_NO_ECHO = Echo(math.inf, 0, 0.0)
+
+
+class Khepera3(ProfileRobot[InfraredCounts]):
+    """A Khepera III behind a serial port, see `ProfileRobot`.
+
+    Speeds are about 0.2 m/s at most, 0.3 before firmware 3.0.
+    """
+
+    counts = InfraredCounts
+    zero_request = "I", "l0", "l0"
     model = KHEPERA_3
     leds = ("green", "red")
     speed_pulse_time = 1 / PULSES_PER_SPEED
@@ -74,10 +79,6 @@ class Khepera3(ProfileRobot):
         """Drive the motors with a part of their voltage, -1 to 1, uncontrolled (command L)."""
         self._run(self._wheel_order("L", to_units("duty", 1 / PWM_LIMIT, (left, right))))
 
-    def reset_position(self) -> None:
-        """Set the positions of the wheels to 0 (command I)."""
-        self._run(self._wheel_order("I", (0, 0)))
-
     def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
         """Set the gains of the speed controller; 620, 10, 3 at the start (command H)."""
         self._configure_controller(0, kp, ki, kd)
@@ -91,24 +92,12 @@ class Khepera3(ProfileRobot):
         (units,) = to_units("speed", self.speed_unit, [speed])
         self._run(order("J", f"l{units}", f"d{acceleration}", repeatable=True))
 
-    def reset_motors(self) -> None:
-        """Set all that the motors have at the start, reset their errors, and leave them idle (command M)."""
-        self._run(order("M", repeatable=True))
-
     def wander(self) -> None:
         """Let the robot's vehicle drive and avoid obstacles, until `stop_wandering` (command A)."""
         self.stop_wandering()  # kh3server starts a second vehicle in the first one
         super().wander()
 
     # Sensors, LEDs and other commands ------------------------------------------------------------------
-
-    def proximity(self) -> InfraredCounts:
-        """Return eleven proximity counts (command N)."""
-        return self._run(query("N", 12, InfraredCounts.from_reply))
-
-    def ambient(self) -> InfraredCounts:
-        """Return eleven ambient counts, about 4000 in the dark (command O)."""
-        return self._run(query("O", 12, InfraredCounts.from_reply))
 
     def infrared_time(self) -> float:
         """Return the time of the infrared readings since the start or `reset_timer` [s] (command N)."""
@@ -118,14 +107,15 @@ class Khepera3(ProfileRobot):
         """Return the echoes of an ultrasonic sensor, 0 left to 4 right, the nearest first (command G)."""
         if sensor not in range(len(ULTRASONIC)):
             raise ValueError(f"sensor = {sensor}; expected 0 to 4")
-        return self._run(query("G", _N_ECHO_VALUES, Echo.from_reply, sensor + 1))
+        return self._run(query("G", 17, _echoes, sensor + 1))
 
     def ultrasonic(self) -> Distances:
         """Return distances of the nearest echoes [m] (command G, once for each active sensor)."""
-        active = [self._active_mask >> sensor & 1 for sensor in range(len(ULTRASONIC))]
-        echoes = [self.echoes(sensor) if is_active else [] for sensor, is_active in enumerate(active)]
-        nearest = (min(found, default=Echo(math.inf, 0, 0.0)).distance for found in echoes)
-        return Distances._make(d if is_active else None for d, is_active in zip(nearest, active, strict=True))
+        distances = (
+            min(self.echoes(sensor), default=_NO_ECHO).distance if self._active_mask >> sensor & 1 else None
+            for sensor in range(len(ULTRASONIC))
+        )
+        return Distances._make(distances)
 
     def configure_ultrasonic(self, sensors: Iterable[int] = range(5), n_echoes: int = 3) -> None:
         """Make these ultrasonic sensors active, and set their number of echoes (command C).
@@ -137,47 +127,34 @@ class Khepera3(ProfileRobot):
             n_echoes: Largest number of echoes, 1 to 5.
         """
         active = sorted({*sensors})
-        mask = sum(1 << sensor for sensor in active if sensor >= 0)
-        if mask not in _ACTIVE_MASKS or min(active, default=0) < 0:
+        if active and active != [*range(max(active[0], 0), min(active[-1], 4) + 1)]:
             raise ValueError(f"sensors = {active}; expected neighbours among 0 to 4")
         if not 1 <= n_echoes <= 5:
             raise ValueError(f"n_echoes = {n_echoes}; expected 1 to 5")
-        self._configure(Setting.ULTRASONIC, mask)
-        self._configure(Setting.N_ECHOES, n_echoes)
+        mask = sum(1 << sensor for sensor in active)
+        for setting, value in ((Setting.ULTRASONIC, mask), (Setting.N_ECHOES, n_echoes)):
+            self._run(order("C", setting.value, f"d{value}", repeatable=True))
         self._active_mask = mask
 
     def reset_timer(self) -> None:
         """Set the time of readings to 0 (command Z)."""
         self._run(order("Z", repeatable=True))
 
-    def supply_voltage(self) -> float:
-        """Return the voltage of the battery [V] (command V)."""
-        return self._run(_battery_command(0))
-
-    def battery(self) -> Battery:
-        """Return the state of the battery (command V, once for each value)."""
-        *values, percent = [self._run(_battery_command(kind)) for kind in range(6)]
-        return Battery(*values, level=percent / 100)
-
     def light_leds(self, are_lit: Sequence[bool]) -> None:
         """Switch the green and the red LED on or off (command K)."""
         for led, is_lit in enumerate(are_lit):
             self._run(order("K", led, int(is_lit), repeatable=True))
 
-    def _configure_controller(self, kind: int, *gains: int) -> None:
-        self._run(order("H", *(f"d{value}" for value in (kind, *gains)), repeatable=True))
-
-    def _configure(self, setting: Setting, value: int) -> None:
-        self._run(order("C", setting.value, f"d{value}", repeatable=True))
-
-
-def _battery_command(kind: int) -> HostCommand[float]:
-    """Return a command that reads a value, which has a whole part and, except charges, a fraction."""
-    parts = 10 if kind == 4 else 10_000  # of a degree, a volt or an ampere (manual)
-
-    def read(reply: str) -> float:
+    def _battery_value(self, kind: int, reply: str) -> float:
+        parts = 10 if kind == 4 else 10_000  # of a degree, a volt or an ampere (manual)
         whole, *fraction = split_reply("v", 1 if kind in (3, 5) else 2, reply)
         size = abs(int(whole)) + sum(map(int, fraction)) / parts
         return -size if whole.startswith("-") else size
 
-    return HostCommand(f"V,{kind}", read, repeatable=True)
+    def _configure_controller(self, kind: int, *gains: int) -> None:
+        self._run(order("H", *(f"d{value}" for value in (kind, *gains)), repeatable=True))
+
+
+def _echoes(values: Sequence[int]) -> list[Echo]:
+    starts = range(1, 1 + 3 * values[0], 3)
+    return [Echo(values[i] / 100, values[i + 1], values[i + 2] / 1000) for i in starts]

@@ -15,12 +15,13 @@ Each command waits for its reply, as the server discards all input that arrives 
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.profile_robot import ProfileRobot, to_units
+from khep_twin.host.results import Battery, Distances
 from khep_twin.robots.khepera4.channels import COUNTS_PER_G, DEGREES_PER_COUNT, LEDS, PACKET_SIZE
-from khep_twin.robots.khepera4.host_results import Battery, Distances, InfraredCounts, Vector3
-from khep_twin.robots.khepera4.model import KHEPERA_4
+from khep_twin.robots.khepera4.model import KHEPERA_4, SONAR
 from khep_twin.units import GRAVITY
 
 _ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / COUNTS_PER_G, math.radians(DEGREES_PER_COUNT)
@@ -29,26 +30,34 @@ _ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / COUNTS_PER_G, math.radians(DEGRE
 Colour = tuple[int, int, int]
 """Red, green and blue, 0 to 63."""
 
+_DISTANCES: dict[int, float | None] = dict(zip(SONAR.codes, (0.0, math.inf, None), strict=True))
+"""Distances of ultrasonic readings that are codes."""
 
-class Khepera4(ProfileRobot):
-    """A Khepera IV behind a serial port. Leaving it as a context stops the motors.
+_FIELDS = [(name.replace(" ", "_"), int) for name in KHEPERA_4.body.sensors]
+InfraredCounts = NamedTuple("InfraredCounts", _FIELDS)
+"""Commands N and O: twelve counts, 0 to 1023, around the robot and of the ground below it.
 
-    Errors are those of `Khepera`: reads are repeated, commands that move the robot never.
+Proximity is about 1020 at white paper, and about 100 without an object, from the floor's reflection. Ambient
+counts are about 980 in the dark and 0 in bright light.
+"""
+
+
+class Vector3(NamedTuple):
+    """A vector in the robot's frame, x forward, y left."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Khepera4(ProfileRobot[InfraredCounts]):
+    """A Khepera IV behind a serial port, see `ProfileRobot`.
 
     Speeds are about 0.8 m/s at most, steady above 0.003.
-
-    Args:
-        url: URL of the port, or an open port of pyserial, which keeps its timeout.
-        timeout: Longest wait for a silent robot [s], in the port's time, as for a `Khepera`.
-        baudrate: Baud rate.
-        retries: Number of repetitions of a read.
-        wheel_base: Distance of the wheels [m], for `turn`.
-
-    Raises:
-        PortError: The port cannot be opened, or its twin is no Khepera IV.
-        ValueError: A duration, distance or number is out of range.
     """
 
+    counts = InfraredCounts
+    zero_request = ("I",)
     model = KHEPERA_4
     leds = LEDS
     speed_pulse_time = 0.01  # (manual)
@@ -59,10 +68,6 @@ class Khepera4(ProfileRobot):
     def set_duty(self, left: int, right: int) -> None:
         """Drive the motors with a fixed duty, -2940 to 2940, uncontrolled (command L)."""
         self._run(order("L", left, right))
-
-    def reset_position(self) -> None:
-        """Set the positions of the wheels to 0 (command I)."""
-        self._run(order("I"))
 
     def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
         """Set the gains of the speed controller, 0 to 255; 10, 5, 1 at the server's start (command H)."""
@@ -92,23 +97,13 @@ class Khepera4(ProfileRobot):
         """Set the distance at which a target counts as reached [m]; 20 pulses at the start (command P)."""
         self._run(order("P", *to_units("margin", self.body.pulse_length, [margin]), repeatable=True))
 
-    def reset_motors(self) -> None:
-        """Set gains, profile and margin as at the server's start, and leave the motors idle (command M)."""
-        self._run(order("M", repeatable=True))
-
     # Sensors, LEDs and other commands ------------------------------------------------------------------
-
-    def proximity(self) -> InfraredCounts:
-        """Return twelve proximity counts, 0 to 1023 (command N)."""
-        return self._run(query("N", 12, InfraredCounts._make))
-
-    def ambient(self) -> InfraredCounts:
-        """Return twelve ambient counts, about 980 in the dark and 0 in bright light (command O)."""
-        return self._run(query("O", 12, InfraredCounts._make))
 
     def ultrasonic(self) -> Distances:
         """Return five distances [m]: 0 below 0.25, inf without an echo, None if disabled (command G)."""
-        return self._run(query("G", 5, lambda values: Distances.from_cm(tuple(values))))
+        return self._run(
+            query("G", 5, lambda n_cm: Distances._make(_DISTANCES.get(n, n / 100) for n in n_cm))
+        )
 
     def enable_ultrasonic(self, sensors: Iterable[int] = range(5)) -> None:
         """Enable these ultrasonic sensors, 0 left to 4 right, and disable the others (command U).
@@ -131,16 +126,9 @@ class Khepera4(ProfileRobot):
         """Return the last ten values of the gyroscope, newest first [rad/s]; z to the left (command S)."""
         return self._run(query("S", 3 * PACKET_SIZE, lambda values: _vectors(values, _TURN_RATE_UNIT)))
 
-    def supply_voltage(self) -> float:
-        """Return the voltage of the battery [V] (command V)."""
-        return self._run(_battery_command(0)) / 1000
-
     def battery(self) -> Battery:
         """Return the state of the battery (command V, once for each value)."""
-        values = [self._run(_battery_command(kind)) for kind in range(7)]
-        voltage, current, average_current, charge_mah, temperature, percent, charger = values
-        amperes = current / 1000, average_current / 1000
-        return Battery(voltage / 1000, *amperes, charge_mah, temperature, percent / 100, bool(charger))
+        return super().battery()._replace(is_charging=bool(self._read_battery(6)))
 
     def set_leds(self, left: Colour, right: Colour, back: Colour) -> None:
         """Set the colours of the LEDs front left, front right and back, 0 to 63 a colour (command K)."""
@@ -162,12 +150,11 @@ class Khepera4(ProfileRobot):
         """Reset the microcontroller: motors, LEDs and positions (command Z)."""
         self._run(order("Z"))
 
+    def _battery_value(self, kind: int, reply: str) -> float:
+        return float(split_reply("v", 1, reply)[0]) / (1000 if kind < 3 else 1)
+
 
 def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:
     """Return the vectors of a reply, which lists all x, then all y, then all z."""
     axes = [values[start : start + PACKET_SIZE] for start in range(0, 3 * PACKET_SIZE, PACKET_SIZE)]
     return tuple(Vector3(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
-
-
-def _battery_command(kind: int) -> HostCommand[float]:
-    return HostCommand(f"V,{kind}", lambda reply: float(split_reply("v", 1, reply)[0]), repeatable=True)
