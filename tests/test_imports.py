@@ -16,12 +16,7 @@ ORDER = [
     ["files"],
     ["board"],
     ["observers", "robots"],
-    [
-        "robots.khepera.model",
-        "robots.khepera4.channels",
-        "robots.khepera4.registers",
-        "robots.khepera4.vehicle",
-    ],
+    ["robots.khepera.model", "robots.khepera4.channels", "robots.khepera4.registers"],
     ["robots.khepera4.model"],
     ["playpen"],
     ["sensing"],

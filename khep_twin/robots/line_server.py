@@ -18,9 +18,6 @@ _BLOCKED, _N_STUCK = 250, 5
 Command = tuple[str, Sequence[int]]
 """Letter and numbers of a command."""
 
-Reply = Any
-"""Values of a reply, a whole reply, or None for an error."""
-
 
 class LineServer:
     """Program that answers requests.
@@ -108,7 +105,7 @@ class LineServer:
 class VehicleServer(LineServer):
     """A program whose commands are letters with numbers; it starts with the first bytes, by its command M.
 
-    A command B is executed by the method `_on_b`.
+    A method `_on_b` executes command B; it returns the values of its reply, or all of it, or None for an error.
 
     Args:
         dialect, is_powered: See `LineServer`.
@@ -201,11 +198,11 @@ class VehicleServer(LineServer):
         """Return letter and numbers of a request; None if it is malformed."""
         raise NotImplementedError
 
-    def _run(self, letter: str, values: Sequence[int]) -> Reply:
+    def _run(self, letter: str, values: Sequence[int]) -> Any:
         handler = getattr(self, f"_on_{letter.lower()}", None)
         return None if handler is None else handler(values)
 
-    def _start_vehicle(self, level: int, positions: Sequence[int]) -> Reply:
+    def _start_vehicle(self, level: int, positions: Sequence[int]) -> Any:
         for index, value in enumerate((level, 0, 0, *positions)):
             self._state[index] = value
         return ()

@@ -20,12 +20,13 @@ place is answered at once here.
 import re
 import struct
 from collections.abc import Sequence
+from typing import Any
 
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.model import KHEPERA_3, SERVER
 from khep_twin.robots.khepera3.registers import DEFAULTS, SETTINGS, Control, Mode, MotorRegister, Option
 from khep_twin.robots.khepera3.vehicle import SERVER_VEHICLE, VEHICLE
-from khep_twin.robots.line_server import LONGEST_REQUEST, Command, Reply, VehicleServer
+from khep_twin.robots.line_server import LONGEST_REQUEST, Command, VehicleServer
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.buffers import Vector
 
@@ -111,7 +112,7 @@ class Letters(VehicleServer):
         is_valid = all(low <= number <= high for number, (low, high) in zip(numbers, limits, strict=True))
         return (letter, numbers) if is_valid and len(numbers) == len(arguments) else None
 
-    def _run(self, letter: str, values: Sequence[int]) -> Reply:
+    def _run(self, letter: str, values: Sequence[int]) -> Any:
         if letter in _ORDERS:
             return self._order(letter, values)
         if letter in _MEASURES:
@@ -124,7 +125,7 @@ class Letters(VehicleServer):
         reply = self._bus.dspic.ask(letter, *arguments)
         return self.silence if reply is None else reply
 
-    def _on_a(self, values: Sequence[int]) -> Reply:
+    def _on_a(self, values: Sequence[int]) -> Any:
         (mode,), level = values, int(self._state[WANDERING])
         if mode in (0, 1):
             return self._start_vehicle(1 + (level if self.nests else mode), self._measure("R"))
@@ -160,7 +161,7 @@ class Letters(VehicleServer):
         *counts, time_ms = self._bus.dspic.ask("N") or (0,)
         return *(count & self.count_mask for count in counts), time_ms
 
-    def _on_v(self, values: Sequence[int]) -> Reply:
+    def _on_v(self, values: Sequence[int]) -> Any:
         """Return a value of the battery, by its kind: 0 voltage [V] to 5 charge [%]."""
         kind = values[0] & 0xFFFF
         if (reply := self._bus.dspic.ask("V", kind)) is None:

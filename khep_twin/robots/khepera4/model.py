@@ -17,7 +17,6 @@ from khep_twin.robots.khepera4.channels import (
     ULTRASONIC_CODES,
 )
 from khep_twin.robots.khepera4.registers import Control
-from khep_twin.robots.khepera4.vehicle import VEHICLE
 from khep_twin.robots.model import (
     Bench,
     Dialect,
@@ -30,6 +29,7 @@ from khep_twin.robots.model import (
     parse_channels,
     parts_of,
 )
+from khep_twin.robots.vehicle import Vehicle
 from khep_twin.units import COUNTS_LIMIT
 
 SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), 0.066, 0.0445, ULTRASONIC_CODES, lag=0.07)
@@ -59,6 +59,20 @@ BODY = Body(
 )
 """Its manual, see `assets/khepera4.xml`; 3400 mAh that last 7 hours without motors; casters on
 springs of some 100 N/m, without which wheels would leave the floor at the foot of any ramp (assumed)."""
+
+VEHICLE = Vehicle(
+    left=(2, 3, 4, -7, -4, -3, -2, 1),
+    right=(-2, -3, -4, -9, 4, 3, 2, 1),
+    threshold=80,
+    saturation=500,
+    divisor=3,
+    forward=200,
+    least=10,
+    turn=120,
+    moved_pulses=4424,
+    front=slice(3, 4),
+)
+"""That of kh4server (library)."""
 
 SAMPLED = consecutive_registers(CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""

@@ -13,13 +13,13 @@ byte of X's readings, and all bytes of X after the first 67. docs/khepera4.md li
 import re
 import struct
 from collections.abc import Sequence
+from typing import Any
 
 from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
-from khep_twin.robots.khepera4.model import KHEPERA_4
+from khep_twin.robots.khepera4.model import KHEPERA_4, VEHICLE
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
-from khep_twin.robots.khepera4.vehicle import VEHICLE
-from khep_twin.robots.line_server import Command, Reply, VehicleServer
+from khep_twin.robots.line_server import Command, VehicleServer
 from khep_twin.robots.vehicle import N_VEHICLE, WANDERING
 from khep_twin.sensing.buffers import Vector
 
@@ -76,7 +76,7 @@ class Kh4Server(VehicleServer):
         values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
         return (request[:1].decode(), values) if request[:1].isupper() else None
 
-    def _run(self, letter: str, values: Sequence[int]) -> Reply:
+    def _run(self, letter: str, values: Sequence[int]) -> Any:
         if letter in _READS:
             return self._read(letter)
         if letter not in _WRITES:
@@ -86,7 +86,7 @@ class Kh4Server(VehicleServer):
             self._set_control(control)
         return self._write(register, _pad_values(values, count), size)
 
-    def _on_a(self, values: Sequence[int]) -> Reply:
+    def _on_a(self, values: Sequence[int]) -> Any:
         if values not in ([0], [1]):
             if self._state[WANDERING]:
                 self._order_speeds((0, 0))
@@ -108,18 +108,18 @@ class Kh4Server(VehicleServer):
     def _on_j(self, values: Sequence[int]) -> Sequence[int]:
         return self._set_profile(_pad_values(values, 5))
 
-    def _on_k(self, values: Sequence[int]) -> Reply:
+    def _on_k(self, values: Sequence[int]) -> Any:
         if len(values) != 9:
             return None
         return self._write(DspicRegister.LEDS, [value & 0x3F for value in values], size=1)
 
-    def _on_m(self, values: Sequence[int]) -> Reply:
+    def _on_m(self, values: Sequence[int]) -> Any:
         self._write(DspicRegister.POSITION_MARGIN, [20])
         self._write(DspicRegister.KP, (10, 5, 1), size=1)
         self._set_profile(_DEFAULT_PROFILE)
         return self._set_control(Control.IDLE)
 
-    def _on_v(self, values: Sequence[int]) -> Reply:
+    def _on_v(self, values: Sequence[int]) -> Any:
         """Return one value of the battery, by its kind: 0 voltage [mV] to 7 status of the gauge."""
         if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
             return None
