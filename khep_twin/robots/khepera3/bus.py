@@ -6,8 +6,9 @@
     letter, *numbers = bus.dspic.read(count)
 
 A message to the dsPIC is a command: the number of all bytes, a letter and arguments. Its reply is a frame:
-the number of bytes after the second one, a filler (0 assumed), the letter and data. A read uses up one byte more
-than it returns, as both ways of reading show: one byte and then the rest (library), or all at once (toolbox).
+the number of bytes after the second one, a filler (0 assumed), the letter and data. A read uses up one byte
+more than it returns, as both ways of reading show: one byte and then the rest (library), or all at once
+(toolbox).
 
 A message to a motor controller is a register and a byte for it (toolbox); further bytes have no effect
 (assumed). A read returns the byte of the last register; that of the highest byte of a number latches the
