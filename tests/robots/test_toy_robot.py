@@ -268,9 +268,9 @@ def test_a_twin_of_a_toy_conforms_to_its_checks(toys: Playpen, tmp_path: Path) -
 
 
 def test_the_page_lists_the_model_and_draws_its_shape(toys: Playpen) -> None:
-    shown: Any = drafts.models()["toy"]
-    assert shown["modes"] == {"toy-1": {1: "57600 baud"}}
-    assert (shown["defaults"]["calibration"], shown["calibrations"]) == ("toy", ["toy"])
+    choices: Any = drafts.models()["toy"]
+    assert choices["modes"] == {"toy-1": {1: "57600 baud"}}
+    assert (choices["defaults"]["calibration"], choices["calibrations"]) == ("toy", ["toy"])
     shape = robot_shape(find_model("toy"), toys.robots[0].calibration)
     assert shape["sensors"][0] == [44.0, 5.0, 5]
     assert len(shape["sonar"]) == 1
