@@ -362,8 +362,7 @@ def read(name: str) -> tuple[Calibration, str]:
         CalibrationError: The file is missing or unusable; one line per problem.
     """
     usual = {model.calibration_name: model.calibration for model in installed_models().values()}
-    path = name if name in names() else usual.get(name, name)
-    text, source = toml_files.read("calibration", path, CalibrationError)
+    text, source = toml_files.read("calibration", name, CalibrationError, usual)
     return toml_files.validate(Calibration, text, source, CalibrationError), text
 
 
