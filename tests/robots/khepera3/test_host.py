@@ -9,6 +9,7 @@ import pytest
 from khep_twin.errors import MoveError, PortError, ProtocolError, StoppedError
 from khep_twin.host import Khepera, Khepera3, Khepera4
 from khep_twin.host.discovery import identify_robot
+from khep_twin.interventions.move_robot import place_robot
 from khep_twin.playpen import Playpen
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.host_results import Distances, Echo, InfraredCounts
@@ -95,6 +96,19 @@ def test_moves_wait_until_the_wheels_stand_at_their_target(robot: Khepera3) -> N
     with pytest.raises(MoveError, match=r"not on target after 0\.2 s; stopped at"):
         robot.move(0.3, timeout=0.2)
     assert registers(robot, MotorRegister.CONTROL, 1) == [Control.SPEED] * 2
+
+
+def test_a_robot_that_is_put_elsewhere_with_a_reset_drives_straight_again(robot: Khepera3) -> None:
+    robot.configure_ultrasonic()
+    robot.set_speed(0.05, 0.05)
+    robot.sleep(0.3)
+    place_robot(robot.port.twin.world, 0, 500, 500, 90, reset=True)  # type: ignore[attr-defined]
+    assert robot.position() == (0, 0)
+    robot.set_speed(0.05, 0.05)
+    robot.sleep(1)
+    x, y, _ = twin_of(robot).pose
+    assert x == pytest.approx(0.5, abs=1e-3)
+    assert y > 0.53
 
 
 def test_sensors_have_names_and_units(robot: Khepera3) -> None:
