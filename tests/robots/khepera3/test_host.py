@@ -102,13 +102,13 @@ def test_a_robot_that_is_put_elsewhere_with_a_reset_drives_straight_again(robot:
     robot.configure_ultrasonic()
     robot.set_speed(0.05, 0.05)
     robot.sleep(0.3)
-    place_robot(robot.port.twin.world, 0, 500, 500, 90, reset=True)  # type: ignore[attr-defined]
+    place_robot(robot.port.twin.world, 0, 1000, 800, 90, reset=True)  # type: ignore[attr-defined]
     assert robot.position() == (0, 0)
     robot.set_speed(0.05, 0.05)
     robot.sleep(1)
     x, y, _ = twin_of(robot).pose
-    assert x == pytest.approx(0.5, abs=1e-3)
-    assert y > 0.53
+    assert x == pytest.approx(1, abs=1e-3)
+    assert y > 0.83
 
 
 def test_sensors_have_names_and_units(robot: Khepera3) -> None:
