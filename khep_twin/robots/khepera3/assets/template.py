@@ -5,7 +5,7 @@
 The same file drives a robot and a twin. Unchanged, it wanders and turns away from obstacles.
 """
 
-from khep_twin import Khepera3
+from khep_twin.robots.khepera3 import Khepera3
 
 SPEED = 0.08  # [m/s]
 NEAR_COUNTS = 400  # proximity from about 50, nothing there, to 3980, touching
