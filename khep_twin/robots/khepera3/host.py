@@ -21,7 +21,7 @@ from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.profile_robot import ProfileRobot, to_units
 from khep_twin.robots.body import Body
 from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, PWM_LIMIT, ULTRASONIC
-from khep_twin.robots.khepera3.host_results import Battery, Distances, Echo, InfraredCounts
+from khep_twin.robots.khepera3.host_results import BatteryState, Echo, EchoDistances, InfraredReadings
 from khep_twin.robots.khepera3.model import KHEPERA_3, KHEPERA_3_V2
 from khep_twin.robots.khepera3.registers import SETTINGS, Setting
 
@@ -102,13 +102,13 @@ class Khepera3(ProfileRobot):
 
     # Sensors, LEDs and other commands ------------------------------------------------------------------
 
-    def proximity(self) -> InfraredCounts:
+    def proximity(self) -> InfraredReadings:
         """Return eleven proximity counts (command N)."""
-        return self._run(query("N", 12, InfraredCounts.from_reply))
+        return self._run(query("N", 12, InfraredReadings.from_reply))
 
-    def ambient(self) -> InfraredCounts:
+    def ambient(self) -> InfraredReadings:
         """Return eleven ambient counts, about 4000 in the dark (command O)."""
-        return self._run(query("O", 12, InfraredCounts.from_reply))
+        return self._run(query("O", 12, InfraredReadings.from_reply))
 
     def infrared_time(self) -> float:
         """Return the time of the infrared readings since the start or `reset_timer` [s] (command N)."""
@@ -120,12 +120,14 @@ class Khepera3(ProfileRobot):
             raise ValueError(f"sensor = {sensor}; expected 0 to 4")
         return self._run(query("G", _N_ECHO_VALUES, Echo.from_reply, sensor + 1))
 
-    def ultrasonic(self) -> Distances:
+    def ultrasonic(self) -> EchoDistances:
         """Return distances of the nearest echoes [m] (command G, once for each active sensor)."""
         active = [self._active_mask >> sensor & 1 for sensor in range(len(ULTRASONIC))]
-        echoes = [self.echoes(sensor) if is_active else [] for sensor, is_active in enumerate(active)]
-        nearest = (min(found, default=Echo(math.inf, 0, 0.0)).distance for found in echoes)
-        return Distances._make(d if is_active else None for d, is_active in zip(nearest, active, strict=True))
+        readings = [self.echoes(sensor) if is_active else [] for sensor, is_active in enumerate(active)]
+        nearest = (min(echoes, default=Echo(math.inf, 0, 0.0)).distance for echoes in readings)
+        return EchoDistances._make(
+            d if is_active else None for d, is_active in zip(nearest, active, strict=True)
+        )
 
     def configure_ultrasonic(self, sensors: Iterable[int] = range(5), n_echoes: int = 3) -> None:
         """Make these ultrasonic sensors active, and set their number of echoes (command C).
@@ -154,10 +156,10 @@ class Khepera3(ProfileRobot):
         """Return the voltage of the battery [V] (command V)."""
         return self._run(_battery_command(0))
 
-    def battery(self) -> Battery:
+    def battery(self) -> BatteryState:
         """Return the state of the battery (command V, once for each value)."""
         *values, percent = [self._run(_battery_command(kind)) for kind in range(6)]
-        return Battery(*values, level=percent / 100)
+        return BatteryState(*values, level=percent / 100)
 
     def light_leds(self, are_lit: Sequence[bool]) -> None:
         """Switch the green and the red LED on or off (command K)."""
@@ -176,8 +178,8 @@ def _battery_command(kind: int) -> HostCommand[float]:
     parts = 10 if kind == 4 else 10_000  # of a degree, a volt or an ampere (manual)
 
     def read(reply: str) -> float:
-        whole, *fraction = split_reply("v", 1 if kind in (3, 5) else 2, reply)
-        size = abs(int(whole)) + sum(map(int, fraction)) / parts
-        return -size if whole.startswith("-") else size
+        integer, *fraction = split_reply("v", 1 if kind in (3, 5) else 2, reply)
+        size = abs(int(integer)) + sum(map(int, fraction)) / parts
+        return -size if integer.startswith("-") else size
 
     return HostCommand(f"V,{kind}", read, repeatable=True)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 
-class InfraredCounts(NamedTuple):
+class InfraredReadings(NamedTuple):
     """Commands N and O: eleven counts, 0 to 4095, around the robot and of the ground below it.
 
     Proximity is about 3980 at white paper; noise may be below 0.
@@ -48,7 +48,7 @@ class Echo(NamedTuple):
         return [cls(values[i] / 100, values[i + 1], values[i + 2] / 1000) for i in starts]
 
 
-class Distances(NamedTuple):
+class EchoDistances(NamedTuple):
     """Distances of the nearest echoes of the ultrasonic sensors, 0.2 to 4 [m].
 
     Infinity is no echo, None a sensor that `configure_ultrasonic` has not made active.
@@ -61,7 +61,7 @@ class Distances(NamedTuple):
     right: float | None
 
 
-class Battery(NamedTuple):
+class BatteryState(NamedTuple):
     """Command V: state of the battery.
 
     Attributes:

@@ -239,11 +239,11 @@ class Letters(VehicleServer):
         kind = values[0] & 0xFFFF
         if (reply := self._bus.dspic.ask("V", kind)) is None:
             return None
-        whole, fraction = reply
-        sign = "-" if kind in (1, 2) and whole & 0x8000 else ""
+        integer, fraction = reply
+        sign = "-" if kind in (1, 2) and integer & 0x8000 else ""
         if kind in (3, 5):
-            return [self._program.charge.format(whole) if kind == 3 else whole]
-        return f"{sign}{whole & 0x7FFF if sign else whole}", fraction
+            return [self._program.charge.format(integer) if kind == 3 else integer]
+        return f"{sign}{integer & 0x7FFF if sign else integer}", fraction
 
     def _on_x(self, values: Sequence[int]) -> bytes:
         proximity, ambient = (self._bus.dspic.execute(letter)[1:] for letter in (b"N", b"O"))

@@ -6,7 +6,7 @@ from khep_twin.robots.khepera3.core import wheel_pulses
 from khep_twin.robots.khepera3.letters import Letters
 from khep_twin.robots.khepera3.measurements import BURST_NS, fill_registers
 from khep_twin.robots.khepera3.model import SAMPLED, version_of
-from khep_twin.robots.khepera3.motor_control import Motor, reset
+from khep_twin.robots.khepera3.motor_control import Motor
 from khep_twin.robots.khepera3.registers import N_BYTES, SETTINGS
 from khep_twin.robots.khepera3.state import Khepera3State
 from khep_twin.robots.measuring_robot import MeasuringRobot
@@ -74,9 +74,9 @@ class Khepera3Robot(MeasuringRobot):
         return [self._state.board[state.LEDS], self._state.board[state.LEDS + 1]]
 
     def reset_motion(self) -> None:
-        """Reset the motor controllers, and cut the motors' voltage."""
+        """Reset the board and its program, and cut the motors' voltage."""
+        self.firmware.reset()
         for motor, joint in zip((self._state.left, self._state.right), self.indices.wheel_qpos, strict=True):
-            reset(motor)
             motor.numbers[Motor.PULSES] = wheel_pulses(self._state, self._context.data.qpos[joint])
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
 

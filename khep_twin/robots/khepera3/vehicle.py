@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from operator import mul
 
 from khep_twin.board.kernel import divide
-from khep_twin.robots.khepera3.registers import SETTINGS, Setting
 
 _LEFT_WEIGHTS = 2, 2, 2, 5, -12, -4, -2, 2, 4
 _RIGHT_WEIGHTS = 2, -2, -4, -12, 5, 2, 2, 2, 4
 _THRESHOLD, _SATURATION, _LARGEST = 100, 1000, 450
-_GAIN, _DIVISOR, _FORWARD, _LEAST, _UNIT = SETTINGS[Setting.VEHICLE_GAIN], 30, 20, 10, 256
+_GAIN, _DIVISOR, _FORWARD, _LEAST, _UNIT = 12, 30, 20, 10, 256
 """Weights of nine sensors; counts below which readings have no effect, and above which they have the largest
-one; usual gain and its divisor; speed without obstacles and least speed, in a unit of 256."""
+one; gain at power-up (manual) and divisor; speed without obstacles and least speed, in a unit of 256."""
 
 
 def vehicle_speeds(proximity: Sequence[int], gain: int = _GAIN) -> tuple[int, int]:

@@ -9,9 +9,10 @@ import pytest
 from khep_twin.errors import MoveError, PortError, ProtocolError, StoppedError
 from khep_twin.host import Khepera, Khepera3, Khepera4
 from khep_twin.host.discovery import identify_robot
+from khep_twin.interventions.move_robot import place_robot
 from khep_twin.playpen import Playpen
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
-from khep_twin.robots.khepera3.host_results import Distances, Echo, InfraredCounts
+from khep_twin.robots.khepera3.host_results import Echo, EchoDistances, InfraredReadings
 from khep_twin.robots.khepera3.registers import Control, Mode, MotorRegister
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 from khep_twin.robots.registry import find_model
@@ -97,17 +98,30 @@ def test_moves_wait_until_the_wheels_stand_at_their_target(robot: Khepera3) -> N
     assert registers(robot, MotorRegister.CONTROL, 1) == [Control.SPEED] * 2
 
 
+def test_a_robot_that_is_put_elsewhere_with_a_reset_drives_straight_again(robot: Khepera3) -> None:
+    robot.configure_ultrasonic()
+    robot.set_speed(0.05, 0.05)
+    robot.sleep(0.3)
+    place_robot(robot.port.twin.world, 0, 1000, 800, 90, reset=True)  # type: ignore[attr-defined]
+    assert robot.position() == (0, 0)
+    robot.set_speed(0.05, 0.05)
+    robot.sleep(1)
+    x, y, _ = twin_of(robot).pose
+    assert x == pytest.approx(1, abs=1e-3)
+    assert y > 0.83
+
+
 def test_sensors_have_names_and_units(robot: Khepera3) -> None:
     robot.sleep(0.25)
     assert robot.proximity().back in range(20, 200)  # the floor's reflection
     assert robot.proximity().ground_left > 3900
-    assert robot.ambient() == InfraredCounts(*[4000] * 11)
+    assert robot.ambient() == InfraredReadings(*[4000] * 11)
     assert robot.infrared_time() == pytest.approx(0.25, abs=0.06)
     robot.reset_timer()
     robot.sleep(0.1)
     assert robot.infrared_time() == pytest.approx(0.1, abs=0.04)
     distances = robot.ultrasonic()
-    assert distances == Distances(None, None, pytest.approx(0.94, abs=0.03), None, None)
+    assert distances == EchoDistances(None, None, pytest.approx(0.94, abs=0.03), None, None)
     robot.configure_ultrasonic([0, 1], n_echoes=1)
     robot.sleep(0.3)
     left, front_left, *others = robot.ultrasonic()
@@ -121,8 +135,8 @@ def test_sensors_have_names_and_units(robot: Khepera3) -> None:
 
 
 def test_replies_have_units_and_signs() -> None:
-    assert InfraredCounts.from_reply([65_535, -2, *range(9), 123]).left == -2
-    assert InfraredCounts.from_reply([65_535, -2, *range(9), 123]).back_left == -1
+    assert InfraredReadings.from_reply([65_535, -2, *range(9), 123]).left == -2
+    assert InfraredReadings.from_reply([65_535, -2, *range(9), 123]).back_left == -1
     values = [2, 27, 2900, 1500, 94, 300, 2500, *[0] * 9, 1800]
     assert Echo.from_reply(values) == [Echo(0.27, 2900, 1.5), Echo(0.94, 300, 2.5)]
 
