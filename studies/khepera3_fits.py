@@ -4,9 +4,9 @@ The recordings are a table of means and standard deviations of ten readings at s
 above a black and a white floor. It is not part of the project; the first argument is its path.
 
 Only rows above the black floor are fitted, without each third position. Of those above the white floor, the
-ones far from the obstacle give the light of the floor. The obstacle's size is not recorded: the readings fall
-as before a low one, and any height from 50 to 100 mm fits about as well. `--compare` compares all rows with a
-robot of the shipped calibration in MuJoCo's scene.
+ones far from the obstacle give the light of the floor. The obstacle's size is not recorded: readings fall as
+before a low one, and heights from 45 to 70 mm fit about as well. `--compare` compares all rows with a robot
+of the shipped calibration in MuJoCo's scene.
 """
 
 import math
@@ -37,8 +37,8 @@ Floats = NDArray[np.float64]
 PAIRS = ((2, 5), (3, 4))
 """Sensors that see the obstacle, at 45 degrees and in front. A pair has one offset."""
 
-LENGTH, HEIGHT = 0.4, 0.06
-"""Size of the obstacle [m] (assumed)."""
+LENGTH, HEIGHT = 0.4, 0.05
+"""Size of the obstacle [m]: as high as a wall of a playpen (both assumed)."""
 
 FRONT = 0.0675
 """Distance of the robot's front edge from the axle [m]."""
@@ -204,8 +204,14 @@ def floors(optics: Mapping[int, Optics], black: Recording, white: Recording) -> 
     return rests[0], rests[1]
 
 
-def scene_counts(gaps: Floats, floor: str) -> dict[int, Floats]:
-    """Return the readings without noise of the robot in MuJoCo's scene, by sensor, each (n,) [counts]."""
+def scene_counts(gaps: Floats, floor: str, draw: float = 0.0) -> dict[int, Floats]:
+    """Return the readings of the robot in MuJoCo's scene, by sensor, each (n,) [counts].
+
+    Args:
+        gaps: Distances of the obstacle from the robot's front edge (n,) [mm].
+        floor: Surface of the floor.
+        draw: Draw of the noise, in standard deviations.
+    """
     sizes = {"depth_mm": 2e3 * _DEPTH, "length_mm": 1e3 * LENGTH, "height_mm": 1e3 * HEIGHT}
     pen = playpen.parse(PEN.format(x_mm=3000 + 1e3 * _DEPTH, floor=floor, **sizes), "recording")
     model = to_spec(pen).compile()
@@ -218,7 +224,8 @@ def scene_counts(gaps: Floats, floor: str) -> dict[int, Floats]:
         mujoco.mj_forward(model, data)
         scene = MujocoScene(model, data)
         for sensor, values in readings.items():
-            values.append(proximity_counts(scene, sensors, sensor, 0.0, 0, 1.0, 0.0))
+            noise = draw * sensors.proximity.noise[sensor]
+            values.append(proximity_counts(scene, sensors, sensor, noise, 0, 1.0, 0.0))
     return {sensor: np.array(values, np.float64) for sensor, values in readings.items()}
 
 
