@@ -103,8 +103,7 @@ def proximity_counts(
     if proximity.saturates and 0 < limit and 0 < level:
         ratio = level / limit
         square = ratio * ratio
-        power = square * square
-        level /= math.sqrt(math.sqrt(math.sqrt(1 + power * power)))
+        level /= math.sqrt(math.sqrt(1 + square * square))
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
     return max(counts, min(idle + min(proximity.floor, 0), limit), proximity.floor)
 
