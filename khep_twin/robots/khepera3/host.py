@@ -16,12 +16,18 @@ first use of speeds or positions asks for the version.
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.profile_robot import ProfileRobot, to_units
 from khep_twin.robots.body import Body
 from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, PWM_LIMIT, ULTRASONIC
-from khep_twin.robots.khepera3.host_results import BatteryState, Echo, EchoDistances, InfraredReadings
+from khep_twin.robots.khepera3.host_results import (
+    BatteryState,
+    Echo,
+    EchoDistances,
+    InfraredReadings,
+)
 from khep_twin.robots.khepera3.model import KHEPERA_3, KHEPERA_3_V2
 from khep_twin.robots.khepera3.registers import SETTINGS, Setting
 
@@ -104,11 +110,11 @@ class Khepera3(ProfileRobot):
 
     def proximity(self) -> InfraredReadings:
         """Return eleven proximity counts (command N)."""
-        return self._run(query("N", 12, InfraredReadings.from_reply))
+        return InfraredReadings._make(self.read_channels("proximity")["proximity"])
 
     def ambient(self) -> InfraredReadings:
         """Return eleven ambient counts, about 4000 in the dark (command O)."""
-        return self._run(query("O", 12, InfraredReadings.from_reply))
+        return InfraredReadings._make(self.read_channels("ambient")["ambient"])
 
     def infrared_time(self) -> float:
         """Return the time of the infrared readings since the start or `reset_timer` [s] (command N)."""
@@ -165,6 +171,16 @@ class Khepera3(ProfileRobot):
         """Switch the green and the red LED on or off (command K)."""
         for led, is_lit in enumerate(are_lit):
             self._run(order("K", led, int(is_lit), repeatable=True))
+
+    def _read_command(self, request: tuple[str, int]) -> HostCommand[Sequence[int]]:
+        """Return a read, of N with signs also from kh3server, which sends unsigned counts."""
+        command = super()._read_command(request)
+
+        def read(reply: str) -> Sequence[int]:
+            *counts, time_ms = command.read(reply)
+            return [*(count - 0x10000 if count >= 0x8000 else count for count in counts), time_ms]
+
+        return replace(command, read=read) if request[0] == "N" else command
 
     def _configure_controller(self, kind: int, *gains: int) -> None:
         self._run(order("H", *(f"d{value}" for value in (kind, *gains)), repeatable=True))

@@ -22,11 +22,6 @@ class InfraredReadings(NamedTuple):
     ground_right: int
     ground_left: int
 
-    @classmethod
-    def from_reply(cls, values: Sequence[int]) -> Self:
-        """Return the counts of a reply, in which kh3server sends negative numbers as unsigned ones."""
-        return cls._make(value - 0x10000 if value & 0x8000 and value > 0 else value for value in values[:11])
-
 
 class Echo(NamedTuple):
     """Command G: an echo.

@@ -13,6 +13,7 @@ from khep_twin.interventions.move_robot import place_robot
 from khep_twin.playpen import Playpen
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.host_results import Echo, EchoDistances, InfraredReadings
+from khep_twin.robots.khepera3.model import FIRST
 from khep_twin.robots.khepera3.registers import Control, Mode, MotorRegister
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 from khep_twin.robots.registry import find_model
@@ -111,6 +112,15 @@ def test_a_robot_that_is_put_elsewhere_with_a_reset_drives_straight_again(robot:
     assert y > 0.83
 
 
+def test_negative_counts_are_negative_from_both_programs(robot: Khepera3) -> None:
+    robot.sleep(0.1)
+    twin_of(robot).registers[FIRST["proximity"]] = -3
+    twin_of(robot).bus.dspic.before_read = lambda letter: None
+    assert robot.proximity().back_left == -3
+    assert robot.read_channels("proximity")["proximity"][0] == -3
+    assert (robot.ask("N").split(",")[1] == "-3") == ("rom" not in robot.port.name)
+
+
 def test_sensors_have_names_and_units(robot: Khepera3) -> None:
     robot.sleep(0.25)
     assert robot.proximity().back in range(20, 200)  # the floor's reflection
@@ -134,9 +144,7 @@ def test_sensors_have_names_and_units(robot: Khepera3) -> None:
     assert robot.echoes(2) == []
 
 
-def test_replies_have_units_and_signs() -> None:
-    assert InfraredReadings.from_reply([65_535, -2, *range(9), 123]).left == -2
-    assert InfraredReadings.from_reply([65_535, -2, *range(9), 123]).back_left == -1
+def test_echoes_have_units() -> None:
     values = [2, 27, 2900, 1500, 94, 300, 2500, *[0] * 9, 1800]
     assert Echo.from_reply(values) == [Echo(0.27, 2900, 1.5), Echo(0.94, 300, 2.5)]
 
