@@ -287,7 +287,8 @@ def test_a_controller_in_python_drives_a_toy(tmp_path: Path) -> None:
     assert text.startswith("210 cycles in 2.0 s\nfitness ")
     assert "speed mean          0.7979 pulses/10 ms" in text
     assert complaint("run", "braitenberg", "--playpen", "toys.toml", folder=tmp_path) == (
-        "braitenberg: model = 'toy' has no vehicle; expected a Khepera or Khepera II or Khepera IV"
+        "braitenberg: model = 'toy' has no vehicle; expected a Khepera or Khepera II or "
+        "Khepera III or Khepera III with firmware 2 or Khepera IV"
     )
     network = Network(model="toy")
     network.save(tmp_path / "best.npz", [0.3] * network.n_genes)

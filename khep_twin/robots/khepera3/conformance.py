@@ -6,6 +6,7 @@ Sections are those of the manual; "server" is the published program, "assumed" t
 import re
 
 from khep_twin.lab.conformance.port.check import Catalogue, Check, CheckedPort, Deviation, check, expect_range
+from khep_twin.lab.conformance.port.driving import STOPPING, drive, drive_to, expect_standing
 from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, ULTRASONIC
 from khep_twin.robots.khepera3.model import COUNTS_LIMIT
 
@@ -16,8 +17,8 @@ _VERSION = re.compile(r"b,\d+,\d+")
 _ENDS = b"\n\r", b"\r\n"
 """Ends of replies of the firmware (manual) and of kh3server (program)."""
 
-_ROUND_S, _STOPPING_S = 0.6, 0.5
-"""Time in which every ultrasonic sensor measures more than twice; in which the robot stops [s]."""
+_ROUND_S = 0.6
+"""Time in which every ultrasonic sensor measures more than twice [s]."""
 
 _BINARY_BYTES, _NEAR_PULSES = 67, 60
 """Bytes of X's reply; largest distance from its target of a wheel that has stopped: ten margins."""
@@ -94,7 +95,7 @@ def setters(line: CheckedPort) -> None:
 
 @check("E reads speeds, which are 0 at rest, and R the positions that I sets", "A", at_rest=True)
 def wheels(line: CheckedPort) -> None:
-    line.order("D,l0,l0", pause=_STOPPING_S)
+    line.order("D,l0,l0", pause=STOPPING)
     line.order("I,l-70000,l0")
     _expect(line, "e,0,0", "E")
     _expect(line, "r,-70000,0", "R")
@@ -140,7 +141,7 @@ def battery(line: CheckedPort) -> None:
 
 @check("X sends 67 bytes: readings, speeds, positions and time, then LF CR", "A, command X", at_rest=True)
 def binary(line: CheckedPort) -> None:
-    line.order("D,l0,l0", "I,l1000,l-2", pause=_STOPPING_S)
+    line.order("D,l0,l0", "I,l1000,l-2", pause=STOPPING)
     line.send("X\n")
     reply: bytes = line.port.read(_BINARY_BYTES)
     motors = [int.from_bytes(reply[i : i + 4], "little", signed=True) for i in range(45, 61, 4)]
@@ -148,39 +149,12 @@ def binary(line: CheckedPort) -> None:
         raise Deviation(f"'X' was answered {reply!r}, with {motors}; expected x, 0, 0, 1000, -2, and LF CR")
 
 
-def _drive(line: CheckedPort, order: str, duration: float) -> list[int]:
-    """Drive by a command for a duration [s], then stop; return the change of the positions."""
-    starts = line.numbers("R", 2)
-    line.order(order, pause=duration)
-    ends = line.numbers("R", 2)
-    line.order("D,l0,l0", pause=_STOPPING_S)
-    return [end - start for start, end in zip(starts, ends, strict=True)]
-
-
-def _drive_to(line: CheckedPort, letter: str, target: int) -> float:
-    """Send both wheels to a target; return the time until they stop there [s]."""
-    line.order(f"{letter},l{target},l{target}")
-    start, previous = line.time(), [0, 0]
-    while (now := line.numbers("R", 2)) != previous or max(abs(target - n) for n in now) > _NEAR_PULSES:
-        if line.time() - start > 8:
-            raise Deviation(f"{letter},l{target},l{target} was not on target after 8 s: R gave {now}")
-        previous = now
-        line.sleep(0.05)
-    return line.time() - start
-
-
-def _expect_standing(line: CheckedPort, context: str) -> None:
-    line.sleep(2 * _STOPPING_S)
-    if max(map(abs, moved := _drive(line, "K,0,0", 0.3))) > _NEAR_PULSES:
-        raise Deviation(f"{context} the positions changed by {moved}; expected a stop")
-
-
 @check("D drives the wheels at the requested speeds, which E reads", "A, commands D and E", FORWARD)
 def driven_speed(line: CheckedPort) -> None:
     line.order("M")
     for speed in (10_000, -10_000):
         line.order(f"D,l{speed},l{speed}", pause=1.0)
-        speeds, moved = line.numbers("E", 2), _drive(line, f"D,l{speed},l{speed}", 0.3)
+        speeds, moved = line.numbers("E", 2), drive(line, f"D,l{speed},l{speed}", 0.3)
         pulses = abs(speed) * PULSES_PER_SPEED * 0.3
         expect_range("E", [n * speed // 10_000 for n in speeds], 9000, 11_000)
         expect_range("R", [n * speed // 10_000 for n in moved], int(0.8 * pulses), int(1.3 * pulses))
@@ -189,18 +163,22 @@ def driven_speed(line: CheckedPort) -> None:
 @check("D and L drive the left and the right wheel in this order", "A, commands D and L", SPIN)
 def wheel_order(line: CheckedPort) -> None:
     for order, sign in (("D,l8000,l-8000", 1), ("L,l-400,l400", -1)):
-        left, right = _drive(line, order, 0.5)
+        left, right = drive(line, order, 0.5)
         if min(left * sign, -right * sign) <= 0:
             raise Deviation(f"{order} moved the positions by {left}, {right}")
-        _drive(line, f"D,l{-8000 * sign},l{8000 * sign}", 0.5)
+        drive(line, f"D,l{-8000 * sign},l{8000 * sign}", 0.5)
 
 
 @check("F drives to positions, at the speed that J sets, and P without it", "A, commands F, J and P", FORWARD)
 def targets(line: CheckedPort) -> None:
     line.order("M", "I,l0,l0", "J,d15000,d30")
-    times = [_drive_to(line, "F", 3000)]
+    times = [drive_to(line, "F,l3000,l3000", 3000, _NEAR_PULSES)]
     line.order("J,d5000,d30")
-    times += [_drive_to(line, "F", 0), _drive_to(line, "P", 1000), _drive_to(line, "P", 0)]
+    times += [
+        drive_to(line, "F,l0,l0", 0, _NEAR_PULSES),
+        drive_to(line, "P,l1000,l1000", 1000, _NEAR_PULSES),
+        drive_to(line, "P,l0,l0", 0, _NEAR_PULSES),
+    ]
     if not 1.2 < times[0] < 3.5 < times[1] < 7 or max(times[2:]) > 3:
         raise Deviation(f"F, F at a third of the speed, P and P took {times} s; expected 2, 4, 1 and 1 s")
 
@@ -213,7 +191,7 @@ def gains(line: CheckedPort) -> None:
     line.order("M", "D,l8000,l8000", pause=0.4)
     expect_range("E", line.numbers("E", 2), 4000, 12_000)
     line.order("M")
-    _expect_standing(line, "after M in motion")
+    expect_standing(line, "after M in motion", _NEAR_PULSES)
 
 
 @check("A drives without commands, also after a D, until A,2", "A, command A", ANYWHERE)
@@ -223,7 +201,7 @@ def vehicle(line: CheckedPort) -> None:
     line.order("A,2")
     if not any(speeds):
         raise Deviation(f"after A,0 and D,l0,l0 E gave {speeds}; expected a robot that still drives")
-    _expect_standing(line, "after A,2")
+    expect_standing(line, "after A,2", _NEAR_PULSES)
 
 
 CHECKS = tuple(value for value in vars().values() if isinstance(value, Check))

@@ -1,6 +1,7 @@
 """Checks of commands that move a Khepera IV."""
 
 from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check, expect_range
+from khep_twin.lab.conformance.port.driving import STOPPING, drive, drive_to, expect_standing
 from khep_twin.robots.khepera4.conformance.grammar import PUBLISHED, expect_refused
 
 FORWARD = "drives up to 40 cm forwards and back"
@@ -10,47 +11,13 @@ ANYWHERE = "drives for 2 s without commands, around obstacles"
 NEAR = 200
 """Largest distance from its target of a wheel that has stopped [pulses]: ten margins."""
 
-_STOPPING = 0.6
-"""Time in which the robot stops from any speed of these checks [s]."""
-
-
-def _drive_to(line: CheckedPort, target: int) -> float:
-    """Send both wheels to a target; return the time until they stop there [s]."""
-    line.order(f"F,{target},{target}")
-    start, previous = line.time(), [0, 0]
-    while (now := line.numbers("R", 2)) != previous or max(abs(target - value) for value in now) > NEAR:
-        if (took := line.time() - start) > 8:
-            raise Deviation(f"F,{target},{target} was not on target after {took:.0f} s: R gave {now}")
-        previous = now
-        line.sleep(0.05)
-    return line.time() - start
-
-
-def _drive(line: CheckedPort, order: str, duration: float) -> list[int]:
-    """Drive by a command for a duration [s], then stop; return the change of the positions [pulses]."""
-    starts = line.numbers("R", 2)
-    line.order(order, pause=duration)
-    ends = line.numbers("R", 2)
-    line.order("D,0,0", pause=_STOPPING)
-    return [end - start for start, end in zip(starts, ends, strict=True)]
-
-
-def _expect_standing(line: CheckedPort, context: str) -> None:
-    line.sleep(_STOPPING)
-    starts = line.numbers("R", 2)
-    line.sleep(0.3)
-    ends = line.numbers("R", 2)
-    if max(abs(end - start) for start, end in zip(starts, ends, strict=True)) > 20:
-        line.order("A,2", "D,0,0")
-        raise Deviation(f"{context} the positions changed from {starts} to {ends}; expected a stop")
-
 
 @check("D drives both wheels at the requested speed, which E reads", "6, commands D and E", FORWARD)
 def driven_speed(line: CheckedPort) -> None:
     line.order("M")
     for speed in (200, -200):
         line.order(f"D,{speed},{speed}", pause=1.2)
-        speeds, distances = line.numbers("E", 2), _drive(line, f"D,{speed},{speed}", 0.3)
+        speeds, distances = line.numbers("E", 2), drive(line, f"D,{speed},{speed}", 0.3)
         expect_range("E", [value * speed // 200 for value in speeds], 180, 220)
         expect_range("R", [distance * speed // 200 for distance in distances], 5000, 7500)
 
@@ -58,7 +25,7 @@ def driven_speed(line: CheckedPort) -> None:
 @check("D drives the left and the right wheel in this order", "6, command D", SPIN)
 def wheel_order(line: CheckedPort) -> None:
     for left, right in ((150, -150), (-150, 150)):
-        distances = _drive(line, f"D,{left},{right}", 0.7)
+        distances = drive(line, f"D,{left},{right}", 0.7)
         if min(distances[0] * left, distances[1] * right) <= 0:
             raise Deviation(f"D,{left},{right} moved the positions by {distances}")
 
@@ -67,7 +34,7 @@ def wheel_order(line: CheckedPort) -> None:
 def targets(line: CheckedPort) -> None:
     line.order("M", "I")
     for target in (30_000, 0):
-        took = _drive_to(line, target)
+        took = drive_to(line, f"F,{target},{target}", target, NEAR)
         if not 1.3 < took < 4:
             raise Deviation(f"30000 pulses took {took:.2f} s; expected about 2 s")
 
@@ -75,9 +42,9 @@ def targets(line: CheckedPort) -> None:
 @check("J sets the speed of F", "6, command J", FORWARD)
 def profile(line: CheckedPort) -> None:
     line.order("M", "I", "J,3,0,20,1,100")
-    took = _drive_to(line, 20_000)
+    took = drive_to(line, "F,20000,20000", 20_000, NEAR)
     line.order("J,3,0,20,1,400")
-    _drive_to(line, 0)
+    drive_to(line, "F,0,0", 0, NEAR)
     if not 1.9 < took < 5:
         raise Deviation(f"with J,3,0,20,1,100 20000 pulses took {took:.2f} s; expected 2 s and some settling")
 
@@ -87,14 +54,14 @@ def gains(line: CheckedPort) -> None:
     line.order("H,10,0,0", "D,500,500", pause=0.8)
     speeds = line.numbers("E", 2)
     line.order("D,-500,-500", pause=0.8)
-    line.order("H,10,5,1", "D,0,0", pause=_STOPPING)
+    line.order("H,10,5,1", "D,0,0", pause=STOPPING)
     expect_range("E", speeds, 100, 350)
 
 
 @check("L drives the motors open loop", "6, command L", FORWARD)
 def open_loop(line: CheckedPort) -> None:
     for duty in (600, -600):
-        distances = _drive(line, f"L,{duty},{duty}", 0.5)
+        distances = drive(line, f"L,{duty},{duty}", 0.5)
         if min(distance * duty for distance in distances) <= 0:
             raise Deviation(f"L,{duty},{duty} moved the positions by {distances}")
 
@@ -103,20 +70,20 @@ def open_loop(line: CheckedPort) -> None:
 def idle(line: CheckedPort) -> None:
     line.order("D,150,150", pause=0.4)
     line.order("M")
-    _expect_standing(line, "after M in motion")
+    expect_standing(line, "after M in motion")
     line.order("D,-150,-150", pause=0.4)
-    line.order("D,0,0", pause=_STOPPING)
+    line.order("D,0,0", pause=STOPPING)
 
 
 @check("Z stops the motors and sets the positions to 0", "6, command Z", FORWARD)
 def reset_in_motion(line: CheckedPort) -> None:
     line.order("D,150,150", pause=0.4)
     line.order("Z")
-    _expect_standing(line, "after Z in motion")
+    expect_standing(line, "after Z in motion")
     line.order("Z", pause=0.1)
     expect_range("R", line.numbers("R", 2), -50, 50)
     line.order("M", "D,-150,-150", pause=0.4)
-    line.order("D,0,0", pause=_STOPPING)
+    line.order("D,0,0", pause=STOPPING)
 
 
 @check("A drives without commands, also after a D, until A,2", "6, command A", ANYWHERE)
@@ -125,7 +92,7 @@ def vehicle(line: CheckedPort) -> None:
     if not any(speeds := line.numbers("E", 2)):
         raise Deviation(f"after A,0 and D,0,0 E gave {speeds}; expected a robot that still drives")
     line.order("A,2")
-    _expect_standing(line, "after A,2")
+    expect_standing(line, "after A,2")
     line.order("M")
 
 
@@ -133,5 +100,5 @@ def vehicle(line: CheckedPort) -> None:
 def refused_vehicle(line: CheckedPort) -> None:
     line.order("A,1", pause=0.4)
     expect_refused(line, "A,3")
-    _expect_standing(line, "after A,3")
+    expect_standing(line, "after A,3")
     line.order("M")
