@@ -36,7 +36,7 @@ ORDER = [
     ["simulation"],
     ["vision"],
     ["robots.robot"],
-    ["robots.khepera"],
+    ["robots.khepera", "robots.measuring_robot"],
     ["stepper"],
     ["world"],
     ["programs"],
