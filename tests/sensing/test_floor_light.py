@@ -100,7 +100,7 @@ def test_readings_rise_gradually_to_their_limit() -> None:
 def test_noise_grows_with_the_light_and_vanishes_at_the_limit() -> None:
     distances = np.array([445.0, 40.5, 27.0, 0.0])
     quiet, noisy = (scene_counts(distances, "black", draw)[3] for draw in (0.0, 1.0))
-    # Standard deviations of a real robot: 3 to 5 far off, 4 to 9 from 250 to 1700 counts, 1 to 1.5 at the limit.
+    # Standard deviations of a real robot: 3 to 5 far off, and 4 to 9 from 250 to 1700 counts.
     far, near, nearer, limit = noisy - quiet
     assert 3 <= far <= 5 <= near <= nearer <= 9
     assert limit == 0
