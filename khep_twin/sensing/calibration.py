@@ -132,12 +132,14 @@ class GroundCalibration(TomlTable):
         white_counts: Reading above a white floor.
         nothing_counts: Reading with no floor below.
         spot_mm: Radius of the spot that a sensor sees.
+        excess: Light from a white floor over that which saturates; then readings approach white gradually.
         noise_counts: Standard deviation of one reading.
     """
 
     white_counts: Annotated[tuple[float, ...], _PerSensor]
     nothing_counts: float
     spot_mm: Annotated[float, Field(ge=0.1, le=50)]
+    excess: Annotated[float, Field(ge=1, le=100)] = 1.0
     noise_counts: float
 
 

@@ -65,7 +65,7 @@ _RING = (
 """Positions of the infrared sensors around [mm] (webots)."""
 
 BODY = Body(
-    radius=0.065,
+    radius=0.0675,  # from the middle of the axle to the front
     mass=0.710,
     support_position=0.0449,
     sensor_positions=tuple((x * 1e-3, y * 1e-3) for x, y in _RING),
