@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from khep_twin.playpen import parse
-from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, PWM_LIMIT
+from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED
 from khep_twin.robots.khepera3.model import KHEPERA_3, KHEPERA_3_V2
 from khep_twin.robots.khepera3.motor_control import (
     Motor,
@@ -131,14 +131,12 @@ def test_a_speed_order_without_profile_has_a_pwm_of_kp_and_the_sum_of_errors() -
     assert motor.numbers[Motor.PWM] - before == pytest.approx(rise, abs=1)
 
 
-@pytest.mark.parametrize(
-    ("value", "pwm"), [(500, 500), (-500, -500), (32_767, PWM_LIMIT), (-4000, -PWM_LIMIT)]
-)
+@pytest.mark.parametrize(("value", "pwm"), [(500, 500), (-500, -500), (32_767, 1023), (-4000, -1023)])
 def test_open_loop_sets_the_pwm_up_to_1023(value: int, pwm: int) -> None:
     motor = controller(Control.OPEN_LOOP, value)
     run(motor, 1)
     assert motor.numbers[Motor.PWM] == pwm
-    assert bool(motor.memory[R.STATUS] & Status.SATURATED) == (abs(pwm) == PWM_LIMIT)
+    assert bool(motor.memory[R.STATUS] & Status.SATURATED) == (abs(pwm) == 1023)
 
 
 @pytest.mark.parametrize("mode", [Mode.IDLE, Mode.SLEEP, 77])
