@@ -31,10 +31,10 @@ N_BYTES = {"B": 5, "C": 1, "G": 45, "K": 1, "N": 27, "O": 27, "V": 5, "Z": 1}
 
 @pytest.fixture
 def robot3() -> Robot:
-    made = robot()
-    made.set_proximity(PROXIMITY)
-    made.state.board[state.SCAN_MS] = 1000
-    return made
+    khepera3 = robot()
+    khepera3.set_proximity(PROXIMITY)
+    khepera3.state.board[state.SCAN_MS] = 1000
+    return khepera3
 
 
 @pytest.mark.parametrize("command", FRAMES)

@@ -24,7 +24,7 @@ MEANS = {
         202.5: (37, 71, 72, 132),
     },
 }
-"""Mean counts of the four sensors in front, from left to right, by the floor and the obstacle's distance [mm]."""
+"""Mean counts of the four front sensors, from the left, by floor and distance of the obstacle [mm]."""
 
 NOISE = 3 * 3.5
 """Three standard deviations of a small count."""

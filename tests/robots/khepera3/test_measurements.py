@@ -145,8 +145,8 @@ def test_ultrasonic_sensors_keep_their_places_and_numbers() -> None:
     world, robot = robot_in(active=ALL)
     world.advance(0.5)
     distances = [ask(robot, "G", sensor + 1)[1] for sensor in range(5)]
-    beside = round(100 * (1.0 - 0.0596))
-    assert (distances[0], distances[4], distances[2]) == (beside, beside, 0)
+    side_cm = round(100 * (1.0 - 0.0596))
+    assert (distances[0], distances[4], distances[2]) == (side_cm, side_cm, 0)
 
 
 def test_a_battery_has_a_voltage_currents_charges_and_a_temperature_by_its_kinds() -> None:
