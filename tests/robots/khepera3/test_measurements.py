@@ -1,5 +1,7 @@
 """Sensors and battery of a Khepera III in a world, as the bus reports them."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -47,7 +49,7 @@ def ask(robot: Khepera3Robot, letter: str, *arguments: int) -> list[int]:
     return [*reply]
 
 
-def block(distance: float, width: float = 0.6, more: str = "") -> str:
+def block(distance: float, width: float) -> str:
     """Return a block at a distance from the front ultrasonic sensor [m]."""
     x_mm = 2000 + 1000 * (SONAR_M + distance) + 50
     return f"""[[block]]
@@ -56,7 +58,7 @@ y_mm = 1000
 length_mm = 100
 width_mm = {1000 * width}
 height_mm = 300
-{more}"""
+"""
 
 
 def test_infrared_readings_are_those_of_the_last_scan_every_33_ms() -> None:
@@ -82,7 +84,7 @@ def test_z_sets_the_time_of_readings_to_0() -> None:
 
 
 def test_an_infrared_sensor_that_the_mask_switches_off_reads_0() -> None:
-    world, robot = robot_in(block(0.05))
+    world, robot = robot_in(block(0.05, 0.6))
     world.advance(0.1)
     counts = ask(robot, "N")[:11]
     assert min(counts[2:6]) > 0
@@ -103,6 +105,26 @@ def test_a_wall_has_one_echo_at_its_distance_to_a_centimetre(distance: float) ->
     assert not any(rest[:-1])
     if distance == 0.27:
         assert amplitude == pytest.approx(2900, rel=0.05)  # example of the manual
+
+
+@pytest.mark.parametrize(("distance", "degrees", "n_echoes"), [(1, 40, 1), (1, 45, 0), (3, 15, 1)])
+def test_a_turned_wall_is_heard_at_its_perpendicular_distance_up_to_an_angle(
+    distance: float, degrees: float, n_echoes: int
+) -> None:
+    angle, depth = math.radians(degrees), 50
+    wall = f"""[[block]]
+x_mm = {2000 + 1000 * (SONAR_M + distance) + depth * math.cos(angle)}
+y_mm = {1000 + depth * math.sin(angle)}
+angle_deg = {degrees}
+length_mm = {2 * depth}
+width_mm = 1600
+height_mm = 300
+"""
+    world, robot = robot_in(wall)
+    world.advance(0.2)
+    count, cm, *_ = ask(robot, "G", 3)
+    expected = 100 * distance * math.cos(angle) if n_echoes else 0
+    assert (count, cm) == (n_echoes, pytest.approx(expected, abs=1))
 
 
 @pytest.mark.parametrize("content", ["", block(4.2, 1.9), block(0.15, 1.9)])
