@@ -113,6 +113,18 @@ _TERMS = (
 _FRAMING = Lines(number=re.compile("[dl]?(-?[0-9]{1,10})"), has_reversed_ends=True)
 """Numbers in requests have a prefix of their size. Replies end in LF CR (a host), of kh3server in CR LF."""
 
+_READS = {
+    name: Read(letter, n_values, _REGISTERS[name][:n_used], range(n_used))
+    for name, letter, n_values, n_used in (
+        *(("proximity", "N", 12, 11), ("ambient", "O", 12, 11)),
+        *(("speed", "E", 2, 2), ("position", "R", 2, 2)),
+    )
+}
+_READS |= {
+    f"ultrasonic {number}": Read(f"G,{number}", 17, [register], [1])
+    for number, register in enumerate(_REGISTERS["ultrasonic"], 1)
+}
+
 
 def _roms_of(version: str) -> dict[str, Rom]:
     """Return the programs of a robot with a version of the dsPIC's firmware."""
@@ -139,15 +151,7 @@ KHEPERA_3 = RobotModel(
         moving=("A", "D", "F", "L", "P"),
         baud=BAUD,
         framing=_FRAMING,
-        reads={
-            name: Read(letter, n_values, _REGISTERS[name][:n_used], range(n_used))
-            for name, (letter, n_values, n_used) in {
-                "proximity": ("N", 12, 11),
-                "ambient": ("O", 12, 11),
-                "speed": ("E", 2, 2),
-                "position": ("R", 2, 2),
-            }.items()
-        },
+        reads=_READS,
         drive="D,l{:d},l{:d}".format,
         open_loop=("L", _REGISTERS["duty"]),
     ),
