@@ -153,7 +153,7 @@ KHEPERA_3 = RobotModel(
         framing=_FRAMING,
         reads=_READS,
         drive="D,l{:d},l{:d}".format,
-        open_loop=("L", _REGISTERS["duty"]),
+        open_loop=("L,l{},l{}", _REGISTERS["duty"]),
     ),
     parts={
         **parts_of("khep_twin.robots.khepera3", core="CORE", robot="Khepera3Robot", host="Khepera3"),
