@@ -59,16 +59,14 @@ class Khepera3(ProfileRobot):
     speed_pulse_time = 1 / PULSES_PER_SPEED
     arrival_pulses = 60  # ten times the margin
     number_prefix = "l"
-    _body: Body | None = None
     _active_mask = SETTINGS[Setting.ULTRASONIC]
 
     @property
     def body(self) -> Body:
-        """Body of the robot's generation, by its version."""
-        if self._body is None:
-            model = KHEPERA_3 if self.version() >= (3, 0) else KHEPERA_3_V2
-            self._body = model.body
-        return self._body
+        """Body of the robot's generation, by its version if the model is unknown."""
+        if "model" not in vars(self):
+            self.model = KHEPERA_3 if self.version() >= (3, 0) else KHEPERA_3_V2
+        return self.model.body
 
     def version(self) -> tuple[int, int]:
         """Return version and revision of the firmware (command B)."""
