@@ -39,6 +39,10 @@ def test_an_echo_from_before_a_reset_of_the_timer_has_the_time_0() -> None:
     assert len(robot.bus.dspic.execute(b"G\x03")) == 45
 
 
+def test_an_unknown_kind_of_battery_value_has_a_reply() -> None:
+    assert robot_in_pen()[1].bus.dspic.execute(b"V\x06") == b"v" + bytes(4)
+
+
 def test_a_program_that_stops_below_20_cm_gets_such_a_reading() -> None:
     world, robot = robot_in_pen(1000 - 56.4 - 192)  # of the front sensor's 56 mm before the axle
     world.reset(seed=1, noise=False)
