@@ -237,9 +237,9 @@ class Letters(VehicleServer):
     def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
         """Return a value of the battery, by its kind: 0 voltage [V] to 5 charge [%]."""
         kind = values[0] & 0xFFFF
-        if (reply := self._bus.dspic.ask("V", kind)) is None:
+        if kind > 5:
             return None
-        integer, fraction = reply
+        integer, fraction = self._bus.dspic.ask("V", kind) or (0, 0)
         sign = "-" if kind in (1, 2) and integer & 0x8000 else ""
         if kind in (3, 5):
             return [self._program.charge.format(integer) if kind == 3 else integer]

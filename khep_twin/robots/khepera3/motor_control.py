@@ -172,7 +172,7 @@ def _hold(motor: MotorState, distance: int) -> None:
 @compilable
 def _drive(motor: MotorState, gains: int, error: int, scale: int, sum_scale: int, sum_part: int) -> None:
     """Set the PWM by an error; the sum of errors is limited to a part of the PWM (anti-windup)."""
-    memory, numbers = motor.memory, motor.numbers
+    memory, numbers, error = motor.memory, motor.numbers, clip(error, 2**31 - 1)
     kp, kd = read_signed(memory, gains, 2), read_signed(memory, gains + 2, 2)
     ki = read_signed(memory, gains + 4, 2)
     sample_time = max(read_signed(memory, MotorRegister.SAMPLE_TIME, 2) & 0xFFFF, 1)
