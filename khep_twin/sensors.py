@@ -14,7 +14,9 @@ dark, and saturate:
 
 with the light of lamps as in `ambient`. A sensor's proximity is the difference of two of these readings, with
 its emitter on and off. So its limit falls by (dark - light - floor) / (dark - floor) in bright light, to 0
-where ambient light alone saturates it. Not modelled: light reflected more than once, except by the floor.
+where ambient light alone saturates it. The threshold includes the light of the floor. Where a calibration has
+`floor_light_counts`, a part of it and the mirror images of objects depend on the floor's reflectance. Not
+modelled: light reflected more than once, except by the floor.
 """
 
 import math

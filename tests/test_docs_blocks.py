@@ -25,6 +25,7 @@ FOLLOWED = {
     "challenges.md": "test_lessons.py",
     "turrets.md": "test_turrets_page.py",
     "robots.md": "robots/test_robots_page.py",
+    "khepera3.md": "robots/khepera3/test_khepera3_page.py",
 }
 """Pages that another test follows whole."""
 

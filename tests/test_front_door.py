@@ -15,7 +15,7 @@ PACKAGE = Path(khep_twin.__file__).parent
 
 NAMES = {
     *("Playpen", "Lamp", "World", "Start", "Sensor"),
-    *("Khepera", "Khepera4", "Gripper", "Radio", "Vision"),
+    *("Khepera", "Khepera3", "Khepera4", "Gripper", "Radio", "Vision"),
     *("Controller", "NetworkController", "TaskController"),
     *("Twin", "TwinOptions", "open_twin", "serve", "Shadow"),
     *("rollout", "RolloutResult", "Episode", "EpisodeOptions", "EpisodeSetup", "MeasuredCycle"),

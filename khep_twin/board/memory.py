@@ -1,11 +1,11 @@
 """Numbers in the memory of a microcontroller, a sequence of bytes. The functions are `compilable`."""
 
+from khep_twin.board.kernel import Registers
 from khep_twin.compilable import compilable
-from khep_twin.sensing.buffers import Vector
 
 
 @compilable
-def read_signed(memory: Vector[int], register: int, size: int) -> int:
+def read_signed(memory: Registers, register: int, size: int) -> int:
     """Return a signed number of `size` bytes, the lowest first."""
     number = 0
     for offset in range(size):
@@ -14,7 +14,7 @@ def read_signed(memory: Vector[int], register: int, size: int) -> int:
 
 
 @compilable
-def write_number(memory: Vector[int], register: int, size: int, number: int) -> None:
+def write_number(memory: Registers, register: int, size: int, number: int) -> None:
     """Set a number of `size` bytes, truncated as in C."""
     for offset in range(size):
         memory[register + offset] = number >> 8 * offset & 0xFF

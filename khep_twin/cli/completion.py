@@ -37,8 +37,8 @@ def calibrations() -> list[Completion]:
     """Return the shipped calibrations and the TOML files of the current folder."""
     from khep_twin.files.toml_files import names
 
-    own = (model.calibration_name for model in installed_models().values())
-    return [(name, "") for name in dict.fromkeys((*names("calibration"), *own))] + _local_files(".toml")
+    usual = (model.calibration_name for model in installed_models().values())
+    return [(name, "") for name in dict.fromkeys((*names("calibration"), *usual))] + _local_files(".toml")
 
 
 def controllers() -> list[Completion]:

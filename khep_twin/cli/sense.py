@@ -224,7 +224,7 @@ def _drive(
     from khep_twin.lab.sensor_test.sensor_test import sense as drive
 
     with stopping() as stop, connect(port) as robot, progress_bar() as show:
-        tests = [replace(test, model=robot.model.family) for test in tests]
+        tests = [replace(test, model=robot.model.name) for test in tests]
         if robot.model.family != default_model().family and mat_files:
             kind = robot.dialect.robot_name
             raise SensorTestError(
@@ -258,8 +258,9 @@ def _save_run(runs: "list[SensorRun]", run: "SensorRun", run_paths: list[list[Pa
     if run.test.what == "vision":
         typer.echo(f"  line image  {run.dv[:, 2:].min():4} to {run.dv[:, 2:].max():4} greys")
     else:
-        for sensor, counts in zip(run.test.quantity.names, run.dv[:, 2:].T, strict=True):
-            typer.echo(f"  {sensor:10}  {counts.min():4} to {counts.max():4} counts")
+        width = max(10, *map(len, names := run.test.quantity.names))
+        for sensor, counts in zip(names, run.dv[:, 2:].T, strict=True):
+            typer.echo(f"  {sensor:{width}}  {counts.min():4} to {counts.max():4} counts")
     if failures:
         raise KhepTwinError("\n".join(failures))
     for path in paths:

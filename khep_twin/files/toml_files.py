@@ -100,20 +100,24 @@ def summary(kind: str, name: str) -> str:
         return file.readline().removeprefix("# ").strip().partition(". ")[0].removesuffix(".")
 
 
-def read(kind: str, name: str | Path, error_type: type[KhepTwinError]) -> tuple[str, str]:
+def read(
+    kind: str, name: str | Path, error_type: type[KhepTwinError], paths: Mapping[str, str] = {}
+) -> tuple[str, str]:
     """Return the text of a file given by bare name or path, and its name in messages.
+
+    `paths` are those of files with bare names elsewhere.
 
     Raises:
         error_type: The file does not exist, exceeds the size limit, or is not text.
     """
-    path = folder(kind) / f"{name}.toml" if str(name) in names(kind) else Path(name)
     source = str(name)
+    path = folder(kind) / f"{name}.toml" if source in names(kind) else Path(paths.get(source, name))
     try:
         with open_regular(path) as file:
             data = file.read(SIZE_LIMIT + 1)
     except FileNotFoundError:
         expected = "the path of a file"
-        if shipped_names := names(kind):
+        if shipped_names := [*dict.fromkeys((*names(kind), *paths))]:
             expected += f" or a shipped name; {choices(name, shipped_names)}"
         raise error_type("no such file", file=source, expected=expected) from None
     except OSError as error:

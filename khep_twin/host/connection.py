@@ -47,7 +47,7 @@ def connect(url: str, timeout: float | None = None, baudrate: int = 0, family: s
     robot = open_robot(
         model, url, timeout=timeout, baudrate=found_baudrate if has_rate else model.dialect.baud
     )
-    robot.model, robot.identity = model, identity
+    robot.identity = identity
     return robot
 
 

@@ -20,7 +20,9 @@ Value = TypeVar("Value")
 def open_robot(model: RobotModel, url: StrPath | serial.SerialBase, **options: Any) -> "HostRobot":
     """Open the robot of a model at a port; options are those of the model's host class."""
     host_class = cast(Callable[..., HostRobot], model.load_class("host", HostRobot))
-    return host_class(url, **options)
+    robot = host_class(url, **options)
+    robot.model = model
+    return robot
 
 
 class HostRobot:
@@ -33,7 +35,7 @@ class HostRobot:
         url, timeout, baudrate, retries: See `Khepera`; `baudrate` is by default the usual one of the dialect.
 
     Attributes:
-        model: Model of the robot, or the first one with its protocol, of all objects of a class.
+        model: Model of the robot; the first one with its protocol, if it is unknown.
         burst_length: Number of requests that are sent before the first reply.
         leds: Names of its LEDs.
         name: Name of the port, for messages.

@@ -105,9 +105,8 @@ class ProfileRobot(HostRobot, Generic[Counts]):
         self._run(order("M", repeatable=True))
 
     def proximity(self) -> Counts:
-        """Return the proximity counts (command N); those below 0 may be sent as unsigned ones of 16 bits."""
-        counts = self.read_channels("proximity")["proximity"]
-        return self.counts(*(count - 0x10000 if count > 0x7FFF else count for count in counts))
+        """Return the proximity counts (command N)."""
+        return self.counts(*self.read_channels("proximity")["proximity"])
 
     def ambient(self) -> Counts:
         """Return the ambient counts, which are high in the dark (command O)."""

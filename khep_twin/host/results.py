@@ -115,7 +115,7 @@ class Battery(NamedTuple):
     """Command V: state of the battery.
 
     Voltage [V]; current and average current, below 0 while it is discharged [A]; remaining charge [mAh];
-    temperature [degrees Celsius]; remaining part of the charge, 0 to 1; whether it is charged, None if unknown.
+    temperature [degrees Celsius]; remaining part, 0 to 1; whether a charger is plugged in, None if unknown.
     """
 
     voltage: float

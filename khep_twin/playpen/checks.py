@@ -128,9 +128,10 @@ def complete_robots(data: dict[str, object]) -> dict[str, object]:
         if not robot_spots and _read_array(robot, "spots"):
             # Unknown names are reported later.
             defaults |= {"x_mm": 0.0, "y_mm": 0.0, "heading_deg": 0.0}
-        usual = Path(str(defaults.get("calibration", ""))).stem
-        stated = {key: value for key, value in robot.items() if (key, value) != ("calibration", usual)}
-        robots.append({**defaults, **stated})
+        robots.append({**defaults, **robot})
+        usual = defaults.get("calibration")
+        if usual is not None and robot.get("calibration") == Path(str(usual)).stem:
+            robots[-1]["calibration"] = usual
     return {**data, "robot": tuple(robots)} if robots else data
 
 

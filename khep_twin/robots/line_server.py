@@ -105,7 +105,7 @@ class LineServer:
 class VehicleServer(LineServer):
     """A program whose commands are letters with numbers; it starts with the first bytes, by its command M.
 
-    A method `_on_b` executes command B; it returns the values of its reply, or all of it, or None for an error.
+    A method `_on_b` executes command B; it returns values, or a whole reply, or None for an error.
 
     Args:
         dialect, is_powered: See `LineServer`.

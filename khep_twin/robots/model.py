@@ -85,9 +85,9 @@ class Dialect(NamedTuple):
         moving: Prefixes of requests that move the robot.
         baud: Usual baud rate.
         framing: Ends of the messages; requests and replies are given by their texts.
-        reads: Requests that read registers, by channel.
+        reads: Requests that read registers, by channel, or by another name for a part of one.
         drive: Function that returns the request that sets the speed setpoints [register].
-        open_loop: Letter of the request that sets the motors' duties, and the registers of these; or empty.
+        open_loop: Format of the request that sets the motors' duties, and the registers of these; or empty.
     """
 
     robot_name: str

@@ -18,6 +18,10 @@ ultrasonic sensor, from ECHO on."""
 NONE = -1
 """No time of a moment; no ultrasonic sensor."""
 
+_BOARD, _SENSING = ("kernel", "memory", "lithium_cells"), ("bursts", "ground", "sonar")
+MODULES = *(f"khep_twin.board.{name}" for name in _BOARD), *(f"khep_twin.sensing.{name}" for name in _SENSING)
+"""Modules that the cores of these robots compile besides their own."""
+
 
 def scan(robot: Any, simulated: Simulated, inputs: StepInputs) -> None:
     """Measure with all infrared sensors now."""

@@ -132,12 +132,14 @@ class GroundCalibration(TomlTable):
         white_counts: Reading above a white floor.
         nothing_counts: Reading with no floor below.
         spot_mm: Radius of the spot that a sensor sees.
+        excess: Light from a white floor over that which saturates; then readings approach white gradually.
         noise_counts: Standard deviation of one reading.
     """
 
     white_counts: Annotated[tuple[float, ...], _PerSensor]
     nothing_counts: float
     spot_mm: Annotated[float, Field(ge=0.1, le=50)]
+    excess: Annotated[float, Field(ge=1, le=100)] = 1.0
     noise_counts: float
 
 
@@ -362,8 +364,7 @@ def read(name: str) -> tuple[Calibration, str]:
         CalibrationError: The file is missing or unusable; one line per problem.
     """
     usual = {model.calibration_name: model.calibration for model in installed_models().values()}
-    path = name if name in names() else usual.get(name, name)
-    text, source = toml_files.read("calibration", path, CalibrationError)
+    text, source = toml_files.read("calibration", name, CalibrationError, usual)
     return toml_files.validate(Calibration, text, source, CalibrationError), text
 
 

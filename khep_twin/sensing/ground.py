@@ -17,7 +17,7 @@ from khep_twin.compilable import compilable
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.light import Light
 from khep_twin.sensing.noise import Draws, ambient_noise
-from khep_twin.sensing.optics import convert
+from khep_twin.sensing.optics import convert, saturated
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import BeamScene, position, ray, sensor_frame
 
@@ -34,6 +34,7 @@ class Ground(NamedTuple):
         nothing_counts: Counts above nothing.
         noise_counts: Standard deviation [counts].
         spot: Radius of a spot [m].
+        excess: Light from a white floor over that which saturates; 1 without saturation.
         height: Height above the floor [m].
         lens: Length in the law of the distance [m].
         largest: Largest count of the converter.
@@ -45,6 +46,7 @@ class Ground(NamedTuple):
     nothing_counts: float
     noise_counts: float
     spot: float
+    excess: float
     height: float
     lens: float
     largest: int
@@ -61,6 +63,7 @@ class Ground(NamedTuple):
             float(ground.nothing_counts),
             float(ground.noise_counts),
             ground.spot_mm * 1e-3,
+            ground.excess,
             height,
             lens,
             largest,
@@ -110,5 +113,8 @@ def _floor_counts(
             nearness = min((ground.height + ground.lens) / (distance + ground.lens), 1.0)
             total += reflectance * (nearness * nearness)
     white, dark = ground.white_counts[number], ground.nothing_counts
-    counts = dark + (white - dark) * total / len(_SPOT_POINTS) + ground.noise_counts * noise
+    level = (white - dark) * total / len(_SPOT_POINTS)
+    if ground.excess > 1:
+        level = saturated(level * ground.excess, white - dark)
+    counts = dark + level + ground.noise_counts * noise
     return min(max(round(counts), 0), ground.largest)

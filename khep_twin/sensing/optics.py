@@ -101,12 +101,16 @@ def proximity_counts(
         level += gain * reflected_light(buffer, count, sensor_chip, lobe) * growth
     limit = int(proximity.limit * range_left)
     if proximity.saturates and 0 < limit and 0 < level:
-        ratio = level / limit
-        square = ratio * ratio
-        power = square * square
-        level /= math.sqrt(math.sqrt(math.sqrt(1 + power * power)))
+        level = saturated(level, limit)
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
     return max(counts, min(idle + min(proximity.floor, 0), limit), proximity.floor)
+
+
+@compilable
+def saturated(level: float, limit: float) -> float:
+    """Return a level that approaches a limit gradually: level / (1 + (level / limit)^4)^(1/4)."""
+    square = (level / limit) * (level / limit)
+    return level / math.sqrt(math.sqrt(1 + square * square))
 
 
 @compilable

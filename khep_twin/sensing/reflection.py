@@ -50,6 +50,9 @@ _NODES = (
 """Nodes and weights of the Gauss-Legendre quadrature."""
 
 
+Pair = tuple[float, float]
+
+
 class Lobe(NamedTuple):
     """Lobe of a sensor.
 
@@ -192,9 +195,7 @@ def _crossing_sine(surfaces: Vector[float], first: int, second: int) -> float:
 
 
 @compilable
-def _stacked_light(
-    surfaces: Vector[float], count: int, sines: tuple[float, float], chip: Chip, lobe: Lobe
-) -> float:
+def _stacked_light(surfaces: Vector[float], count: int, sines: Pair, chip: Chip, lobe: Lobe) -> float:
     """Return the light of an arc, by the sines of its ends, where surfaces are visible above nearer ones."""
     total, depth, front_row = 0.0, -1.0, -1
     sine = (sines[0] + sines[1]) / 2
@@ -216,12 +217,7 @@ def _stacked_light(
 
 @compilable
 def _surface_light(
-    surfaces: Vector[float],
-    index: int,
-    sines: tuple[float, float],
-    hidden: tuple[float, float],
-    chip: Chip,
-    lobe: Lobe,
+    surfaces: Vector[float], index: int, sines: Pair, hidden: Pair, chip: Chip, lobe: Lobe
 ) -> float:
     """Return the light from a surface between two azimuths."""
     if surfaces[index + RADIUS] > 0:
@@ -231,12 +227,7 @@ def _surface_light(
 
 @compilable
 def _face_light(
-    surfaces: Vector[float],
-    index: int,
-    sines: tuple[float, float],
-    hidden: tuple[float, float],
-    chip: Chip,
-    lobe: Lobe,
+    surfaces: Vector[float], index: int, sines: Pair, hidden: Pair, chip: Chip, lobe: Lobe
 ) -> float:
     """Return the light from a face of reflectance 1 between two azimuths."""
     distance, c, s = surfaces[index + DISTANCE], surfaces[index + COSINE], surfaces[index + SINE]
@@ -253,11 +244,8 @@ def _face_light(
         y = sines[0] if sines[0] * norm >= y else sines[1]
         x, norm = math.sqrt(1 - y * y), 1.0
     length = distance * norm / (x * c + y * s) * (1 + spread / 2)
-    return (
-        max(light, 0.0)
-        / (distance * distance)
-        * _lobe_part(surfaces, index, hidden, chip.height, length, lobe)
-    )
+    part = _lobe_part(surfaces, index, hidden, chip.height, length, lobe)
+    return max(light, 0.0) / (distance * distance) * part
 
 
 @compilable
@@ -276,12 +264,7 @@ def _table_light(
 
 @compilable
 def _cylinder_light(
-    surfaces: Vector[float],
-    index: int,
-    sines: tuple[float, float],
-    hidden: tuple[float, float],
-    chip: Chip,
-    lobe: Lobe,
+    surfaces: Vector[float], index: int, sines: Pair, hidden: Pair, chip: Chip, lobe: Lobe
 ) -> float:
     """Return the light from a cylinder of reflectance 1 between two azimuths."""
     distance, radius = surfaces[index + DISTANCE], surfaces[index + RADIUS]
@@ -312,12 +295,7 @@ def _cylinder_light(
 
 @compilable
 def _lobe_part(
-    surfaces: Vector[float],
-    index: int,
-    hidden: tuple[float, float],
-    height: float,
-    distance: float,
-    lobe: Lobe,
+    surfaces: Vector[float], index: int, hidden: Pair, height: float, distance: float, lobe: Lobe
 ) -> float:
     """Return the part of the lobe in elevation that a surface and its mirror image in the floor cover.
 
@@ -340,12 +318,12 @@ def _lobe_part(
 def _hidden_slopes(
     surfaces: Vector[float],
     count: int,
-    sines: tuple[float, float],
-    direction: tuple[float, float],
+    sines: Pair,
+    direction: Pair,
     depth: float,
     front_row: int,
     height: float,
-) -> tuple[float, float]:
+) -> Pair:
     """Return the slope of the highest top, and of the lowest mirror image, up to and including `front_row`.
 
     `depth` is its distance; `direction` is cosine and sine of an azimuth in the arc with ends `sines`.
@@ -379,12 +357,7 @@ def _part_below(height: float, distance: float, narrowing: int) -> float:
 
 @compilable
 def _find_next_surface(
-    surfaces: Vector[float],
-    count: int,
-    sines: tuple[float, float],
-    direction: tuple[float, float],
-    depth: float,
-    front_row: int,
+    surfaces: Vector[float], count: int, sines: Pair, direction: Pair, depth: float, front_row: int
 ) -> tuple[float, int]:
     """Return distance and row of the next surface behind `front_row`; a negative row for none."""
     nearest, index = math.inf, -1
@@ -398,7 +371,7 @@ def _find_next_surface(
 
 
 @compilable
-def _distance_in(surfaces: Vector[float], row: int, direction: tuple[float, float]) -> float:
+def _distance_in(surfaces: Vector[float], row: int, direction: Pair) -> float:
     """Return the distance of a surface [m] in a direction within its arc: cosine and sine of the azimuth."""
     cosine, sine = direction
     along = surfaces[row + COSINE] * cosine + surfaces[row + SINE] * sine

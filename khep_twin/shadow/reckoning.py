@@ -11,8 +11,8 @@ from khep_twin.shadow.planes import Twins
 
 Pose = tuple[float, float, float]
 
-_WHEEL_COMMAND = re.compile(rb"([A-Z]),(-?\d{1,10}),(-?\d{1,10})")
-"""Request with a number for each wheel."""
+_WHEEL_COMMAND = re.compile(rb"([A-Z]),[a-z]?(-?\d{1,10}),[a-z]?(-?\d{1,10})")
+"""Request with a number for each wheel, each with the prefix of its size or without."""
 
 
 class Reckoning:

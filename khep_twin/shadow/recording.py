@@ -81,16 +81,16 @@ def reads_of(dialect: Dialect) -> list[Read]:
 
 def _sampled_chunks(robot: RobotTrack) -> Iterator[LineChunk]:
     """Yield samples of registers as the bytes of requests and replies; none without duties to set."""
-    dialect, (letter, duties) = robot.model.dialect, robot.model.dialect.open_loop
+    dialect, (order, duties) = robot.model.dialect, robot.model.dialect.open_loop
     reads = reads_of(dialect)
     for index, (time_ns, row) in enumerate(zip(robot.times_ns.tolist(), robot.registers, strict=True)):
         replies: dict[str, str] = {}
-        for read in reads if letter and index % _SAMPLES_PER_READ == 0 else ():
+        for read in reads if order and index % _SAMPLES_PER_READ == 0 else ():
             values = dict(zip(read.values, row[list(read.registers)].tolist(), strict=True))
             numbers = [values.get(number, 0) for number in range(read.n_values)]
             replies[read.request] = "".join(f",{number}" for number in numbers)
-        if letter:
-            replies[letter + "".join(f",{duty}" for duty in row[list(duties)])] = ""
+        if order:
+            replies[order.format(*row[list(duties)])] = ""
         for request, values in replies.items():
             yield LineChunk(time_ns, True, request.encode() + b"\n")
             yield LineChunk(time_ns, False, (request[0].lower() + values).encode() + b"\r\n")

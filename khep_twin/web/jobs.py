@@ -128,7 +128,7 @@ def sensor_job(test: SensorTest, save: Callable[[SensorRun], None], text: str = 
     """Return a sensor test of a robot of any model, with a description; `save` takes its data."""
 
     def do(robot: HostRobot, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
-        run = sense(robot, replace(test, model=robot.model.family), text=text, progress=progress, stop=stop)
+        run = sense(robot, replace(test, model=robot.model.name), text=text, progress=progress, stop=stop)
         save(run)
         publish({"kind": "sensed", "warning": run.warning})
 

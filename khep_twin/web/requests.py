@@ -234,7 +234,7 @@ class FigureRequest(Request):
     """The picture of a sensor test."""
 
     sensor: ShortText | None = None
-    y_min: Annotated[int, Field(ge=0)] = 0
+    y_min: Annotated[int, Field(ge=0, le=2**16 - 1)] = 0
     grid: bool = False
 
 

@@ -382,9 +382,9 @@ def test_a_new_controller_of_a_model_runs_in_the_playpen_of_its_message(tmp_path
 def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Sequence[str]) -> None:
     second = khep_twin(*kind, "--model", "khepera2", "--seconds", "0.2", folder=tmp_path)
     assert (second.returncode, second.stderr) == (0, "")
-    refused = khep_twin(*kind, "--model", "khepera3", folder=tmp_path)
+    refused = khep_twin(*kind, "--model", "khepera5", folder=tmp_path)
     assert refused.stderr == (
-        "khep-twin: model = 'khepera3': unknown; did you mean 'khepera4'? "
+        "khep-twin: model = 'khepera5': unknown; did you mean 'khepera4'? "
         "(choices: khepera1, khepera2, khepera4)\n"
     )
 

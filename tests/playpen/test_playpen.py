@@ -206,7 +206,7 @@ WRONG_IN_ARENA = {
     "(choices: all, random, sequenced)",
     ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; expected a number from "
     "-360 to 360",
-    ROBOT + 'model = "khepera3"\n': 'robot 1: model = "khepera3": unknown; did you mean '
+    ROBOT + 'model = "khepera5"\n': 'robot 1: model = "khepera5": unknown; did you mean '
     "'khepera4'? (choices: khepera1, khepera2, khepera4)",
     ROBOT.replace("300", "30") + 'model = "khepera2"\n': "robot 1 at (30, 250) overlaps the left "
     "wall at x = 0; expected 5 mm further in",

@@ -50,8 +50,8 @@ def test_a_larger_body_that_has_no_room_is_refused_with_what_is_in_its_way() -> 
 
 
 def test_an_unknown_model_is_reported_with_the_choices() -> None:
-    with pytest.raises(PortError, match=r"model = 'khepera3': unknown; .*\(choices: khepera1, .*khepera4\)"):
-        TwinOptions(model="khepera3")
+    with pytest.raises(PortError, match=r"model = 'khepera5': unknown; .*\(choices: khepera1, .*khepera4\)"):
+        TwinOptions(model="khepera5")
 
 
 def test_a_host_that_tries_many_speeds_is_warned_a_hundred_times_at_most() -> None:

@@ -19,7 +19,7 @@ from khep_twin.board.fault_injection import parse_fault
 from khep_twin.drawing.map import draw
 from khep_twin.envs import TaskEpisode, TaskSetup
 from khep_twin.episodes.planar.planar_world import PlanarWorld
-from khep_twin.errors import PortError, SnapshotError
+from khep_twin.errors import CalibrationError, PortError, SnapshotError
 from khep_twin.host import Khepera
 from khep_twin.host.host_robot import open_robot
 from khep_twin.host.opening import find_baud_rate
@@ -100,6 +100,8 @@ def test_a_playpen_has_a_toy_with_the_defaults_of_its_model(toys: Playpen, tmp_p
     # The path differs by machine.
     assert 'calibration = "toy"\n' in text
     assert calibration.read("toy") == calibration.read(robot.calibration)
+    with pytest.raises(CalibrationError, match=r"toi: no such file; .* did you mean 'toy'"):
+        calibration.read("toi")
     (tmp_path / "toys.toml").write_text(TEXT)
     assert good("playpen", "check", "toys.toml", folder=tmp_path) == "toys: 2 robots: no problem\n"
     (tmp_path / "toys.toml").write_text(TEXT.replace('"toy"', '"toy"\ncalibration = "khepera1"'))
@@ -268,9 +270,9 @@ def test_a_twin_of_a_toy_conforms_to_its_checks(toys: Playpen, tmp_path: Path) -
 
 
 def test_the_page_lists_the_model_and_draws_its_shape(toys: Playpen) -> None:
-    shown: Any = drafts.models()["toy"]
-    assert shown["modes"] == {"toy-1": {1: "57600 baud"}}
-    assert (shown["defaults"]["calibration"], shown["calibrations"]) == ("toy", ["toy"])
+    choices: Any = drafts.models()["toy"]
+    assert choices["modes"] == {"toy-1": {1: "57600 baud"}}
+    assert (choices["defaults"]["calibration"], choices["calibrations"]) == ("toy", ["toy"])
     shape = robot_shape(find_model("toy"), toys.robots[0].calibration)
     assert shape["sensors"][0] == [44.0, 5.0, 5]
     assert len(shape["sonar"]) == 1
@@ -285,7 +287,8 @@ def test_a_controller_in_python_drives_a_toy(tmp_path: Path) -> None:
     assert text.startswith("210 cycles in 2.0 s\nfitness ")
     assert "speed mean          0.7979 pulses/10 ms" in text
     assert complaint("run", "braitenberg", "--playpen", "toys.toml", folder=tmp_path) == (
-        "braitenberg: model = 'toy' has no vehicle; expected a Khepera or Khepera II or Khepera IV"
+        "braitenberg: model = 'toy' has no vehicle; expected a Khepera or Khepera II or "
+        "Khepera III or Khepera III with firmware 2 or Khepera IV"
     )
     network = Network(model="toy")
     network.save(tmp_path / "best.npz", [0.3] * network.n_genes)

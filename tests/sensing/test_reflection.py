@@ -35,9 +35,10 @@ def wall(distance: float, angle_deg: float = 0.0, **options: float) -> Thing:
     return Thing(centre * math.cos(angle), centre * math.sin(angle), 5000, 1e6, angle_deg, **tall)
 
 
-def lobe_of(exponent: float) -> Lobe:
+def lobe_of(exponent: float, narrowing: int = 0, mirror: float = 1.0) -> Lobe:
     integer, norm = int(exponent), lobes.norm(exponent)
-    return Lobe(integer, exponent - integer, norm, lobes.width(exponent) / norm, lobes.table(exponent))
+    width, table = lobes.width(exponent) / norm, lobes.table(exponent)
+    return Lobe(integer, exponent - integer, norm, width, table, narrowing, mirror)
 
 
 def surfaces(things: Sequence[Thing], reach: float = 100.0) -> tuple[list[float], int, Chip]:
@@ -78,14 +79,17 @@ def cast(thing: Thing, cosines: np.ndarray, sines: np.ndarray) -> tuple[np.ndarr
     return lengths, incidences
 
 
-def integral(things: Sequence[Thing], exponent: float = 3.0, n: int = 1600) -> float:
+def integral(
+    things: Sequence[Thing], exponent: float = 3.0, n: int = 1600, narrowing: int = 0, mirror: float = 1.0
+) -> float:
     """Return the light by rays in all directions, which the floor reflects upwards like a mirror."""
     azimuths = (np.arange(n) + 0.5) / n * math.pi - math.pi / 2
     cosines, sines, slopes = np.cos(azimuths), np.sin(azimuths), np.tan(azimuths)[:, None]
     integer = int(exponent)
     lobe = cosines**integer * (1 - (exponent - integer) * (1 - cosines))
     # The lobe in elevation, and four factors cos for an upright surface.
-    elevation_weight = np.cos(azimuths)[:, None] ** 7 * (math.pi / n) * 35 / 32
+    elevation_weight = np.cos(azimuths)[:, None] ** (7 + 2 * narrowing)
+    elevation_weight /= elevation_weight.sum()
     rays = [cast(thing, cosines, sines) for thing in things]
     order = np.argsort([lengths for lengths, _ in rays], axis=0)
     is_free, total = np.ones((n, n), bool), np.zeros((n, n))
@@ -94,9 +98,11 @@ def integral(things: Sequence[Thing], exponent: float = 3.0, n: int = 1600) -> f
             lengths, incidences = rays[index]
             is_nearest = (rank == index) & np.isfinite(lengths)
             distances = np.where(is_nearest, lengths, 1.0)
-            heights = np.abs(SENSOR_HEIGHT + slopes * distances)
-            hit = is_free & is_nearest & (heights <= thing.top / 1e3) & (heights >= thing.bottom / 1e3)
-            total += hit * (thing.reflectance * incidences / distances**2)
+            heights = SENSOR_HEIGHT + slopes * distances
+            weights = np.where(heights < 0, mirror, 1.0) * thing.reflectance
+            hit = is_free & is_nearest & (np.abs(heights) <= thing.top / 1e3)
+            hit &= np.abs(heights) >= thing.bottom / 1e3
+            total += hit * weights * (incidences / distances**2)
             is_free &= ~hit
     return float((total * elevation_weight * lobe).sum() * math.pi / n / lobes.norm(exponent))
 
@@ -149,6 +155,16 @@ def test_light_is_that_of_rays_in_all_directions(name: str, exponent: float) -> 
     assert light(things, exponent) == pytest.approx(integral(things, exponent), rel=0.01)
 
 
+@pytest.mark.parametrize(("narrowing", "mirror"), [(2, 1.0), (0, 0.05), (3, 2.0)])
+@pytest.mark.parametrize("name", ["a wall of 50 mm", "a low cylinder", "a rod before a wall"])
+def test_narrow_lobes_and_floors_that_mirror_more_or_less_give_that_of_rays(
+    name: str, narrowing: int, mirror: float
+) -> None:
+    columns, count, chip = surfaces(SCENES[name])
+    true = reflected_light(columns, count, chip, lobe_of(3.4, narrowing, mirror))
+    assert true == pytest.approx(integral(SCENES[name], 3.4, 1600, narrowing, mirror), rel=0.01)
+
+
 PARTLY_SEEN = {
     "a low block": [Thing(35, 5, 15, 30, 20, top=8)],
     "a step before a wall": [Thing(25, 0, 5, 15, 10, top=8), wall(40, 5, top=50, reflectance=0.5)],
@@ -197,7 +213,7 @@ def test_the_upper_bound_is_one_in_random_scenes(scenes: int) -> None:
     for _ in range(scenes):
         exponent = float(rng.uniform(0, 6))
         columns, count, chip = surfaces(random_things(rng, int(rng.integers(1, 7))))
-        lobe = lobe_of(exponent)
+        lobe = lobe_of(exponent, count % 3, 1.0 + count % 2)
         true = reflected_light(columns, count, chip, lobe)
         n_left, bound = remove_faint(columns, count, lobe, 0.0)
         assert (n_left, reflected_light(columns, n_left, chip, lobe)) == (count, true)
@@ -213,7 +229,7 @@ def test_what_is_sifted_out_sends_back_less_than_it_is_sifted_by(scenes: int) ->
     for _ in range(scenes):
         exponent, min_light = float(rng.uniform(0, 6)), float(10 ** rng.uniform(0, 2.7))
         columns, count, chip = surfaces(random_things(rng))
-        lobe = lobe_of(exponent)
+        lobe = lobe_of(exponent, count % 3, 1.0 + count % 2)
         true = reflected_light(columns, count, chip, lobe)
         n_left, bound = remove_faint(columns, count, lobe, min_light)
         remaining = reflected_light(columns, n_left, chip, lobe) if n_left else 0.0

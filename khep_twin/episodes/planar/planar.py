@@ -121,7 +121,8 @@ def _robot_constants(
     return dict(
         substep=h,
         n_substeps=step_ns // units.STEP_NS,
-        radius=float(model.geom(f"{_PREFIX}shell").size[0]),
+        # A disc around the axle's middle that reaches as far forwards as the shell.
+        radius=float(model.geom(f"{_PREFIX}shell").size[0] + abs(model.geom(f"{_PREFIX}shell").pos[0])),
         track=track,
         wheel_radius=radius,
         left_wheel=left_wheel,

@@ -12,7 +12,7 @@ import numpy as np
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.host import Khepera
+from khep_twin.host.host_robot import open_robot
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import AnyController, as_controller, stopped_at_end
 from khep_twin.lab.experiment.experiment import run
@@ -128,7 +128,8 @@ def _run_controller(
         None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0) or DEFAULT_DURATION_S
     )
     controller = as_controller(controller)
-    with Khepera(Serial.of(single_robot_twin, timeout=1.0)) as robot, stopped_at_end(controller, robot):
+    port, model = Serial.of(single_robot_twin, timeout=1.0), single_robot_twin.robot_model
+    with open_robot(model, port) as robot, stopped_at_end(controller, robot):
         run(controller, robot, cycles=plan.cycles, seconds=seconds, progress=progress, stop=stop)
 
 

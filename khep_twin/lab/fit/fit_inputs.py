@@ -28,6 +28,7 @@ from khep_twin.lab.sensor_test.sensor_files import load
 from khep_twin.lab.sensor_test.sensor_test import DEFAULT_SPEED_UNIT, SensorRun
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.robots.model import RobotModel
+from khep_twin.robots.registry import find_family
 from khep_twin.sensing.calibration import WheelCalibration
 from khep_twin.units import BULB_RADIUS
 
@@ -179,7 +180,7 @@ def _read_test(word: str, model: RobotModel) -> Drive | DutyDrive | SensorData:
     run = replace(run, dv=run.dv[::step], times=run.times[::step])
     if run.test.what != sensor_kind:
         raise FitError(f"{word}: a test of {run.test.what}; expected one of {sensor_kind}")
-    check_family(word, run.test.model, model)
+    check_family(word, find_family(run.test.model).family, model)
     data = partial(SensorData, word, run, model=model)
     if match["floor"]:
         if not model.body.ground_positions:

@@ -149,7 +149,7 @@ def record(robot: HostRobot, step: Step, path: Path, stop: Callable[[], bool]) -
     """
     if step.has_object:
         kind = "light" if step.kind == "lamp" else "proximity"
-        test = SensorTest(kind, rotate_deg=360.0 * step.sign, speed=1, model=robot.model.family)
+        test = SensorTest(kind, rotate_deg=360.0 * step.sign, speed=1, model=robot.model.name)
         run = sense(robot, test, stop=stop)
         if not stop():
             save(path, run)

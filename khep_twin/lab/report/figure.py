@@ -85,7 +85,9 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float])
     """Draw both wheels' speeds with their setpoints; the corner is the lower left [inch]."""
     grid = axes_edges(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
     cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
-    mm_s_per_speed = 1e5 * robot.model.body.pulse_length
+    model = robot.model
+    scale = 1 if model.interface is None else model.interface.speed_per_pulse
+    mm_s_per_speed, unit = 1e5 * model.body.pulse_length / scale, model.channels["speed"][0][1]
     for side, name in enumerate(("left", "right")):
         axes = figure.add_subplot(cells[side, 0])
         if robot.speed is not None:
@@ -96,7 +98,7 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float])
             axes.plot(*setpoint, color=_SETPOINT, ls=(0, (4, 2)), label="setpoint", **look)
         _mark_contacts(axes, robot)
         axes.set_xlim(_time_limits(robot))
-        axes.set_ylabel(f"{name}\n[pulses/10 ms]", fontsize=8)
+        axes.set_ylabel(f"{name}\n[{unit}]", fontsize=8)
         axes.tick_params(labelsize=7, length=2)
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color=INK, alpha=0.1, lw=0.5)

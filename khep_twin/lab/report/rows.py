@@ -13,7 +13,7 @@ from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import TimeSeries
 from khep_twin.robots.body import Body
 from khep_twin.robots.framing import Framing
-from khep_twin.robots.registry import default_model, installed_families
+from khep_twin.robots.registry import default_model, installed_models
 
 Row = tuple[str, str]
 """Name, and value with its unit."""
@@ -21,7 +21,8 @@ Row = tuple[str, str]
 
 def definitions() -> tuple[Row, ...]:
     """Return the definitions of the rows."""
-    further_models = [model for model in installed_families().values() if model is not default_model()]
+    family = default_model().family
+    further_models = [model for model in installed_models().values() if model.family != family]
     near_counts = "".join(f", of a {model.title} {model.body.near_counts}" for model in further_models)
     wheels = "".join(
         f", of a {model.title} {1000 * model.body.pulse_length:.4f} mm and "

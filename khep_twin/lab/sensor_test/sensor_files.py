@@ -32,7 +32,7 @@ from khep_twin.log.decoding import printable
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
 from khep_twin.robots.model import robot_name
-from khep_twin.robots.registry import default_model, installed_families
+from khep_twin.robots.registry import default_model, find_family, installed_families, installed_models
 
 SUFFIXES = (".csv", ".mat", ".mcap")
 
@@ -51,7 +51,7 @@ def save(path: StrPath, run: SensorRun, replace: bool = True) -> None:
     """
     path = Path(path)
     kind = check_suffix(path)
-    if kind == ".mat" and run.test.model != default_model().family:
+    if kind == ".mat" and find_family(run.test.model).family != default_model().family:
         raise SensorTestError(f"{path}: model = {run.test.model!r}; expected .csv or .mcap for it")
     if not len(run.dv):
         raise SensorTestError(f"{path}: the test has no rows; expected a run with rows")
@@ -108,7 +108,7 @@ def facts(test: SensorTest) -> dict[str, str]:
         **{key: repr(float(value)).removesuffix(".0") for key, value in motion.items() if value is not None},
         **{key: str(value) for key, value in profile.items() if value is not None},
         "return_to_zero": str(int(test.return_to_zero)),
-        **({} if test.model == default_model().family else {"model": test.model}),
+        **({} if find_family(test.model).family == default_model().family else {"model": test.model}),
     }
 
 
@@ -128,8 +128,8 @@ def _parse_test(texts: Mapping[str, str]) -> SensorTest:
     )
     speed, acceleration, return_to_zero = map(read_integer, ("speed", "acceleration", "return_to_zero"))
     model = texts.get("model", default_model().family)
-    if model not in installed_families():
-        raise SensorTestError(f"model = {printable(model)}; {choices(model, installed_families())}")
+    if model not in (names := {**installed_families(), **installed_models()}):
+        raise SensorTestError(f"model = {printable(model)}; {choices(model, names)}")
     test = SensorTest(quantity, linear_cm, rotate_deg, speed, acceleration, bool(return_to_zero), model)
     if texts.get("motion") != test.motion:
         raise SensorTestError(f"motion = {printable(texts.get('motion', ''))}; expected {test.motion} here")

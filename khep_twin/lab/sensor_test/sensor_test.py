@@ -126,7 +126,7 @@ class SensorTest:
         speed: Speed of command J, 1 to 127 [pulses/10 ms]; None if unknown.
         acceleration: Acceleration of command J, 1 to 255 [3.125 mm/s^2]; None if unknown.
         return_to_zero: True if the robot drives back afterwards.
-        model: Family of the robot.
+        model: Model of the robot, or its family.
     """
 
     what: QuantityName = "proximity"
@@ -161,7 +161,7 @@ class SensorTest:
     def quantity(self) -> Quantity:
         """Quantity that is measured."""
         quantity, model = QUANTITIES[self.what], find_family(self.model)
-        if self.model == default_model().family:
+        if model.family == default_model().family:
             return quantity
         limit, reader = model.bars["proximity"].full, partial(_channel_reader, quantity.topic)
         # Proximity may be reflected less ambient light, with a sign.

@@ -6,8 +6,9 @@
     letter, *numbers = bus.dspic.read(count)
 
 A message to the dsPIC is a command: the number of all bytes, a letter and arguments. Its reply is a frame:
-the number of bytes after the second one, a filler (0 assumed), the letter and data. A read uses up one byte more
-than it returns, as both ways of reading show: one byte and then the rest (library), or all at once (toolbox).
+the number of bytes after the second one, a filler (0 assumed), the letter and data. A read uses up one byte
+more than it returns, as both ways of reading show: one byte and then the rest (library), or all at once
+(toolbox).
 
 A message to a motor controller is a register and a byte for it (toolbox); further bytes have no effect
 (assumed). A read returns the byte of the last register; that of the highest byte of a number latches the
@@ -208,7 +209,7 @@ class Dspic(_Device):
     def _on_o(self) -> Sequence[int]:
         return self._read_infrared("ambient")
 
-    def _on_v(self, kind: int) -> Sequence[int] | None:
+    def _on_v(self, kind: int) -> Sequence[int]:
         """Return whole part and fraction in 1/10,000, of degrees in tenths, of a value (manual)."""
         battery = self._robot.battery
         level = charge_level(battery[state.USED], state.CAPACITY)
@@ -217,9 +218,7 @@ class Dspic(_Device):
             *((-battery[state.AVERAGE], 10_000), (level * state.CAPACITY / 3.6, 1)),
             *((_TEMPERATURE, 10), (100 * level, 1)),
         )
-        if kind >= len(values):
-            return None
-        value, parts = values[kind]
+        value, parts = values[kind] if kind < len(values) else (0, 1)  # kh3server's $ to others needs one
         whole, fraction = divmod(round(abs(value) * parts), parts)
         # Sign and magnitude: the highest bit of the whole part (library).
         return whole | (value < 0) << 15, fraction

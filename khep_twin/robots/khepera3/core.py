@@ -12,24 +12,16 @@ from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.core import Core, register
-from khep_twin.robots.khepera3 import measurements, state
+from khep_twin.robots.khepera3 import measurements, motor_control, state
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.letters import Letters, program_of
 from khep_twin.robots.khepera3.model import KHEPERA_3, version_of
-from khep_twin.robots.khepera3.motor_control import (
-    Motor,
-    MotorState,
-    control_motor,
-    direction,
-    halt,
-    measured_speed,
-    set_order,
-)
+from khep_twin.robots.khepera3.motor_control import Motor, MotorState, direction
 from khep_twin.robots.khepera3.registers import SINGLE_COUNT, Control, Mode, MotorRegister
 from khep_twin.robots.khepera3.state import Khepera3State
 from khep_twin.robots.vehicle import WANDERING
-from khep_twin.sensing.bursts import scan
+from khep_twin.sensing.bursts import MODULES, scan
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
@@ -81,7 +73,7 @@ def _tick(robot: Khepera3State, simulated: Simulated, inputs: StepInputs, time_n
 @compilable
 def _cut_off(scene: Scene, robot: Khepera3State, side: int, motor: MotorState) -> None:
     """Stop a motor for lack of voltage."""
-    halt(motor)
+    motor_control.halt(motor)
     motor.memory[MotorRegister.MODE] = Mode.IDLE
     set_motor(scene, robot.motors[side], 0.0)
 
@@ -97,9 +89,9 @@ def _drive(scene: Scene, robot: Khepera3State, side: int, motor: MotorState, vol
     rate = joint_speed(scene, robot.speeds[side]) * robot.pulses_per_radian
     numbers[Motor.PULSES] = pulses
     numbers[Motor.POSITION] = wrap(numbers[Motor.POSITION] + sign * way)
-    numbers[Motor.SPEED] = sign * measured_speed(rate)
+    numbers[Motor.SPEED] = sign * motor_control.measured_speed(rate)
     numbers[Motor.CURRENT] = sign * round(1000 * amperes)
-    control_motor(motor)
+    motor_control.control_motor(motor)
     duty = sign * numbers[Motor.PWM] / PWM_LIMIT
     drive_motor(scene, robot.faults, side, robot.motors[side], robot.speeds[side], constant, duty * voltage)
     return max(duty * amperes, 0.0)
@@ -121,15 +113,15 @@ def _command(robot: Khepera3State, letter: int, left: int, right: int) -> None:
         control = Control.POSITION.value
     elif letter == _F:
         control = Control.POSITION_PROFILE.value
-    set_order(robot.left, control, left)
-    set_order(robot.right, control, right)
+    motor_control.set_order(robot.left, control, left)
+    motor_control.set_order(robot.right, control, right)
 
 
 @compilable
 def _set_speeds(robot: Khepera3State, left: int, right: int) -> None:
     """Set the speeds forwards, by any options of the motor controllers."""
-    set_order(robot.left, Control.SPEED.value, left * direction(robot.left))
-    set_order(robot.right, Control.SPEED.value, right * direction(robot.right))
+    motor_control.set_order(robot.left, Control.SPEED.value, left * direction(robot.left))
+    motor_control.set_order(robot.right, Control.SPEED.value, right * direction(robot.right))
 
 
 @compilable
@@ -145,7 +137,6 @@ def _program(entry: RobotEntry, robot: Khepera3State) -> Letters:
     return letters
 
 
-_MODULES = "board.kernel", "board.memory", "board.lithium_cells", "sensing.ground", "sensing.sonar"
 _PARTS = "motor_control", "measurements", "core"
 
 CORE = register(
@@ -158,10 +149,7 @@ CORE = register(
             *("vehicle", "beams", "registers"),
         ),
         n_moments=state.N_MOMENTS,
-        modules=tuple(
-            f"khep_twin.{part}"
-            for part in (*_MODULES, "sensing.bursts", *(f"robots.khepera3.{name}" for name in _PARTS))
-        ),
+        modules=(*MODULES, *(f"khep_twin.robots.khepera3.{name}" for name in _PARTS)),
         sense=measurements.sense,
         tick=_tick,
         start=_start,

@@ -13,9 +13,10 @@ first use of speeds or positions asks for the version.
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
-from khep_twin.host.host_command import order, query, split_reply
+from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.profile_robot import ProfileRobot, to_units
 from khep_twin.host.results import Distances
 from khep_twin.robots.body import Body
@@ -24,7 +25,7 @@ from khep_twin.robots.khepera3.model import KHEPERA_3, KHEPERA_3_V2
 from khep_twin.robots.khepera3.registers import SETTINGS, Setting
 
 _FIELDS = [(name.replace(" ", "_"), int) for name in KHEPERA_3.body.sensors]
-InfraredCounts = NamedTuple("InfraredCounts", _FIELDS)
+InfraredReadings = NamedTuple("InfraredReadings", _FIELDS)
 """Commands N and O: eleven counts, 0 to 4095, around the robot and of the ground below it.
 
 Proximity is about 3980 at white paper; noise may be below 0. Ambient counts are about 4000 in the dark.
@@ -45,29 +46,27 @@ class Echo(NamedTuple):
 _NO_ECHO = Echo(math.inf, 0, 0.0)
 
 
-class Khepera3(ProfileRobot[InfraredCounts]):
+class Khepera3(ProfileRobot[InfraredReadings]):
     """A Khepera III behind a serial port, see `ProfileRobot`.
 
     Speeds are about 0.2 m/s at most, 0.3 before firmware 3.0.
     """
 
-    counts = InfraredCounts
+    counts = InfraredReadings
     zero_request = "I", "l0", "l0"
     model = KHEPERA_3
     leds = ("green", "red")
     speed_pulse_time = 1 / PULSES_PER_SPEED
     arrival_pulses = 60  # ten times the margin
     number_prefix = "l"
-    _body: Body | None = None
     _active_mask = SETTINGS[Setting.ULTRASONIC]
 
     @property
     def body(self) -> Body:
-        """Body of the robot's generation, by its version."""
-        if self._body is None:
-            model = KHEPERA_3 if self.version() >= (3, 0) else KHEPERA_3_V2
-            self._body = model.body
-        return self._body
+        """Body of the robot's generation, by its version if the model is unknown."""
+        if "model" not in vars(self):
+            self.model = KHEPERA_3 if self.version() >= (3, 0) else KHEPERA_3_V2
+        return self.model.body
 
     def version(self) -> tuple[int, int]:
         """Return version and revision of the firmware (command B)."""
@@ -145,11 +144,21 @@ class Khepera3(ProfileRobot[InfraredCounts]):
         for led, is_lit in enumerate(are_lit):
             self._run(order("K", led, int(is_lit), repeatable=True))
 
+    def _read_command(self, request: tuple[str, int]) -> HostCommand[Sequence[int]]:
+        """Return a read, of N with signs also from kh3server, which sends unsigned counts."""
+        command = super()._read_command(request)
+
+        def read(reply: str) -> Sequence[int]:
+            *counts, time_ms = command.read(reply)
+            return [*(count - 0x10000 if count >= 0x8000 else count for count in counts), time_ms]
+
+        return replace(command, read=read) if request[0] == "N" else command
+
     def _battery_value(self, kind: int, reply: str) -> float:
         parts = 10 if kind == 4 else 10_000  # of a degree, a volt or an ampere (manual)
-        whole, *fraction = split_reply("v", 1 if kind in (3, 5) else 2, reply)
-        size = abs(int(whole)) + sum(map(int, fraction)) / parts
-        return -size if whole.startswith("-") else size
+        integer, *fraction = split_reply("v", 1 if kind in (3, 5) else 2, reply)
+        size = abs(int(integer)) + sum(map(int, fraction)) / parts
+        return -size if integer.startswith("-") else size
 
     def _configure_controller(self, kind: int, *gains: int) -> None:
         self._run(order("H", *(f"d{value}" for value in (kind, *gains)), repeatable=True))

@@ -164,13 +164,13 @@ class Letters(VehicleServer):
     def _on_v(self, values: Sequence[int]) -> Any:
         """Return a value of the battery, by its kind: 0 voltage [V] to 5 charge [%]."""
         kind = values[0] & 0xFFFF
-        if (reply := self._bus.dspic.ask("V", kind)) is None:
+        if kind > 5:
             return None
-        whole, fraction = reply
-        sign = "-" if kind in (1, 2) and whole & 0x8000 else ""
+        integer, fraction = self._bus.dspic.ask("V", kind) or (0, 0)
+        sign = "-" if kind in (1, 2) and integer & 0x8000 else ""
         if kind in (3, 5):
-            return [self.charge.format(whole) if kind == 3 else whole]
-        return f"{sign}{whole & 0x7FFF if sign else whole}", fraction
+            return [self.charge.format(integer) if kind == 3 else integer]
+        return f"{sign}{integer & 0x7FFF if sign else integer}", fraction
 
     def _on_x(self, values: Sequence[int]) -> bytes:
         proximity, ambient = (self._bus.dspic.execute(letter)[1:] for letter in (b"N", b"O"))

@@ -150,7 +150,7 @@ def _measure_echoes(
         reading[first] = index + 1
         reading[echo] = distance_cm
         reading[echo + 1] = min(round(AMPLITUDE * loudness), MAX_AMPLITUDE)
-        reading[echo + 2] = time_ns // _MS - robot.board[state.TIMER_ZERO_MS]
+        reading[echo + 2] = max(time_ns // _MS - robot.board[state.TIMER_ZERO_MS], 0)
 
 
 @compilable

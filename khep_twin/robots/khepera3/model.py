@@ -65,7 +65,7 @@ _RING = (
 """Positions of the infrared sensors around [mm] (webots)."""
 
 BODY = Body(
-    radius=0.065,
+    radius=0.0675,  # from the middle of the axle to the front
     mass=0.710,
     support_position=0.0449,
     sensor_positions=tuple((x * 1e-3, y * 1e-3) for x, y in _RING),
@@ -113,15 +113,32 @@ _TERMS = (
 _FRAMING = Lines(number=re.compile("[dl]?(-?[0-9]{1,10})"), has_reversed_ends=True)
 """Numbers in requests have a prefix of their size. Replies end in LF CR (a host), of kh3server in CR LF."""
 
+_READS = {
+    name: Read(letter, n_values, _REGISTERS[name][:n_used], range(n_used))
+    for name, letter, n_values, n_used in (
+        *(("proximity", "N", 12, 11), ("ambient", "O", 12, 11)),
+        *(("speed", "E", 2, 2), ("position", "R", 2, 2)),
+    )
+}
+_READS |= {
+    f"ultrasonic {number}": Read(f"G,{number}", 17, [register], [1])
+    for number, register in enumerate(_REGISTERS["ultrasonic"], 1)
+}
+
+
+def _roms_of(version: str) -> dict[str, Rom]:
+    """Return the programs of a robot with a version of the dsPIC's firmware."""
+    rom = Rom(bios=version, protocol="", banner=(), modes={1: RunningMode(BAUD)})
+    return {version: rom, SERVER: rom}
+
+
 KHEPERA_3 = RobotModel(
     name="khepera3",
     family="khepera3",
     title="Khepera III",
     body=BODY,
     calibration=str(ASSETS / "khepera3.toml"),
-    roms={
-        name: Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)}) for name in ("3.0", SERVER)
-    },
+    roms=_roms_of("3.0"),
     channels=parse_channels(CHANNELS),
     bars=bars_of(dark=4000, speed=20_000, largest=COUNTS_LIMIT),
     dialect=Dialect(
@@ -134,17 +151,9 @@ KHEPERA_3 = RobotModel(
         moving=("A", "D", "F", "L", "P"),
         baud=BAUD,
         framing=_FRAMING,
-        reads={
-            name: Read(letter, n_values, _REGISTERS[name][:n_used], range(n_used))
-            for name, (letter, n_values, n_used) in {
-                "proximity": ("N", 12, 11),
-                "ambient": ("O", 12, 11),
-                "speed": ("E", 2, 2),
-                "position": ("R", 2, 2),
-            }.items()
-        },
+        reads=_READS,
         drive="D,l{:d},l{:d}".format,
-        open_loop=("L", _REGISTERS["duty"]),
+        open_loop=("L,l{},l{}", _REGISTERS["duty"]),
     ),
     parts={
         **parts_of("khep_twin.robots.khepera3", core="CORE", robot="Khepera3Robot", host="Khepera3"),
@@ -168,7 +177,7 @@ KHEPERA_3_V2 = replace(
     title="Khepera III with firmware 2",
     body=replace(BODY, pulses_per_turn=2764.8),
     calibration=str(ASSETS / "khepera3-firmware2.toml"),
-    roms={name: rom for name, rom in zip(("2.0", SERVER), KHEPERA_3.roms.values(), strict=True)},
+    roms=_roms_of("2.0"),
 )
 """Before firmware 3.0: motors of another gear, 43.2:1, with 64 pulses a turn (manual)."""
 
@@ -176,6 +185,6 @@ MODELS = KHEPERA_3, KHEPERA_3_V2
 
 
 def version_of(model: RobotModel) -> tuple[int, int]:
-    """Return version and revision of the dsPIC's firmware, after which its first ROM is named."""
-    version, revision = next(iter(model.roms)).split(".")
+    """Return version and revision of the dsPIC's firmware."""
+    version, revision = model.roms[SERVER].bios.split(".")
     return int(version), int(revision)

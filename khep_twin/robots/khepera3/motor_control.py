@@ -16,18 +16,9 @@ import numpy as np
 from khep_twin.board.kernel import clip, divide, square_root, wrap
 from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
+from khep_twin.robots.khepera3 import registers
 from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, PWM_LIMIT, SPEED_NUMERATOR
-from khep_twin.robots.khepera3.registers import (
-    BLOCKED_ERROR,
-    DEFAULTS,
-    N_BYTES,
-    STOP_ERROR,
-    Control,
-    Mode,
-    MotorRegister,
-    Option,
-    Status,
-)
+from khep_twin.robots.khepera3.registers import Control, Mode, MotorRegister, Option, Status
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import TICK_NS
 
@@ -68,7 +59,7 @@ class MotorState(NamedTuple):
     """State of a motor controller.
 
     Attributes:
-        memory: Bytes of its registers (N_BYTES,).
+        memory: Bytes of its registers (registers.N_BYTES,).
         numbers: Numbers of `Motor` (n,).
         mounting: Sign of forward motion: 1, or -1 for the left motor, which is mounted the other way round.
     """
@@ -80,18 +71,18 @@ class MotorState(NamedTuple):
 
 def power_up(mounting: int) -> MotorState:
     """Return the state at power-up."""
-    state = MotorState(np.zeros(N_BYTES, np.int64), np.zeros(len(Motor), np.int64), mounting)
+    state = MotorState(np.zeros(registers.N_BYTES, np.int64), np.zeros(len(Motor), np.int64), mounting)
     reset(state)
     return state
 
 
 def reset(motor: MotorState) -> None:
     """Return to the state at power-up, except for the pulses of the encoder."""
-    for register in range(N_BYTES):
+    for register in range(registers.N_BYTES):
         motor.memory[register] = 0
     for number in range(Motor.PULSES):
         motor.numbers[number] = 0
-    for register, size, value in DEFAULTS:
+    for register, size, value in registers.DEFAULTS:
         write_number(motor.memory, register, size, value)
 
 
@@ -181,7 +172,7 @@ def _hold(motor: MotorState, distance: int) -> None:
 @compilable
 def _drive(motor: MotorState, gains: int, error: int, scale: int, sum_scale: int, sum_part: int) -> None:
     """Set the PWM by an error; the sum of errors is limited to a part of the PWM (anti-windup)."""
-    memory, numbers = motor.memory, motor.numbers
+    memory, numbers, error = motor.memory, motor.numbers, clip(error, 2**31 - 1)
     kp, kd = read_signed(memory, gains, 2), read_signed(memory, gains + 2, 2)
     ki = read_signed(memory, gains + 4, 2)
     sample_time = max(read_signed(memory, MotorRegister.SAMPLE_TIME, 2) & 0xFFFF, 1)
@@ -226,12 +217,12 @@ def _protect(motor: MotorState) -> int:
     if (is_low and options & Option.STOP_AT_LOWEST) or (is_high and options & Option.STOP_AT_HIGHEST):
         halt(motor)
         status = Status.AT_STOP.value
-        memory[MotorRegister.ERRORS] |= STOP_ERROR if options & Option.ERROR_AT_STOPS else 0
+        memory[MotorRegister.ERRORS] |= registers.STOP_ERROR if options & Option.ERROR_AT_STOPS else 0
     limit = read_signed(memory, MotorRegister.CURRENT_LIMIT, 2) & 0xFFFF
     is_blocked = numbers[Motor.SPEED] == 0 and abs(numbers[Motor.CURRENT]) > limit
     numbers[Motor.BLOCKED] = numbers[Motor.BLOCKED] + 1 if is_blocked else 0
     if options & Option.STOP_WHEN_BLOCKED and numbers[Motor.BLOCKED] > memory[MotorRegister.BLOCKED_TIME]:
-        memory[MotorRegister.ERRORS] |= BLOCKED_ERROR
+        memory[MotorRegister.ERRORS] |= registers.BLOCKED_ERROR
         halt(motor)
     return status
 

@@ -1,23 +1,16 @@
 """A Khepera III of a world: its bus, readings of its sensors, and the program on its serial line."""
 
+from khep_twin.robots.khepera3 import state
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.core import wheel_pulses
 from khep_twin.robots.khepera3.letters import program_of
 from khep_twin.robots.khepera3.measurements import BURST_NS, fill_registers
 from khep_twin.robots.khepera3.model import SAMPLED, version_of
-from khep_twin.robots.khepera3.motor_control import Motor, reset
+from khep_twin.robots.khepera3.motor_control import Motor
 from khep_twin.robots.khepera3.registers import N_BYTES, SETTINGS
-from khep_twin.robots.khepera3.state import (
-    CAPACITY,
-    LEDS,
-    N_ECHO,
-    N_MOMENTS,
-    N_ULTRASONIC,
-    Khepera3State,
-)
+from khep_twin.robots.khepera3.state import Khepera3State
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
-from khep_twin.robots.vehicle import N_VEHICLE
 from khep_twin.sensing.bursts import ECHO, INFRARED, NONE
 from khep_twin.simulation.robot_arrays import Layout, Part
 
@@ -37,10 +30,10 @@ LAYOUT = Layout(
             Part("state of an LED", 2, 0, 1),
             Part("setting", len(SETTINGS), 0, 0xFFFF),
         ],
-        "burst": [Part("last ultrasonic sensor", 1, NONE, N_ULTRASONIC - 1)],
-        "echoes": [Part("ultrasonic reading", N_ULTRASONIC * N_ECHO)],
-        "battery": [Part("used charge", 1, 0, CAPACITY), Part("current", 2)],
-        "vehicle": [Part("number of the vehicle", N_VEHICLE, -(2**31), 2**31)],
+        "burst": [Part("last ultrasonic sensor", 1, NONE, state.N_ULTRASONIC - 1)],
+        "echoes": [Part("ultrasonic reading", state.N_ULTRASONIC * state.N_ECHO)],
+        "battery": [Part("used charge", 1, 0, state.CAPACITY), Part("current", 2)],
+        "vehicle": [Part("number of the vehicle", state.N_VEHICLE, -(2**31), 2**31)],
         "registers": [Part("register", SAMPLED[-1].registers[-1] + 1)],
     },
 )
@@ -63,31 +56,31 @@ class Khepera3Robot(MeasuringRobot):
 
     def __init__(self, setup: RobotSetup) -> None:
         context, entry = setup.context, setup.context.playpen.robots[setup.index]
-        state: Khepera3State = context.simulation.robots.state_of(setup.index)
-        self.bus = Bus(state, version_of(entry.robot_model))
-        super().__init__(setup, program_of(self.bus, state.vehicle, entry.rom), fill_registers, BURST_NS)
+        robot: Khepera3State = context.simulation.robots.state_of(setup.index)
+        self.bus = Bus(robot, version_of(entry.robot_model))
+        super().__init__(setup, program_of(self.bus, robot.vehicle, entry.rom), fill_registers, BURST_NS)
         self.bus.dspic.before_read = self._evaluate_pending
         self.bus.dspic.time_ms = lambda: context.time_ns // 1_000_000
 
     @property
     def lit_leds(self) -> list[int]:
         """State of each LED in the registers, 0 for off."""
-        return [self._state.board[LEDS], self._state.board[LEDS + 1]]
+        return [self._state.board[state.LEDS], self._state.board[state.LEDS + 1]]
 
     def reset_motion(self) -> None:
-        """Reset the motor controllers, and cut the motors' voltage."""
+        """Reset the board and its program, and cut the motors' voltage."""
+        self.firmware.reset()
         for motor, joint in zip((self._state.left, self._state.right), self.indices.wheel_qpos, strict=True):
-            reset(motor)
             motor.numbers[Motor.PULSES] = wheel_pulses(self._state, self._context.data.qpos[joint])
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
 
     def evaluate_all(self) -> None:
         """Evaluate all pending measurements."""
-        self._evaluate(INFRARED, *range(ECHO, N_MOMENTS))
+        self._evaluate(INFRARED, *range(ECHO, state.N_MOMENTS))
 
     def _evaluate_pending(self, letter: str) -> None:
         """Evaluate the pending measurements that a command reads, by its letter."""
         if letter == "G":
-            self._evaluate(*range(ECHO, N_MOMENTS))
+            self._evaluate(*range(ECHO, state.N_MOMENTS))
         elif letter in "NO":
             self._evaluate(INFRARED)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from khep_twin.robots.khepera3.registers import SETTINGS, Setting
 from khep_twin.robots.vehicle import Vehicle
 
 VEHICLE = Vehicle(
@@ -10,14 +9,14 @@ VEHICLE = Vehicle(
     right=(2, -2, -4, -12, 5, 2, 2, 2, 4),
     threshold=100,
     saturation=1000,
-    divisor=30 * SETTINGS[Setting.VEHICLE_GAIN],
+    divisor=30 * 12,
     forward=20,
     least=10,
     turn=50,
     moved_pulses=700,
     front=slice(3, 5),
     unit=256,
-    gain=SETTINGS[Setting.VEHICLE_GAIN],
+    gain=12,  # at power-up (manual)
     waits=True,
 )
 SERVER_VEHICLE = replace(VEHICLE, left=(0, *VEHICLE.left), right=(0, *VEHICLE.right), is_unsigned=True)

@@ -22,7 +22,7 @@ from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
 from khep_twin.robots.khepera4.state import N_MOMENTS, Khepera4State, make_state
 from khep_twin.robots.vehicle import WANDERING
-from khep_twin.sensing.bursts import scan
+from khep_twin.sensing.bursts import MODULES, scan
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
@@ -162,14 +162,6 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
 
 
 _PARTS = "motor_control", "dspic", "inertial", "gauge", "ultrasonic", "measurements", "core"
-_MODULES = (
-    "board.kernel",
-    "board.memory",
-    "board.lithium_cells",
-    "sensing.ground",
-    "sensing.sonar",
-    "sensing.bursts",
-)
 
 CORE = register(
     Core(
@@ -181,9 +173,7 @@ CORE = register(
             *("times", "vehicle", "beams", "registers"),
         ),
         n_moments=N_MOMENTS,
-        modules=tuple(
-            f"khep_twin.{part}" for part in (*_MODULES, *(f"robots.khepera4.{name}" for name in _PARTS))
-        ),
+        modules=(*MODULES, *(f"khep_twin.robots.khepera4.{name}" for name in _PARTS)),
         sense=measurements.sense,
         tick=_tick,
         start=_start,

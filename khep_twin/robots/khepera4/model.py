@@ -132,7 +132,7 @@ KHEPERA_4 = RobotModel(
             name: Read(letter, n_values, _REGISTERS[name][: len(indices)], indices)
             for name, (letter, n_values, indices) in _READS.items()
         },
-        open_loop=("L", _REGISTERS["duty"]),
+        open_loop=("L,{},{}", _REGISTERS["duty"]),
     ),
     parts={
         **parts_of("khep_twin.robots.khepera4", core="CORE", robot="Khepera4Robot", host="Khepera4"),

@@ -10,9 +10,11 @@ from hosts import answer_once
 from khep_twin.errors import PortError, ProtocolError
 from khep_twin.host import Distances, Khepera, Khepera3, Khepera4
 from khep_twin.host.discovery import identify_robot
+from khep_twin.interventions.move_robot import place_robot
 from khep_twin.playpen import Playpen
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
-from khep_twin.robots.khepera3.host import Echo, InfraredCounts
+from khep_twin.robots.khepera3.host import Echo, InfraredReadings
+from khep_twin.robots.khepera3.model import FIRST
 from khep_twin.robots.khepera3.registers import Mode, MotorRegister
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 from khep_twin.robots.registry import find_model
@@ -77,11 +79,33 @@ def test_a_robot_of_the_first_generation_has_its_own_units(tmp_path) -> None:
             assert twin_of(robot).pose[1] == pytest.approx(y + 0.1, abs=3e-3)
 
 
+def test_a_robot_that_is_put_elsewhere_with_a_reset_drives_straight_again(robot: Khepera3) -> None:
+    robot.configure_ultrasonic()
+    robot.set_speed(0.05, 0.05)
+    robot.sleep(0.3)
+    place_robot(robot.port.twin.world, 0, 1000, 800, 90, reset=True)  # type: ignore[attr-defined]
+    assert robot.position() == (0, 0)
+    robot.set_speed(0.05, 0.05)
+    robot.sleep(1)
+    x, y, _ = twin_of(robot).pose
+    assert x == pytest.approx(1, abs=1e-3)
+    assert y > 0.83
+
+
+def test_negative_counts_are_negative_from_both_programs(robot: Khepera3) -> None:
+    robot.sleep(0.1)
+    twin_of(robot).registers[FIRST["proximity"]] = -3
+    twin_of(robot).bus.dspic.before_read = lambda letter: None
+    assert robot.proximity().back_left == -3
+    assert robot.read_channels("proximity")["proximity"][0] == -3
+    assert (robot.ask("N").split(",")[1] == "-3") == ("rom" not in robot.port.name)
+
+
 def test_sensors_have_names_and_units(robot: Khepera3) -> None:
     robot.sleep(0.25)
     assert robot.proximity().back in range(20, 200)  # the floor's reflection
     assert robot.proximity().ground_left > 3900
-    assert robot.ambient() == InfraredCounts(*[4000] * 11)
+    assert robot.ambient() == InfraredReadings(*[4000] * 11)
     assert robot.infrared_time() == pytest.approx(0.25, abs=0.06)
     robot.reset_timer()
     robot.sleep(0.1)
@@ -98,8 +122,6 @@ def test_sensors_have_names_and_units(robot: Khepera3) -> None:
     assert echo.amplitude > 200
     assert 0 < echo.time < 1
     assert robot.echoes(2) == []
-    answer_once(robot, b"n,65535,-2,0,1,2,3,4,5,6,7,8,123\r\n")
-    assert robot.proximity() == (-1, -2, *range(9))
     answer_once(robot, b"g,2,27,2900,1500,94,300,2500" + b",0" * 9 + b",1800\r\n")
     assert robot.echoes(0) == [Echo(0.27, 2900, 1.5), Echo(0.94, 300, 2.5)]
 

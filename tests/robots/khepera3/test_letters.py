@@ -58,9 +58,9 @@ def robot(rom: str = FIRMWARE) -> Robot:
     )
     state.echoes[2 * indices.N_ECHO :][:4] = 1, 27, 2900, 100_000
     bus = Bus(state, (3, 0))
-    made = Robot(state, bus, program_of(bus, state.vehicle, rom))
-    made.set_proximity(PROXIMITY)
-    return made
+    new_robot = Robot(state, bus, program_of(bus, state.vehicle, rom))
+    new_robot.set_proximity(PROXIMITY)
+    return new_robot
 
 
 COMMON = [
@@ -340,40 +340,40 @@ def up_to_return_less_two(replies: bytes) -> list[str]:
     return [(line + b"\r")[:-2].decode() for line in replies.split(b"\r")[:-1]]
 
 
-class Host(NamedTuple):
+class PublishedHost(NamedTuple):
     """Exchanges of a published program: what it sends and expects, and how it reads."""
 
-    sent: tuple[bytes, ...]
-    heard: tuple[str, ...]
+    requests: tuple[bytes, ...]
+    replies: tuple[str, ...]
     read: Callable[[bytes], list[str]] = up_to_line_feed
     roms: tuple[str, ...] = (FIRMWARE, SERVER)
 
 
 NINE = ",".join(map(str, PROXIMITY[1:]))
 HOSTS = {
-    "line follower, Python over Bluetooth, 2009": Host(
+    "line follower, Python over Bluetooth, 2009": PublishedHost(
         (b"B\r", b"M\r", b"K,0,1\r", b"D,l12000,l-12000\r", b"D,l0.0,l3000.5\r", b"N\r"),
         ("b,3,0", "m", "k", "d", "d", f"n,-1,{NINE},0"),
         up_to_return_less_two,
         (FIRMWARE,),  # of kh3server's replies it would cut a character
     ),
-    "arrow keys, Python over Bluetooth": Host((b"D,l10000,l-10000\r\n", b"D,l0,l0\r\n"), ("d", "d")),
-    "control in closed loop, Matlab": Host(
+    "arrow keys, Python over Bluetooth": PublishedHost((b"D,l10000,l-10000\r\n", b"D,l0,l0\r\n"), ("d", "d")),
+    "control in closed loop, Matlab": PublishedHost(
         (b"D,l1234.5678,l-20\n", b"R\n", b"D,l0,l0\n"), ("d", "r,0,0", "d")
     ),
-    "evolved controllers, Java": Host(
+    "evolved controllers, Java": PublishedHost(
         (b"M\n", b"D,l8000,l17500\n\n", b"O\n", b"D,l0,l0\n"), ("m", "d", "o" + ",0" * 12, "d")
     ),
-    "reinforcement learning, Python": Host(
+    "reinforcement learning, Python": PublishedHost(
         (b"B\n", b"C,0,d21\n", b"G,3\n", b"D,l20000,l-20000\n"),
         ("b,3,0", "c", f"g,1,27,2900,100000{EMPTY_ECHOES},1800", "d"),
     ),
-    "evolution, C#": Host((b"M\n", b"D,l21500,l43000\n", b"N\n"), ("m", "d", f"n,-1,{NINE},0")),
-    "node of ROS": Host((b"D,0,0\n", b"D,l5000,l-5000\n"), ("d", "d")),
-    "the manual's, Matlab": Host(
+    "evolution, C#": PublishedHost((b"M\n", b"D,l21500,l43000\n", b"N\n"), ("m", "d", f"n,-1,{NINE},0")),
+    "node of ROS": PublishedHost((b"D,0,0\n", b"D,l5000,l-5000\n"), ("d", "d")),
+    "the manual's, Matlab": PublishedHost(
         (b"B\n", b"C,0,d31\n", b"C,1,d1\n", b"G,1\n"), ("b,3,0", "c", "c", f"g,0,0,0,0{EMPTY_ECHOES},1800")
     ),
-    "the manual's syntax lines": Host(
+    "the manual's syntax lines": PublishedHost(
         (
             b"C,0,d3\n",
             b"F,l1000,l1000\n",
@@ -388,11 +388,11 @@ HOSTS = {
 
 
 @pytest.mark.parametrize(("host", "rom"), [(host, rom) for host in HOSTS.values() for rom in host.roms])
-def test_published_hosts_hear_what_they_expect(host: Host, rom: str) -> None:
+def test_published_hosts_hear_what_they_expect(host: PublishedHost, rom: str) -> None:
     letters = robot(rom).letters
-    heard = host.read(b"".join(map(letters.receive, host.sent)))
-    expected = [text.replace("n,-1", "n,65535") if rom == SERVER else text for text in host.heard]
-    assert heard == expected
+    replies = host.read(b"".join(map(letters.receive, host.requests)))
+    expected = [text.replace("n,-1", "n,65535") if rom == SERVER else text for text in host.replies]
+    assert replies == expected
 
 
 @pytest.mark.parametrize("rom", [FIRMWARE, SERVER])
