@@ -189,4 +189,4 @@ def test_a_used_up_battery_falls_to_6_v_and_switches_the_robot_off() -> None:
     world.advance(1.0)
     volts, fraction = ask(robot, "V", 0)
     assert volts + fraction / 10_000 <= 6
-    assert not robot.is_powered
+    assert not robot.firmware.powered
