@@ -101,7 +101,7 @@ class MotionStatus(NamedTuple):
 class Distances(NamedTuple):
     """Command G: distances by five ultrasonic sensors [m].
 
-    0 is an object that is too near, infinity no object in range, None a sensor that is off.
+    0 is an object nearer than the range, infinity no object in it, None a sensor that is off.
     """
 
     left: float | None

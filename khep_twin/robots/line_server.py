@@ -18,6 +18,9 @@ _BLOCKED, _N_STUCK = 250, 5
 Command = tuple[str, Sequence[int]]
 """Letter and numbers of a command."""
 
+Reply = Any
+"""Values of a reply, a whole reply, or None for an error."""
+
 
 class LineServer:
     """Program that answers requests.
@@ -48,7 +51,7 @@ class LineServer:
         self._framing = dialect.framing
         self._execute, self._is_powered = execute, is_powered
         self.turrets: Mapping[TurretKind, Turret] = {}
-        self._line = b""
+        self._line, self._running = b"", self.program
 
     @property
     def powered(self) -> bool:
@@ -85,8 +88,8 @@ class LineServer:
         return f"expected {self.baud} baud at the host, not {baud}"
 
     def state(self) -> FirmwareState:
-        """Return the state besides that in the robot's registers."""
-        return FirmwareState(self.baud, self.reply_baud, self.program, self._line, {})
+        """Return the state besides that in the robot's registers and of its vehicle."""
+        return FirmwareState(self.baud, self.reply_baud, self._running, self._line, {})
 
     def set_state(self, state: FirmwareState) -> None:
         """Restore a state.
@@ -94,12 +97,14 @@ class LineServer:
         Raises:
             ValueError: It is of another robot.
         """
-        if state._replace(partial_line=b"") != FirmwareState(self.baud, self.baud, self.program, b"", {}):
+        running = state.running or self.program
+        expected_state = FirmwareState(self.baud, self.baud, self.program, state.partial_line, {})
+        if state._replace(running=running) != expected_state:
             raise ValueError(
                 f"baud = {state.baud}, {state.reply_baud}, program {state.running!r}, turrets "
                 f"{sorted(state.turrets)}; expected {self.baud} baud, {self.program!r}, without turrets"
             )
-        self._line = state.partial_line
+        self._line, self._running = state.partial_line, state.running
 
 
 class VehicleServer(LineServer):
@@ -132,7 +137,7 @@ class VehicleServer(LineServer):
     def forget(self) -> None:
         """End the program; it restarts with the next bytes."""
         super().forget()
-        self._is_running = False
+        self._running = ""
         for index in range(len(self._state)):
             self._state[index] = 0
 
@@ -140,8 +145,8 @@ class VehicleServer(LineServer):
         """Receive bytes; return the replies to the commands that they complete."""
         if not self.powered:
             return b""
-        if not self._is_running:
-            self._is_running = True
+        if not self._running:
+            self._running = self.program
             self._run("M", ())
         messages, line = self._framing.split(self._line + data, to_robot=True)
         self._line, replies = line[: self.longest], b""
@@ -181,33 +186,20 @@ class VehicleServer(LineServer):
         turn = vehicle.turn * vehicle.unit
         self._order_speeds((turn, -turn) if is_turning else vehicle.speeds(readings, self._gain))
 
-    def state(self) -> FirmwareState:
-        """Return the state without that of the vehicle."""
-        return super().state()._replace(running=self.program if self._is_running else "")
-
-    def set_state(self, state: FirmwareState) -> None:
-        """Restore a state without that of the vehicle.
-
-        Raises:
-            ValueError: It is of another robot.
-        """
-        super().set_state(state._replace(running=state.running or self.program))
-        self._is_running = bool(state.running)
-
     def _parse(self, request: bytes) -> Command | None:
         """Return letter and numbers of a request; None if it is malformed."""
         raise NotImplementedError
 
-    def _run(self, letter: str, values: Sequence[int]) -> Any:
+    def _run(self, letter: str, values: Sequence[int]) -> Reply:
         handler = getattr(self, f"_on_{letter.lower()}", None)
         return None if handler is None else handler(values)
 
-    def _start_vehicle(self, level: int, positions: Sequence[int]) -> Any:
+    def _start_vehicle(self, level: int, positions: Sequence[int]) -> Reply:
         for index, value in enumerate((level, 0, 0, *positions)):
             self._state[index] = value
         return ()
 
-    def _readings(self) -> Any:
+    def _readings(self) -> Reply:
         return self._run("N", ())
 
     def _order_speeds(self, speeds: tuple[int, int]) -> None:

@@ -22,7 +22,7 @@ class Vehicle:
     saturation: int
     divisor: int  # of the sums
     forward: int  # speed without obstacles
-    least: int  # speed
+    min_speed: int
     turn: int  # speed of a turn in place
     moved_pulses: int  # motion that counts
     front: slice  # of the readings
@@ -50,4 +50,4 @@ class Vehicle:
         return low < position < high and not (self.is_unsigned and low < 0 <= high)
 
     def _at_least(self, speed: int) -> int:
-        return self.unit * (max(speed, self.least) if speed >= 0 else min(speed, -self.least))
+        return self.unit * (max(speed, self.min_speed) if speed >= 0 else min(speed, -self.min_speed))

@@ -20,18 +20,14 @@ place is answered at once here.
 import re
 import struct
 from collections.abc import Sequence
-from typing import Any
 
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.model import KHEPERA_3, SERVER
 from khep_twin.robots.khepera3.registers import DEFAULTS, SETTINGS, Control, Mode, MotorRegister, Option
 from khep_twin.robots.khepera3.vehicle import SERVER_VEHICLE, VEHICLE
-from khep_twin.robots.line_server import LONGEST_REQUEST, Command, VehicleServer
+from khep_twin.robots.line_server import LONGEST_REQUEST, Command, Reply, VehicleServer
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.buffers import Vector
-
-_ROUND_MS = 20
-"""Time of a round of the vehicle (library)."""
 
 _ORDERS = dict(
     zip("DFLP", (Control.SPEED, Control.POSITION_PROFILE, Control.OPEN_LOOP, Control.POSITION), strict=True)
@@ -91,8 +87,8 @@ class Letters(VehicleServer):
         return super().reset()
 
     def tick(self) -> None:
-        """Run the vehicle of A for a control period."""
-        if not self._bus.dspic.time_ms() % _ROUND_MS:
+        """Run the vehicle of A for a control period; it has rounds of 20 ms (library)."""
+        if not self._bus.dspic.time_ms() % 20:
             self._gain = None if self.nests else self._bus.dspic.vehicle_gain
             super().tick()
 
@@ -112,7 +108,7 @@ class Letters(VehicleServer):
         is_valid = all(low <= number <= high for number, (low, high) in zip(numbers, limits, strict=True))
         return (letter, numbers) if is_valid and len(numbers) == len(arguments) else None
 
-    def _run(self, letter: str, values: Sequence[int]) -> Any:
+    def _run(self, letter: str, values: Sequence[int]) -> Reply:
         if letter in _ORDERS:
             return self._order(letter, values)
         if letter in _MEASURES:
@@ -125,7 +121,7 @@ class Letters(VehicleServer):
         reply = self._bus.dspic.ask(letter, *arguments)
         return self.silence if reply is None else reply
 
-    def _on_a(self, values: Sequence[int]) -> Any:
+    def _on_a(self, values: Sequence[int]) -> Reply:
         (mode,), level = values, int(self._state[WANDERING])
         if mode in (0, 1):
             return self._start_vehicle(1 + (level if self.nests else mode), self._measure("R"))
@@ -161,7 +157,7 @@ class Letters(VehicleServer):
         *counts, time_ms = self._bus.dspic.ask("N") or (0,)
         return *(count & self.count_mask for count in counts), time_ms
 
-    def _on_v(self, values: Sequence[int]) -> Any:
+    def _on_v(self, values: Sequence[int]) -> Reply:
         """Return a value of the battery, by its kind: 0 voltage [V] to 5 charge [%]."""
         kind = values[0] & 0xFFFF
         if kind > 5:

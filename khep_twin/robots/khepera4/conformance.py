@@ -10,7 +10,6 @@ _TOO_NEAR_CM, _NO_ECHO_CM, _DISABLED_CM = ULTRASONIC_CODES
 _ROUND_S = 0.3
 """Time in which every ultrasonic sensor measures more than twice [s]."""
 
-_LAST_AXIS = slice(2 * PACKET_SIZE, None)
 _BATTERY = (r"\d+", r"-?\d+", r"-?\d+", r"\d+", r"-?\d+\.\d", r"\d{1,3}", "[01]", r"\d{1,3}")
 """Values of V, by kind."""
 
@@ -80,7 +79,7 @@ KHEPERA_4_CHECKS = LetterChecks(
         "T reads accelerations, the last ones minus 1 g",
         "6, command T",
         *(0.2, Numbers("T", 3 * PACKET_SIZE, -6000, 6000, slice(2 * PACKET_SIZE))),
-        Numbers("T", 3 * PACKET_SIZE, -20_000, -12_000, _LAST_AXIS),
+        Numbers("T", 3 * PACKET_SIZE, -20_000, -12_000, slice(2 * PACKET_SIZE, None)),
         at_rest=True,
     ),
     replies(

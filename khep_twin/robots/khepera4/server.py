@@ -13,13 +13,12 @@ byte of X's readings, and all bytes of X after the first 67. docs/khepera4.md li
 import re
 import struct
 from collections.abc import Sequence
-from typing import Any
 
 from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.model import KHEPERA_4, VEHICLE
 from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
-from khep_twin.robots.line_server import Command, VehicleServer
+from khep_twin.robots.line_server import Command, Reply, VehicleServer
 from khep_twin.robots.vehicle import N_VEHICLE, WANDERING
 from khep_twin.sensing.buffers import Vector
 
@@ -76,7 +75,7 @@ class Kh4Server(VehicleServer):
         values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
         return (request[:1].decode(), values) if request[:1].isupper() else None
 
-    def _run(self, letter: str, values: Sequence[int]) -> Any:
+    def _run(self, letter: str, values: Sequence[int]) -> Reply:
         if letter in _READS:
             return self._read(letter)
         if letter not in _WRITES:
@@ -84,9 +83,10 @@ class Kh4Server(VehicleServer):
         register, count, size, control = _WRITES[letter]
         if control is not None:
             self._set_control(control)
-        return self._write(register, _pad_values(values, count), size)
+        # Missing numbers are 0.
+        return self._write(register, (*values, *bytes(count))[:count], size)
 
-    def _on_a(self, values: Sequence[int]) -> Any:
+    def _on_a(self, values: Sequence[int]) -> Reply:
         if values not in ([0], [1]):
             if self._state[WANDERING]:
                 self._order_speeds((0, 0))
@@ -106,20 +106,20 @@ class Kh4Server(VehicleServer):
         return self._write(DspicRegister.RESET_ENCODERS, [0], size=1)
 
     def _on_j(self, values: Sequence[int]) -> Sequence[int]:
-        return self._set_profile(_pad_values(values, 5))
+        return self._set_profile((*values, *bytes(5))[:5])
 
-    def _on_k(self, values: Sequence[int]) -> Any:
+    def _on_k(self, values: Sequence[int]) -> Reply:
         if len(values) != 9:
             return None
         return self._write(DspicRegister.LEDS, [value & 0x3F for value in values], size=1)
 
-    def _on_m(self, values: Sequence[int]) -> Any:
+    def _on_m(self, values: Sequence[int]) -> Reply:
         self._write(DspicRegister.POSITION_MARGIN, [20])
         self._write(DspicRegister.KP, (10, 5, 1), size=1)
         self._set_profile(_DEFAULT_PROFILE)
         return self._set_control(Control.IDLE)
 
-    def _on_v(self, values: Sequence[int]) -> Any:
+    def _on_v(self, values: Sequence[int]) -> Reply:
         """Return one value of the battery, by its kind: 0 voltage [mV] to 7 status of the gauge."""
         if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
             return None
@@ -168,8 +168,3 @@ class Kh4Server(VehicleServer):
     def _read(self, letter: str) -> tuple[int, ...]:
         register, layout = _READS[letter]
         return struct.unpack(layout, self._dspic.read(register, struct.calcsize(layout)))
-
-
-def _pad_values(values: Sequence[int], count: int) -> list[int]:
-    """Return the first `count` values, 0 for missing ones."""
-    return [*values, *[0] * count][:count]

@@ -108,9 +108,9 @@ class LetterChecks:
         )
         return Catalogue(tuple(sorted(checks, key=lambda check: bool(check.moves))), counters="R")
 
-    def _wheels(self, letter: str, left: int, right: int | None = None) -> str:
-        """Return a command with numbers of the left and right wheel, by default the same ones."""
-        return f"{letter},{self.prefix}{left},{self.prefix}{left if right is None else right}"
+    def _wheels(self, letter: str, left: int, ratio: int = 1) -> str:
+        """Return a command with a number of the left wheel, and one of the right wheel by their ratio."""
+        return f"{letter},{self.prefix}{left},{self.prefix}{ratio * left}"
 
     def _expect_standing(self, line: CheckedPort, order: str) -> None:
         line.sleep(1.0)
@@ -151,14 +151,14 @@ class LetterChecks:
     def _wheel_order(self, line: CheckedPort) -> None:
         for letter, size in (("D", self.speed), ("L", self.duty)):
             for left in (size, -size):
-                line.order(order := self._wheels(letter, left, -left))
+                line.order(order := self._wheels(letter, left, -1))
                 pulses = _pulses(line, 0.5)
                 line.order(self._wheels("D", 0), pause=_STOPPING)
                 if min(pulses[0] * left, -pulses[1] * left) <= 0:
                     raise Deviation(f"{order} moved the positions by {pulses}")
 
     def _targets(self, line: CheckedPort) -> None:
-        for orders, letter, target, least, longest in self.moves:
+        for orders, letter, target, shortest, longest in self.moves:
             line.order(*orders, order := self._wheels(letter, target))
             start, previous = line.time(), [0, 0]
             while (now := line.numbers("R", 2)) != previous or max(abs(target - n) for n in now) > self.near:
@@ -166,8 +166,8 @@ class LetterChecks:
                     raise Deviation(f"{order} was not on target after 8 s: R gave {now}")
                 previous = now
                 line.sleep(0.05)
-            if not least < (time := line.time() - start) < longest:
-                raise Deviation(f"{order} took {time:.2f} s; expected {least:g} to {longest:g} s")
+            if not shortest < (time := line.time() - start) < longest:
+                raise Deviation(f"{order} took {time:.2f} s; expected {shortest:g} to {longest:g} s")
 
     def _gains(self, line: CheckedPort) -> None:
         line.order(self.weak_gains, self._wheels("D", 2 * self.speed), pause=0.8)
