@@ -29,9 +29,7 @@ from khep_twin.robots.line_server import LONGEST_REQUEST, Command, Reply, Vehicl
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.buffers import Vector
 
-_ORDERS = dict(
-    zip("DFLP", (Control.SPEED, Control.POSITION_PROFILE, Control.OPEN_LOOP, Control.POSITION), strict=True)
-)
+_ORDERS = {"D": Control.SPEED, "F": Control.POSITION_PROFILE, "L": Control.OPEN_LOOP, "P": Control.POSITION}
 _MEASURES = {"E": MotorRegister.SPEED, "R": MotorRegister.POSITION}
 
 _ARGUMENTS = {
