@@ -1,7 +1,7 @@
 """Memory of a day of `serve --log` with a host that polls as fast as the line allows.
 
     python -m checks day 24 --log day.mcap
-    python -m checks day 24 --seed 2            with a Khepera IV, as for each even seed
+    python -m checks day 24 --seed 2            with a Khepera IV; 3: a Khepera III, 1: a Khepera
 
 The server's loop runs on the wire clock over a pseudo-terminal. Its host is a separate process that sends 23
 commands in each simulated second, as on the robot's line. The log is flushed each half of a simulated
@@ -55,7 +55,7 @@ def day(hours: float, log: Path, seed: int) -> float:
     with ExitStack() as stack:
         compile_all(["world"])
         twin = stack.enter_context(
-            open_twin(("arena4", "obstacles")[seed % 2], TwinOptions(seed=seed, log=str(log)))
+            open_twin(("arena3", "obstacles", "arena4")[seed % 3], TwinOptions(seed=seed, log=str(log)))
         )
         twin.world.code.switch_if_ready()  # as `serve --clock wire` does
         port = stack.enter_context(closing(PtyPort(None, twin.robot.firmware.baud)))

@@ -6,9 +6,9 @@
 `serve` is polled for its sensors by a host, in real time, until it is killed. The loss is the wall time
 before the kill that is missing in the recovered log, by its last sample and by its last reply. `run` is in
 lock-step and prints its simulated time after each cycle; the loss is the missing simulated time.
-Half of the robots are Kheperas IV. Each log must be recovered by `khep-twin recover`, be opened by mcap's
-reader, and hold the replies that the host has received. The exit status
-is 1 if a log fails to, or lost more than the limit.
+The robots are of the playpens in `HOSTS` in turn. Each log must be recovered by `khep-twin recover`, opened
+by mcap's reader, and hold the replies that the host has received. The exit status is 1 if a log fails to, or
+lost more than the limit.
 """
 
 import os
@@ -39,8 +39,8 @@ MOST_LOST = {"serve": 1.0, "run": FLUSH_NS / NS_PER_S + 0.1}
 A run loses its time since the last flush: any time up to that between two flushes. Its last reply may be a
 cycle of the host earlier."""
 
-PLAYPENS = "obstacles", "arena4"
-"""Playpens: a Khepera's for even seeds, a Khepera IV's for odd ones."""
+HOSTS = {"obstacles": "Khepera", "arena4": "Khepera4", "arena3": "Khepera3"}
+"""Playpens of three models, one after the other by the seed, and their host classes."""
 
 LATEST_KILL = 3.0
 """Latest wall time of a kill after the first output [s]."""
@@ -49,9 +49,9 @@ TIMEOUT_S = 60.0
 """Timeout on a busy machine [s]."""
 
 PROGRAM = """import os
-from khep_twin.host import Khepera, Khepera4
+from khep_twin import host
 
-with {host}("khep://{playpen}?log=run.mcap") as robot:
+with host.{host}("khep://{playpen}?log=run.mcap") as robot:
     while True:
         robot.proximity()
         os.write(1, b"%.9f\\n" % robot.time)
@@ -124,7 +124,7 @@ def _poll(path: str, end_s: float) -> list[tuple[float, str]]:
                 if not select.select([port], [], [], max(end_s - time.monotonic(), 0))[0]:
                     return replies
                 reply += os.read(port, 4096)
-            replies.append((time.monotonic(), reply.decode("ascii").rstrip()))
+            replies.append((time.monotonic(), reply.decode("ascii").strip()))
         return replies
     finally:
         # Closing after the kill would be the same; a host that disconnects first loses nothing.
@@ -134,7 +134,7 @@ def _poll(path: str, end_s: float) -> list[tuple[float, str]]:
 def kill_run(folder: Path, after: float, playpen: str) -> Kill:
     """Run a program in lock-step and kill it after so many seconds."""
     log = folder / "run.mcap"
-    program = PROGRAM.format(playpen=playpen, host="Khepera4" if playpen == "arena4" else "Khepera")
+    program = PROGRAM.format(playpen=playpen, host=HOSTS[playpen])
     command = [sys.executable, "-c", program]
     pipe, null = subprocess.PIPE, subprocess.DEVNULL
     with subprocess.Popen(command, stdout=pipe, stderr=null, cwd=folder) as process:
@@ -178,7 +178,7 @@ KILLS = {"serve": kill_serve, "run": kill_run}
 def kill(kind: str, seed: int, latest: float = LATEST_KILL) -> Kill:
     """Kill one run, in a separate folder, at a time drawn from the seed."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-kills-") as folder:
-        playpen = PLAYPENS[seed % len(PLAYPENS)]
+        playpen = [*HOSTS][seed % len(HOSTS)]
         return KILLS[kind](Path(folder), random.Random(seed).uniform(0, latest), playpen)
 
 

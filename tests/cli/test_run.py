@@ -385,7 +385,7 @@ def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Seq
     refused = khep_twin(*kind, "--model", "khepera5", folder=tmp_path)
     assert refused.stderr == (
         "khep-twin: model = 'khepera5': unknown; did you mean 'khepera4'? "
-        "(choices: khepera1, khepera2, khepera4)\n"
+        "(choices: khepera1, khepera2, khepera3, khepera3-firmware2, khepera4)\n"
     )
 
 

@@ -1,4 +1,4 @@
-"""Compile the kernel to PTX (NVIDIA's intermediate code) without a GPU: python cuda_ptx.py STAMP.
+"""Compile the kernel to PTX (NVIDIA's intermediate code) without a GPU: python cuda_ptx.py STAMP PLAYPEN.
 
 Print the stamp of the sources, and the size of the PTX unless STAMP is that stamp.
 """
@@ -14,7 +14,7 @@ from numba import cuda, types
 from numba.cuda import dispatcher
 from numba.cuda.typing.typeof import typeof
 
-from khep_twin import Braitenberg, rollout
+from khep_twin import ConstantSpeed, Playpen, rollout
 from khep_twin.episodes import device
 from khep_twin.episodes.cuda import kernel
 from khep_twin.simulation.compiled import digest_of
@@ -56,10 +56,11 @@ def type_of(value: Any) -> Any:
     return typeof(value.view(np.ndarray) if isinstance(value, GpuArray) else value)
 
 
-STAMP = f"{kernel.stamp_of('khepera')}-{digest_of([Path(__file__)])}"
+FAMILY = Playpen.load(PLAYPEN := sys.argv[2]).robots[0].robot_model.family
+STAMP = f"{kernel.stamp_of(FAMILY)}-{digest_of([Path(__file__)])}"
 
 if __name__ == "__main__":
-    if sys.argv[1:] == [STAMP]:
+    if sys.argv[1] == STAMP:
         print(STAMP)
         sys.exit()
     gc.disable()  # a tenth of the time
@@ -67,5 +68,5 @@ if __name__ == "__main__":
     cuda.to_device = lambda array: np.ascontiguousarray(array).view(GpuArray)
     cuda.device_array = lambda shape, dtype: np.zeros(shape, dtype).view(GpuArray)
     kernel.kernel, device.find_gpu_error = Compiler, lambda: ""
-    rollout("obstacles", Braitenberg(), range(2), 0.04, planar=True, device="cuda")
+    rollout(PLAYPEN, ConstantSpeed(9, 9), range(2), 0.04, planar=True, device="cuda")
     raise SystemExit("the kernel was not launched")

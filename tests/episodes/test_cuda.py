@@ -29,6 +29,7 @@ from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import DeviceError
 from khep_twin.playpen import Lamp, Playpen
+from khep_twin.robots.registry import find_model
 
 pytestmark = [
     pytest.mark.skipif(importlib.util.find_spec("numba_cuda") is None, reason="numba-cuda is not installed"),
@@ -73,13 +74,17 @@ def compare(setup: EpisodeSetup, driver: Driver, seconds: float = PERIODS, **opt
     return results
 
 
-def test_further_readings_of_a_khepera_iv_on_a_gpu_equal_those_on_the_cpu() -> None:
-    network = Network(hidden=(2,), terms=("ultrasonic", "gyroscope"), model="khepera4")
+@pytest.mark.parametrize(("number", "term", "code"), [(4, "gyroscope", 250), (3, "ground", 0)])
+def test_further_readings_of_further_models_on_a_gpu_equal_those_on_the_cpu(
+    number: int, term: str, code: int
+) -> None:
+    network = Network(hidden=(2,), terms=("ultrasonic", term), model=f"khepera{number}")
     genes = np.random.default_rng(5).normal(size=(3, network.n_genes))
-    results = compare(planar("arena4"), network, 0.12, genes=genes)
-    assert (results.registers[:, 24:29] < 250).any()  # ultrasonic
+    results = compare(planar(f"arena{number}"), network, 0.12, genes=genes)
+    first = find_model(network.model).find_terms(network.terms)[0].register
+    assert (results.registers[:, first : first + 5] != code).any()  # a distance
     policy = Policy(lambda proximity, ambient, which, distances: distances[:, :2], terms=("ultrasonic",))
-    compare(planar("arena4"), policy)
+    compare(planar(f"arena{number}"), policy)
 
 
 @pytest.mark.parametrize("name", ["obstacles", "looping-maze", "default", "garbage"])
@@ -276,13 +281,14 @@ def test_without_a_gpu_the_command_fails_with_one_line() -> None:
     assert message.endswith("; expected a GPU and its driver")
 
 
-def test_the_kernel_compiles_for_a_gpu(request: pytest.FixtureRequest) -> None:
-    script = Path(__file__).with_name("cuda_ptx.py")
-    cached_stamp = str(request.config.cache.get("khep_twin/ptx", "")) if request.config.cache else ""
-    process = python(script, cached_stamp)
+@pytest.mark.parametrize("playpen", ["obstacles", pytest.param("arena3", marks=pytest.mark.long)])
+def test_the_kernel_compiles_for_a_gpu(request: pytest.FixtureRequest, playpen: str) -> None:
+    script, key = Path(__file__).with_name("cuda_ptx.py"), f"khep_twin/ptx/{playpen}"
+    cached_stamp = str(request.config.cache.get(key, "")) if request.config.cache else ""
+    process = python(script, cached_stamp, playpen)
     assert process.returncode == 0, process.stderr
     if request.config.cache:
-        request.config.cache.set("khep_twin/ptx", process.stdout.split()[0])
+        request.config.cache.set(key, process.stdout.split()[0])
 
 
 def python(*words: object, **environment: str) -> "subprocess.CompletedProcess[str]":

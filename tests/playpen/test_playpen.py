@@ -207,7 +207,7 @@ WRONG_IN_ARENA = {
     ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; expected a number from "
     "-360 to 360",
     ROBOT + 'model = "khepera5"\n': 'robot 1: model = "khepera5": unknown; did you mean '
-    "'khepera4'? (choices: khepera1, khepera2, khepera4)",
+    "'khepera4'? (choices: khepera1, khepera2, khepera3, khepera3-firmware2, khepera4)",
     ROBOT.replace("300", "30") + 'model = "khepera2"\n': "robot 1 at (30, 250) overlaps the left "
     "wall at x = 0; expected 5 mm further in",
     ROBOT + "mode = 4\n": "robot 1: mode = 4: mode 4 runs a user's program from the "
@@ -215,7 +215,7 @@ WRONG_IN_ARENA = {
     "(0, 1, 2, 3, 7)",
     ROBOT + 'mode = "1"\n': 'robot 1: mode = "1"; expected an integer from 0 to 15',
     ROBOT + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? "
-    "(choices: 5.02, 4.06, khepera2, kh4server)",
+    "(choices: 5.02, 4.06, khepera2, 3.0, kh3server, 2.0, kh4server)",
     "[radio]\nloss = 1.1\n" + ROBOT: "radio: loss = 1.1; expected a number from 0 to 1",
     "[radio]\nrange_mm = -1\n" + ROBOT: "radio: range_mm = -1; expected a number from 0 to 100000",
     "[radio]\nair_time_ms = 0\n" + ROBOT: "radio: air_time_ms = 0; expected a number above 0 up to 10000",
@@ -428,7 +428,7 @@ def test_a_playpen_loads_by_path(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_reported_with_what_ships(tmp_path: Path) -> None:
-    choices = r"did you mean 'default'\? \(choices: arena4, arena4-line,"
+    choices = r"did you mean 'default'\? \(choices: arena3, arena3-line, arena4, arena4-line,"
     with pytest.raises(PlaypenError, match=rf"^defualt: no such file; .*{choices}"):
         Playpen.load("defualt")
 

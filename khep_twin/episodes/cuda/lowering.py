@@ -192,6 +192,8 @@ def _length(table):
 
 @overload(operator.getitem)
 def _get(table, index):
+    if isinstance(index, types.IntEnumMember):
+        return lambda table, index: table[index.value]
     if isinstance(table, _Obstacles):
 
         def get(table, index):
@@ -204,6 +206,12 @@ def _get(table, index):
 
 @overload(operator.setitem)
 def _set(table, index, value):
+    if isinstance(index, types.IntEnumMember):
+
+        def set_at(table, index, value):
+            table[index.value] = value
+
+        return set_at
     if isinstance(table, _Obstacles):
 
         def set_value(table, index, value):

@@ -64,7 +64,7 @@ def _tick(robot: Khepera3State, simulated: Simulated, inputs: StepInputs, time_n
         battery[state.USED] = min(battery[state.USED] + current * (TICK_NS * 1e-9), state.CAPACITY)
     if voltage > CUT_OFF:
         return robot.vehicle[WANDERING] != 0
-    robot.board[state.POWERED] = 0
+    robot.board[state.POWERED] = battery[state.CURRENT] = 0
     _cut_off(scene, robot, 0, robot.left)
     _cut_off(scene, robot, 1, robot.right)
     return True
@@ -72,9 +72,11 @@ def _tick(robot: Khepera3State, simulated: Simulated, inputs: StepInputs, time_n
 
 @compilable
 def _cut_off(scene: Scene, robot: Khepera3State, side: int, motor: MotorState) -> None:
-    """Stop a motor for lack of voltage."""
-    motor_control.halt(motor)
+    """Stop a motor, and switch off the LED of the same number, for lack of voltage."""
+    for number in range(Motor.PULSES):
+        motor.numbers[number] = 0
     motor.memory[MotorRegister.MODE] = Mode.IDLE
+    robot.board[state.LEDS + side] = 0
     set_motor(scene, robot.motors[side], 0.0)
 
 
