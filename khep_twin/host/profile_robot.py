@@ -28,10 +28,7 @@ class ProfileRobot(HostRobot, Generic[Counts]):
     move the robot never.
 
     Args:
-        url: URL of the port, or an open port of pyserial, which keeps its timeout.
-        timeout: Longest wait for a silent robot [s], in the port's time, as for a `Khepera`.
-        baudrate: Baud rate.
-        retries: Number of repetitions of a read.
+        url, timeout, baudrate, retries: See `Khepera`; `baudrate` is by default that of the model.
         wheel_base: Distance of the wheels [m], for `turn`; None for that of the model.
 
     Attributes:

@@ -1,8 +1,6 @@
 """Checks of a gripper."""
 
-import re
-
-from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check, expect_range
+from khep_twin.lab.conformance.port.check import CheckedPort, ask_turret, check, expect_range
 from khep_twin.units import COUNTS_LIMIT, GRIPPER_NUMBER
 
 ARM = "moves the arm and the fingers of its gripper"
@@ -17,14 +15,6 @@ def moves(line: CheckedPort) -> None:
         line.expect(f"T,1,{order}", f"t,1,{order[0].lower()}")
         line.sleep(1.5)
         request = "H,1" if order[0] == "E" else "H,0"
-        answer = line.ask(f"T,1,{request}")
-        if not re.fullmatch(r"t,1,h,\d+", answer):
-            raise Deviation(f"'T,1,{request}' was answered {answer!r}; expected 't,1,h' and one number")
-        expect_range(f"T,1,{request}", [int(answer.split(",")[3])], low, high)
+        expect_range(f"T,1,{request}", ask_turret(line, GRIPPER_NUMBER, request, 1), low, high)
     for order in "FGJ":
-        answer = line.ask(f"T,1,{order}")
-        if not re.fullmatch(rf"t,1,{order.lower()},\d+", answer):
-            raise Deviation(
-                f"'T,1,{order}' was answered {answer!r}; expected 't,1,{order.lower()}' and a number"
-            )
-        expect_range(f"T,1,{order}", [int(answer.split(",")[3])], 0, COUNTS_LIMIT)
+        expect_range(f"T,1,{order}", ask_turret(line, GRIPPER_NUMBER, order, 1), 0, COUNTS_LIMIT)
