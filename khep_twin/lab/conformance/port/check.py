@@ -30,8 +30,6 @@ _STOPPING = 0.3
 REFUSED = "z,.*"
 """Pattern of the reply to a wrong command."""
 
-_NUMBER = re.compile("-?(0|[1-9][0-9]*)")
-
 _FIRST_BYTE = 0.010
 """Longest wait for a reply's first byte after the transmission of the command [s] (hosts tolerate it)."""
 _REAL_TIME_SLACK = 0.02
@@ -148,13 +146,17 @@ class CheckedPort:
 
     def numbers(self, request: str, count: int) -> list[int]:
         """Return the integers of a reply; raise a `Deviation` unless there are `count`."""
-        answer, letter = self.ask(request), request[0].lower()
-        head, *fields = answer.split(",")
-        if head != letter or len(fields) != count:
-            raise Deviation(f"{request!r} was answered {answer!r}; expected {letter!r} and {count} numbers")
-        if not all(_NUMBER.fullmatch(field) for field in fields):
-            raise Deviation(f"{request!r} was answered {answer!r}; expected plain integers")
-        return [int(field) for field in fields]
+        self.port.write(self.framing.encode(request))
+        return self.next_numbers(request, count)
+
+    def next_numbers(self, request: str, count: int) -> list[int]:
+        """Return the integers of the next reply, after its letter, or turret and letter."""
+        head = request.lower().split(",")[: 3 if request.startswith("T,") else 1]
+        answer = self.reply(request)
+        if not re.fullmatch(rf"{','.join(head)}(,-?(0|[1-9]\d*)){{{count}}}", answer):
+            expected = f"{','.join(head)!r} and {count} plain integers"
+            raise Deviation(f"{request!r} was answered {answer!r}; expected {expected}")
+        return [int(field) for field in answer.split(",")[len(head) :]]
 
     def expect(self, request: str, reply: str) -> None:
         """Raise a `Deviation` unless the reply to a request is this text, or matches it as a pattern."""
@@ -240,21 +242,6 @@ def replies(
                 line.sleep(step)
 
     return Check(name, section, "", body, at_rest=at_rest)
-
-
-def ask_turret(line: CheckedPort, turret: int, message: str, count: int) -> list[int]:
-    """Return the numbers of a turret's answer to a message; raise a `Deviation` unless there are `count`."""
-    request = f"T,{turret},{message}"
-    return numbers_of_turret(request, line.ask(request), count)
-
-
-def numbers_of_turret(request: str, answer: str, count: int) -> list[int]:
-    """Return the numbers of a turret's answer, none below 0; raise a `Deviation` unless there are `count`."""
-    _, turret, letter = request.split(",")[:3]
-    head = f"t,{turret},{letter.lower()}"
-    if not re.fullmatch(rf"{head}(,(0|[1-9]\d*)){{{count}}}", answer):
-        raise Deviation(f"{request!r} was answered {answer!r}; expected {head!r} and {count} numbers")
-    return [int(field) for field in answer.split(",")[3:]]
 
 
 def expect_in_time(line: CheckedPort, request: str) -> None:

@@ -1,6 +1,6 @@
 """Checks of a gripper."""
 
-from khep_twin.lab.conformance.port.check import CheckedPort, ask_turret, check, expect_range
+from khep_twin.lab.conformance.port.check import CheckedPort, check, expect_range
 from khep_twin.units import COUNTS_LIMIT, GRIPPER_NUMBER
 
 ARM = "moves the arm and the fingers of its gripper"
@@ -15,6 +15,6 @@ def moves(line: CheckedPort) -> None:
         line.expect(f"T,1,{order}", f"t,1,{order[0].lower()}")
         line.sleep(1.5)
         request = "H,1" if order[0] == "E" else "H,0"
-        expect_range(f"T,1,{request}", ask_turret(line, GRIPPER_NUMBER, request, 1), low, high)
+        expect_range(f"T,1,{request}", line.numbers(f"T,1,{request}", 1), low, high)
     for order in "FGJ":
-        expect_range(f"T,1,{order}", ask_turret(line, GRIPPER_NUMBER, order, 1), 0, COUNTS_LIMIT)
+        expect_range(f"T,1,{order}", line.numbers(f"T,1,{order}", 1), 0, COUNTS_LIMIT)

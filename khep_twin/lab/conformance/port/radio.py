@@ -5,10 +5,8 @@ from khep_twin.lab.conformance.port.check import (
     SETTLE,
     CheckedPort,
     Deviation,
-    ask_turret,
     check,
     expect_range,
-    numbers_of_turret,
 )
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
 
@@ -29,8 +27,12 @@ def _order(receiver: int, length: int, *data: int) -> str:
     return ",".join(map(str, ("S", receiver, length, *data, *[0] * (RADIO_BYTES - len(data)))))
 
 
+def _numbers(line: CheckedPort, message: str, count: int) -> list[int]:
+    return line.numbers(f"T,{RADIO_NUMBER},{message}", count)
+
+
 def _status(line: CheckedPort) -> RadioStatus:
-    [status] = ask_turret(line, RADIO_NUMBER, "F", 1)
+    [status] = _numbers(line, "F", 1)
     expect_range(f"T,{RADIO_NUMBER},F", [status], 0, sum(RadioStatus))
     return RadioStatus(status)
 
@@ -47,11 +49,11 @@ def _wait_until_sent(line: CheckedPort) -> RadioStatus:
 
 @check("a radio reports its version, its status and received messages", "simulators", turret=RADIO_NUMBER)
 def reports(line: CheckedPort) -> None:
-    ask_turret(line, RADIO_NUMBER, "B", 2)
+    expect_range(f"T,{RADIO_NUMBER},B", _numbers(line, "B", 2), 0, 255)
     _wait_until_sent(line)
     for _ in range(_MAX_READS):
         has_message = _status(line) & RadioStatus.RECEIVED
-        sender, length, *data = ask_turret(line, RADIO_NUMBER, "R", 2 + RADIO_BYTES)
+        sender, length, *data = _numbers(line, "R", 2 + RADIO_BYTES)
         expect_range("the sender of a message", [sender], 0, NOBODY)
         expect_range("the length of a message", [length], 0, RADIO_BYTES)
         expect_range("a byte of a message", data, 0, 255)
@@ -63,7 +65,7 @@ def reports(line: CheckedPort) -> None:
 @check("a radio refuses unknown commands and wrong parameters", "assumed", turret=RADIO_NUMBER)
 def refusals(line: CheckedPort) -> None:
     _wait_until_sent(line)
-    ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
+    _numbers(line, _order(RADIO_ALL, 0), 0)
     _wait_until_sent(line)
     invalid = ["S", f"S,{NOBODY},1,2", _order(NOBODY, 1) + ",0", _order(NOBODY, RADIO_BYTES + 1)]
     invalid += [_order(NOBODY, -1), _order(NOBODY, 1, 256), _order(NOBODY + 1, 1), _order(RADIO_ALL - 1, 1)]
@@ -76,7 +78,7 @@ def refusals(line: CheckedPort) -> None:
 @check("a radio's message to all needs no acknowledgement", "radio base manual, A", turret=RADIO_NUMBER)
 def broadcast(line: CheckedPort) -> None:
     _wait_until_sent(line)
-    ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 5, *b"hello"), 0)
+    _numbers(line, _order(RADIO_ALL, 5, *b"hello"), 0)
     if (status := _wait_until_sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a message to all failed: status {status:d}")
 
@@ -87,8 +89,8 @@ def one_at_a_time(line: CheckedPort) -> None:
     message = f"T,{RADIO_NUMBER},{_order(NOBODY, 1, 7)}"
     status_request = f"T,{RADIO_NUMBER},F"
     line.send(f"{message}\n{status_request}\n{message}\n")
-    numbers_of_turret(message, line.reply(message), 0)
-    [status] = numbers_of_turret(status_request, line.reply(status_request), 1)
+    line.next_numbers(message, 0)
+    [status] = line.next_numbers(status_request, 1)
     second = line.reply(message)
     if RadioStatus(status) & RadioStatus.READY:
         raise Deviation(f"a radio that sends has the status {status}; expected one without the first bit")
@@ -104,11 +106,11 @@ def one_at_a_time(line: CheckedPort) -> None:
 )
 def failure(line: CheckedPort) -> None:
     _wait_until_sent(line)
-    ask_turret(line, RADIO_NUMBER, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
+    _numbers(line, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
     for _ in range(2):
         if not (status := _wait_until_sent(line)) & RadioStatus.FAILED:
             raise Deviation(f"a message to nobody did not fail: status {status:d}")
-    ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
+    _numbers(line, _order(RADIO_ALL, 0), 0)
     if (status := _wait_until_sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a radio reports the failure of an earlier message: status {status:d}")
 
@@ -116,7 +118,7 @@ def failure(line: CheckedPort) -> None:
 @check("a restart drops the message that a radio sends", "assumed", turret=RADIO_NUMBER)
 def restart(line: CheckedPort) -> None:
     _wait_until_sent(line)
-    ask_turret(line, RADIO_NUMBER, _order(NOBODY, 1, 7), 0)
+    _numbers(line, _order(NOBODY, 1, 7), 0)
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
     if (status := _status(line)) != RadioStatus.READY:

@@ -8,7 +8,6 @@ from khep_twin.lab.conformance.port.check import (
     REFUSED,
     CheckedPort,
     Deviation,
-    ask_turret,
     check,
     expect_in_time,
     expect_range,
@@ -30,7 +29,7 @@ _CONTRAST = 60
 
 def _values(line: CheckedPort, message: str, count: int, limit: int = 255) -> list[int]:
     """Return the numbers of a reply; raise a `Deviation` unless there are `count` from 0 to a limit."""
-    values = ask_turret(line, K213_NUMBER, message, count)
+    values = line.numbers(f"T,{K213_NUMBER},{message}", count)
     expect_range(f"T,{K213_NUMBER},{message}", values, 0, limit)
     return values
 
