@@ -1,7 +1,7 @@
 """Both Khepera IIIs in the tools that serve a robot of any model."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.robots.khepera3.model import MODELS, SAMPLED
+from khep_twin.robots.khepera3.registers import MotorRegister as R
 from khep_twin.robots.registry import find_model
 from khep_twin.shadow.recording import read_recording
 from khep_twin.world import World
@@ -83,7 +84,7 @@ def test_an_empty_battery_stops_and_darkens_the_robot_in_its_readings_too() -> N
     world.robots[0].send(b"K,0,1\n" + ORDER)
     world.advance(1.5)
     readings = world.robots[0].readings()
-    assert not world.robots[0].is_powered
+    assert not cast(Any, world.robots[0]).is_powered
     assert (readings["speed"], readings["duty"], readings["leds"]) == ([0] * 4, [0] * 2, [0] * 2)
     assert readings["battery"] == [6000, 0, 0]
 
@@ -122,10 +123,9 @@ def test_a_program_at_a_port_reads_the_registers_of_all_terms(rom: str) -> None:
 def test_a_log_without_a_line_becomes_requests_that_its_robot_answers(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with open_twin(pen(("khepera3", 300, 0)), TwinOptions(log=str(log))) as twin:
-        for motor in twin.world.robots[0].bus.motors:  # type: ignore[attr-defined]
-            motor.set(0x28, 1, 1)
-            motor.set(0x2C, 1, 3)
-            motor.set(0x2F, 4, 15_000)
+        for motor in cast(Any, twin.world.robots[0]).bus.motors:
+            for register, size, value in ((R.MODE, 1, 1), (R.CONTROL, 1, 3), (R.SET_POINT, 4, 15_000)):
+                motor.set(register, size, value)
         twin.world.advance(STEP_S)
     (robot,) = World(pen(("khepera3", 300, 0)), noise=False).robots
     requests = [chunk.data for chunk in read_recording(log).chunks if chunk.to_robot]
