@@ -1,14 +1,12 @@
 """Connection to a robot of any model, by its host class."""
 
-import re
 from typing import Any, cast
 
 from khep_twin.host.host_robot import HostRobot, open_robot
 from khep_twin.host.opening import BAUD_RATES, find_baud_rate
 from khep_twin.host.robot_port import RobotPort
 from khep_twin.robots.framing import LINES
-from khep_twin.robots.model import RobotModel
-from khep_twin.robots.registry import default_model, find_family, find_model, installed_models
+from khep_twin.robots.registry import default_model, find_family, find_model, find_replying_model
 
 
 def connect(url: str, timeout: float | None = None, baudrate: int = 0, family: str = "") -> HostRobot:
@@ -40,7 +38,7 @@ def connect(url: str, timeout: float | None = None, baudrate: int = 0, family: s
         )
     finally:
         port.close()
-    model = _model_of(identity)
+    model = find_replying_model(identity) or expected_model
     modes = [mode for rom in model.roms.values() for mode in rom.modes.values()]
     # A twin at a port without a baud rate answers at any, also at one that its robot has not.
     has_rate = baudrate or any(mode.baud == found_baudrate for mode in modes)
@@ -49,18 +47,3 @@ def connect(url: str, timeout: float | None = None, baudrate: int = 0, family: s
     )
     robot.identity = identity
     return robot
-
-
-def _model_of(identity: str) -> RobotModel:
-    """Return the model that identifies itself so, the one with the BIOS nearest to that in its reply."""
-    models = [
-        model for model in installed_models().values() if model.dialect.versions_reply.fullmatch(identity)
-    ]
-    version = _parse_version(identity)
-    return min(models, key=lambda model: abs(_parse_version(next(iter(model.roms.values())).bios) - version))
-
-
-def _parse_version(text: str) -> float:
-    """Return the first number in a text, 0 if there is none."""
-    match = re.search(r"\d+(\.\d+)?", text)
-    return float(match[0]) if match else 0.0

@@ -11,7 +11,7 @@ from khep_twin.ports.port_users import port_user
 from khep_twin.ports.service_registry import served_ports
 from khep_twin.renamed import renamed_attribute
 from khep_twin.robots.model import RobotModel
-from khep_twin.robots.registry import find_replying_family
+from khep_twin.robots.registry import find_replying_model
 
 _TIMEOUT_S = 0.3
 """Longest wait for a reply to command B [s]."""
@@ -54,7 +54,7 @@ def identify_robot(url: str) -> tuple[int, RobotModel, str] | None:
     A port that another program has open is not opened, as the programs would share its bytes.
 
     Returns:
-        Baud rate, first model of its family and text of its reply; None without a reply.
+        Baud rate, model and text of its reply; None without a reply.
 
     Raises:
         PortInUse: Another program has the port open.
@@ -65,7 +65,7 @@ def identify_robot(url: str) -> tuple[int, RobotModel, str] | None:
     port = open_port(url, 9600, _TIMEOUT_S, exclusive=True)
     try:
         baud_rate, reply = find_baud_rate(port, url, time.monotonic)
-        model = find_replying_family(reply)
+        model = find_replying_model(reply)
         return None if model is None else (baud_rate, model, reply)
     except PortTimeout:
         return None

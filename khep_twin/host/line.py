@@ -19,7 +19,7 @@ from khep_twin.host.final_stop import STOP_WAIT, FinalStop, StopResult
 from khep_twin.host.resynchronization import Resynchronization
 from khep_twin.host.robot_port import RobotPort
 from khep_twin.robots.model import Dialect, RobotModel
-from khep_twin.robots.registry import find_model, find_other_family
+from khep_twin.robots.registry import find_model, find_other_model
 from khep_twin.units import BITS_PER_BYTE
 
 Value = TypeVar("Value")
@@ -164,7 +164,7 @@ class Line:
             raise self.port.timeout_error(*self._missing_reply, start) from None
         if late_replies is None:
             raise error from None
-        if other := find_other_family(self._dialect, self._resynchronization.versions_reply):
+        if other := find_other_model(self._dialect, self._resynchronization.versions_reply):
             text = f"{error}; {other.dialect.robot_name} answers so"
             raise self._model_error(ProtocolError, text, other) from None
         return late_replies
@@ -174,7 +174,7 @@ class Line:
         if self.port.model is not None:  # checked at the opening
             return
         with suppress(PortTimeout, ProtocolError):
-            if other := find_other_family(self._dialect, self.ask(self._dialect.probes[0])):
+            if other := find_other_model(self._dialect, self.ask(self._dialect.probes[0])):
                 raise self._port_error(other)
 
     def _port_error(self, other: RobotModel) -> PortError:

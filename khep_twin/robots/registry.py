@@ -1,5 +1,6 @@
 """Models of robots by name: those that ship, and those of other packages."""
 
+import re
 import warnings
 from collections.abc import Container, Iterable, Mapping
 from functools import cache
@@ -16,6 +17,8 @@ from khep_twin.robots.model_checks import check_model
 
 DEFAULT = "khepera1"
 """Model of robots that a file or an option does not name."""
+
+_NUMBER = re.compile(r"\d+(\.\d+)?")
 
 _failures: dict[str, RobotModelError] = {}
 """Errors of the models that cannot be used, by name."""
@@ -91,17 +94,23 @@ def find_family(name: str) -> RobotModel:
     return _shipped_families().get(name) or installed_families().get(name) or find_model(name)
 
 
-def find_replying_family(versions_reply: str) -> RobotModel | None:
-    """Return the first model of the family that identifies itself so; None without one."""
-    families = installed_families().values()
-    matches = (model for model in families if model.dialect.versions_reply.fullmatch(versions_reply))
-    return next(matches, None)
+def find_replying_model(versions_reply: str) -> RobotModel | None:
+    """Return the model that identifies itself so, the one with the nearest BIOS; None without one."""
+
+    def difference(model: RobotModel) -> float:
+        texts = next(iter(model.roms.values())).bios, versions_reply
+        bios, version = (float(match[0]) if (match := _NUMBER.search(text)) else 0.0 for text in texts)
+        return abs(bios - version)
+
+    models = installed_models().values()
+    matches = (model for model in models if model.dialect.versions_reply.fullmatch(versions_reply))
+    return min(matches, key=difference, default=None)
 
 
-def find_other_family(dialect: Dialect, versions_reply: str) -> RobotModel | None:
-    """Return the first model of the family that identifies itself so; None for this dialect, or none."""
+def find_other_model(dialect: Dialect, versions_reply: str) -> RobotModel | None:
+    """Return the model that identifies itself so; None for this dialect, or without one."""
     is_same = dialect.versions_reply.fullmatch(versions_reply)
-    return None if is_same else find_replying_family(versions_reply)
+    return None if is_same else find_replying_model(versions_reply)
 
 
 def installed_roms() -> Mapping[str, Rom]:

@@ -176,6 +176,7 @@ def test_wheels_of_a_body_and_of_its_usual_calibration_are_the_same(toy: RobotMo
     ("model", "text"),
     [
         ("khepera2", ": BIOS 6.01, protocol 5.01 at 9600 baud"),
+        ("khepera3", ": Khepera III, b,3,0 at 115200 baud"),
         ("khepera4", ": Khepera IV, b,B,0 at 115200 baud"),
         ("toy", ": Toy, C501546F7901FD at 9600 baud"),
     ],

@@ -40,11 +40,13 @@ def test_a_new_program_begins_with_the_template_and_is_saved(client: Client, tmp
     assert "mine.py" in client.do("list")[1]["programs"]
 
 
-@pytest.mark.parametrize("robot", [0, 2])
+@pytest.mark.parametrize(("playpen", "robot"), [("arena4-two", 0), ("arena4-two", 2), ("arena3", 0)])
 @pytest.mark.parametrize("is_shipped", [True, False])
-def test_the_template_of_each_model_runs_as_it_stands(tmp_path: Path, robot: int, is_shipped: bool) -> None:
+def test_the_template_of_each_model_runs_as_it_stands(
+    tmp_path: Path, playpen: str, robot: int, is_shipped: bool
+) -> None:
     """Without a template, a robot drives straight ahead."""
-    twin = open_twin("arena4-two", TwinOptions(robot=robot))
+    twin = open_twin(playpen, TwinOptions(robot=robot))
     model = twin.robot_model
     (tmp_path / "mine.py").write_text(template_of(model if is_shipped else replace(model, template="")))
     controller = find_controller(str(tmp_path / "mine.py"))

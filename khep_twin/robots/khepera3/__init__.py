@@ -1,7 +1,7 @@
 """The Khepera III: a dsPIC with infrared and ultrasonic sensors, and two motor controllers, on one I2C bus.
 
 Sources, as cited in this package:
-    manual      Khepera III User Manual 2.2, K-Team, and the example program of version 3.3
+    manual      Khepera III User Manual 3.5, K-Team, 2013
     library     libkorebot 1.16 with its programs khepera3_test and kh3server 1.0, as published
     toolbox     Khepera III Toolbox, 2006 to 2009, and its recordings of infrared sensors
     webots      model Khepera3 of Webots

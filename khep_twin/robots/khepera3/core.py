@@ -29,7 +29,7 @@ from khep_twin.sensing.sonar import cast_level_rays
 from khep_twin.units import TICK_NS
 
 CUT_OFF = 6.0
-"""Voltage at which the robot stops [V] (assumed)."""
+"""Voltage at which the battery switches itself off [V] (manual)."""
 
 _AVERAGE_TICKS = 3000
 """Control periods over which the gauge takes its average current (assumed)."""
