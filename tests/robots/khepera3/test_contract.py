@@ -84,7 +84,7 @@ def test_an_empty_battery_stops_and_darkens_the_robot_in_its_readings_too() -> N
     world.robots[0].send(b"K,0,1\n" + ORDER)
     world.advance(1.5)
     readings = world.robots[0].readings()
-    assert not cast(Any, world.robots[0]).is_powered
+    assert not world.robots[0].firmware.powered
     assert (readings["speed"], readings["duty"], readings["leds"]) == ([0] * 4, [0] * 2, [0] * 2)
     assert readings["battery"] == [6000, 0, 0]
 
