@@ -20,7 +20,6 @@ ORDER = [
         "robots.khepera.model",
         "robots.khepera3.channels",
         "robots.khepera3.registers",
-        "robots.khepera3.vehicle",
         "robots.khepera4.channels",
         "robots.khepera4.registers",
     ],

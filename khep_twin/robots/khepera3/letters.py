@@ -22,9 +22,8 @@ import struct
 from collections.abc import Sequence
 
 from khep_twin.robots.khepera3.bus import Bus
-from khep_twin.robots.khepera3.model import KHEPERA_3, SERVER
+from khep_twin.robots.khepera3.model import KHEPERA_3, SERVER, SERVER_VEHICLE, VEHICLE
 from khep_twin.robots.khepera3.registers import DEFAULTS, SETTINGS, Control, Mode, MotorRegister, Option
-from khep_twin.robots.khepera3.vehicle import SERVER_VEHICLE, VEHICLE
 from khep_twin.robots.line_server import LONGEST_REQUEST, Command, Reply, VehicleServer
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.buffers import Vector

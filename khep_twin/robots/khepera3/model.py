@@ -20,7 +20,6 @@ from khep_twin.robots.khepera3.channels import (
     ULTRASONIC,
 )
 from khep_twin.robots.khepera3.registers import Control, Mode
-from khep_twin.robots.khepera3.vehicle import VEHICLE
 from khep_twin.robots.model import (
     Dialect,
     Interface,
@@ -32,6 +31,7 @@ from khep_twin.robots.model import (
     parse_channels,
     parts_of,
 )
+from khep_twin.robots.vehicle import Vehicle
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -84,6 +84,26 @@ BODY = Body(
 )
 """Mass and sensors: webots; wheels: manual; wheel base: toolbox; pulses of firmware 3.0: a public program;
 1400 mAh that last 4 hours: manual; diameter and height: K-Team's product page (remembered)."""
+
+VEHICLE = Vehicle(
+    left=(2, 2, 2, 5, -12, -4, -2, 2, 4),
+    right=(2, -2, -4, -12, 5, 2, 2, 2, 4),
+    threshold=100,
+    saturation=1000,
+    divisor=30 * 12,
+    forward=20,
+    min_speed=10,
+    turn=50,
+    moved_pulses=700,
+    front=slice(3, 5),
+    unit=256,
+    gain=12,  # at power-up (manual)
+    waits=True,
+)
+"""Vehicle of letter A (library); the firmware's has the gain of its configuration (assumed)."""
+
+SERVER_VEHICLE = replace(VEHICLE, left=(0, *VEHICLE.left), right=(0, *VEHICLE.right), is_unsigned=True)
+"""That of kh3server, which passes the readings 1 to 9: the last is that of the right ground sensor."""
 
 SAMPLED = consecutive_registers(CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""
