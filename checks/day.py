@@ -44,7 +44,7 @@ def ask(path: str) -> None:
     while True:
         os.write(port, b"N\n")
         reply = b""
-        while not reply.endswith(b"\n"):
+        while b"\n" not in reply:
             reply += os.read(port, 4096)
 
 
@@ -53,7 +53,7 @@ def day(hours: float, log: Path, seed: int) -> float:
     end_ns = round(hours * HOUR_NS)
     start_s, first, next_ns = time.monotonic(), 0.0, WARM_NS
     with ExitStack() as stack:
-        compile_all(["world"])
+        compile_all(parts=["world"])
         twin = stack.enter_context(
             open_twin(("arena3", "obstacles", "arena4")[seed % 3], TwinOptions(seed=seed, log=str(log)))
         )

@@ -120,7 +120,7 @@ def _poll(path: str, end_s: float) -> list[tuple[float, str]]:
         while time.monotonic() < end_s:
             os.write(port, b"N\n")
             reply = b""
-            while not reply.endswith(b"\n"):
+            while b"\n" not in reply:
                 if not select.select([port], [], [], max(end_s - time.monotonic(), 0))[0]:
                     return replies
                 reply += os.read(port, 4096)

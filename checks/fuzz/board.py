@@ -2,11 +2,14 @@
 
     python -m checks fuzz-board -runs=1000000        with atheris (libFuzzer)
 
-The first byte chooses the board, a Khepera IV's with the highest bit. 0xFE runs a control tick, 0xFD cuts the
-bytes into pieces; all others cross the line. `check` has the conditions.
+The first byte chooses the board, a Khepera IV's with the highest bit, a Khepera III's also with the next one.
+The latter has a bus: a piece that starts with the address of a device is a message to it. 0xFE runs a control
+tick, 0xFD cuts the bytes into pieces; all others cross the line. `check` has the conditions.
 """
 
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from checks.fuzz.libfuzzer import fuzz
 from tools.command_table import ROOT
@@ -64,7 +67,7 @@ def check(data: bytes) -> None:
 
     choice, stream = (data[0] if data else 0), data[1:]
     if choice & KHEPERA4:
-        check_khepera4(stream)
+        (check_khepera3 if choice & 0x40 else check_khepera4)(stream)
         return
     rom = ROMS[list(ROMS)[choice % len(ROMS)]]
     turrets = {kind: kind.make() for kind in find_turrets(["gripper"] if choice & 0x40 else [])}
@@ -129,10 +132,49 @@ def check_khepera4(stream: bytes) -> None:
     assert server.receive(b"b\n") == b"$\r\n"
 
 
+@cache
+def khepera3_world() -> tuple[Any, bytes]:
+    """Return a world with a Khepera III, and its state at the start."""
+    from khep_twin.world import World
+
+    world = World("arena3", compiled=False)
+    return world, world.snapshot()
+
+
+def check_khepera3(stream: bytes) -> None:
+    """Feed one input to the line and the bus of a Khepera III and check their reaction.
+
+    Raises:
+        AssertionError: A PWM or a number left its range, or line or bus are out of step afterwards.
+    """
+    world, start = khepera3_world()
+    world.restore(start)
+    robot = world.robots[0]
+    for piece in stream.replace(bytes([TICK]), bytes([CUT, TICK, CUT])).split(bytes([CUT])):
+        if piece == bytes([TICK]):
+            world.advance(0.01)
+            for pwm in robot.readings()["duty"]:
+                assert -1023 <= pwm <= 1023, pwm
+        elif piece and (device := robot.bus.devices.get(piece[0])):
+            device.write(piece[1:] or piece)
+            assert len(device.read(29)) == 29
+        else:
+            robot.firmware.receive(piece)
+    world.restore(world.snapshot())
+    robot.bus.dspic.write(b"\x02B")
+    assert robot.bus.dspic.read(7) == b"\x05\x00b\x03\x00\x00\x00"
+    assert robot.firmware.receive(b"\nB\n").endswith(b"b,3,0\n\r")
+
+
 def seeds(folder: Path) -> None:
     """Write the hosts' bytes of the transcripts, and commands of kh4server, as seed inputs."""
     for number, command in enumerate(KHEPERA4_COMMANDS):
         (folder / f"khepera4-{number}").write_bytes(bytes([KHEPERA4]) + command + b"\r\n\xfe")
+        (folder / f"khepera3-{number}").write_bytes(bytes([KHEPERA4 | 0x40]) + command + b"\n\xfe")
+    for number, message in enumerate(
+        (b"\x31\x03G\x03", b"\x31\x02N", b"\x29\x28\x01", b"\x2a\x2f\x7f", b"\x68\x00")
+    ):
+        (folder / f"khepera3-bus-{number}").write_bytes(bytes([KHEPERA4 | 0x40, CUT]) + message + b"\xfe\xfe")
     for transcript in TRANSCRIPTS.glob("*.txt"):
         host_lines = [line[2:] for line in transcript.read_text().splitlines() if line.startswith("> ")]
         for number, line in enumerate(host_lines):
@@ -142,5 +184,8 @@ def seeds(folder: Path) -> None:
 
 def main() -> None:
     """Run libFuzzer with options of the command line."""
-    modules = ("khep_twin", "khep_twin.firmware", "khep_twin.board.gripper_body", "khep_twin.robots.khepera4")
+    modules = (
+        *("khep_twin", "khep_twin.firmware", "khep_twin.board.gripper_body"),
+        *("khep_twin.robots.khepera3", "khep_twin.robots.khepera4"),
+    )
     fuzz(check, seeds, modules, "-max_len=512")

@@ -207,11 +207,7 @@ def _get(table, index):
 @overload(operator.setitem)
 def _set(table, index, value):
     if isinstance(index, types.IntEnumMember):
-
-        def set_at(table, index, value):
-            table[index.value] = value
-
-        return set_at
+        return lambda table, index, value: operator.setitem(table, index.value, value)
     if isinstance(table, _Obstacles):
 
         def set_value(table, index, value):

@@ -123,13 +123,12 @@ def _run_controller(
     if not 0 <= robot_index < len(twin.world.robots):
         raise LogError(f"{plan.log}: robot = {robot_index}; expected 0 to {len(twin.world.robots) - 1}")
     resumed.hosts.drop_host(robot_index)
-    single_robot_twin = Twin(twin.world, (twin.world.robots[robot_index],), twin.options, resumed.hosts)
+    twin = Twin(twin.world, (twin.world.robots[robot_index],), twin.options, resumed.hosts)
     seconds = (
         None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0) or DEFAULT_DURATION_S
     )
     controller = as_controller(controller)
-    port, model = Serial.of(single_robot_twin, timeout=1.0), single_robot_twin.robot_model
-    with open_robot(model, port) as robot, stopped_at_end(controller, robot):
+    with open_robot(twin.robot_model, Serial.of(twin, 1.0)) as robot, stopped_at_end(controller, robot):
         run(controller, robot, cycles=plan.cycles, seconds=seconds, progress=progress, stop=stop)
 
 

@@ -21,13 +21,12 @@ Row = tuple[str, str]
 
 def definitions() -> tuple[Row, ...]:
     """Return the definitions of the rows."""
-    family = default_model().family
-    further_models = [model for model in installed_models().values() if model.family != family]
-    near_counts = "".join(f", of a {model.title} {model.body.near_counts}" for model in further_models)
+    models = [model for model in installed_models().values() if model.family != default_model().family]
+    near_counts = "".join(f", of a {model.title} {model.body.near_counts}" for model in models)
     wheels = "".join(
         f", of a {model.title} {1000 * model.body.pulse_length:.4f} mm and "
         f"{1000 * model.body.wheel_base:g} mm"
-        for model in further_models
+        for model in models
     )
     return (
         (

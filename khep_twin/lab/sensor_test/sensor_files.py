@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import __version__
-from khep_twin.errors import LogError, SensorTestError, choices
+from khep_twin.errors import LogError, RobotModelError, SensorTestError
 from khep_twin.files.atomic import read_regular, write_atomic
 from khep_twin.files.mat_file import mat_bytes
 from khep_twin.files.paths import StrPath
@@ -32,7 +32,7 @@ from khep_twin.log.decoding import printable
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
 from khep_twin.robots.model import robot_name
-from khep_twin.robots.registry import default_model, find_family, installed_families, installed_models
+from khep_twin.robots.registry import default_model, find_family
 
 SUFFIXES = (".csv", ".mat", ".mcap")
 
@@ -83,7 +83,7 @@ def load(path: StrPath, what: QuantityName | None = None) -> SensorRun:
         if kind == ".csv":
             return _parse_csv(data)
         return read_mat(data, what) if kind == ".mat" else _read_log(path)
-    except SensorTestError as error:
+    except (RobotModelError, SensorTestError) as error:
         raise SensorTestError(f"{path}: {error}") from None
 
 
@@ -128,8 +128,6 @@ def _parse_test(texts: Mapping[str, str]) -> SensorTest:
     )
     speed, acceleration, return_to_zero = map(read_integer, ("speed", "acceleration", "return_to_zero"))
     model = texts.get("model", default_model().family)
-    if model not in (names := {**installed_families(), **installed_models()}):
-        raise SensorTestError(f"model = {printable(model)}; {choices(model, names)}")
     test = SensorTest(quantity, linear_cm, rotate_deg, speed, acceleration, bool(return_to_zero), model)
     if texts.get("motion") != test.motion:
         raise SensorTestError(f"motion = {printable(texts.get('motion', ''))}; expected {test.motion} here")

@@ -134,13 +134,11 @@ _FRAMING = Lines(number=re.compile("[dl]?(-?[0-9]{1,10})"), has_reversed_ends=Tr
 """Numbers in requests have a prefix of their size. Replies end in LF CR (a host), of kh3server in CR LF."""
 
 _READS = {
-    name: Read(letter, n_values, _REGISTERS[name][:n_used], range(n_used))
-    for name, letter, n_values, n_used in (
-        *(("proximity", "N", 12, 11), ("ambient", "O", 12, 11)),
-        *(("speed", "E", 2, 2), ("position", "R", 2, 2)),
+    name: Read(letter, n_values, _REGISTERS[name][:n_values], range(min(n_values, len(_REGISTERS[name]))))
+    for name, letter, n_values in (
+        *(("proximity", "N", 12), ("ambient", "O", 12), ("speed", "E", 2), ("position", "R", 2)),
     )
-}
-_READS |= {
+} | {
     f"ultrasonic {number}": Read(f"G,{number}", 17, [register], [1])
     for number, register in enumerate(_REGISTERS["ultrasonic"], 1)
 }

@@ -4,6 +4,7 @@ import random
 
 import pytest
 
+from khep_twin.board.memory import write_number
 from khep_twin.playpen import parse
 from khep_twin.programs.computer import READ_FLAG, Machine
 from khep_twin.robots.khepera3.motor_control import Motor, control_motor, power_up, set_order
@@ -34,8 +35,8 @@ def test_an_echo_from_before_a_reset_of_the_timer_has_the_time_0() -> None:
     world, robot = robot_in_pen()
     world.advance(0.26)
     assert robot.bus.dspic.execute(b"Z") == b"z"
-    echo_count, distance_cm, _, time_ms, *_ = robot.bus.dspic.ask("G", 3) or ()
-    assert (echo_count, distance_cm, time_ms) == (1, pytest.approx(44, abs=1), 0)
+    reply = [*(robot.bus.dspic.ask("G", 3) or ())]  # number of echoes, distance [cm], amplitude, time [ms]
+    assert [*reply[:2], reply[3]] == [1, pytest.approx(44, abs=1), 0]
     assert len(robot.bus.dspic.execute(b"G\x03")) == 45
 
 
@@ -52,7 +53,8 @@ def test_a_program_that_stops_below_20_cm_gets_such_a_reading() -> None:
 
 def test_the_largest_error_of_position_is_a_number_of_32_bits() -> None:
     motor = power_up(1)
-    motor.memory[MotorRegister.POSITION_GAINS :][:6] = 0xFF, 0x7F, 0xFF, 0x7F, 0xFF, 0x7F
+    for gain in range(3):
+        write_number(motor.memory, MotorRegister.POSITION_GAINS + 2 * gain, 2, 0x7FFF)
     motor.numbers[Motor.POSITION] = -(2**31)
     set_order(motor, Control.POSITION.value, 2**31 - 1)
     control_motor(motor)
