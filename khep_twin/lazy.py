@@ -93,7 +93,7 @@ def names(
 
     Args:
         package: Name of the package.
-        further_sources: Pattern of further files with such imports, relative to the folder of this module.
+        further_sources: Pattern of further files whose imports count, relative to the folder of this module.
     """
     module = sys.modules[package]
     further_paths = sorted(Path(__file__).parent.glob(further_sources)) if further_sources else []

@@ -12,7 +12,7 @@ This module knows no model. A package registers its models under the entry point
     host            subclass of `khep_twin.host.HostRobot`: the robot at the other end of a line
     conformance     `khep_twin.lab.conformance.port.conform.Checks`: checks at a port
     program         function that returns C functions for programs on the robot, of networks' registers
-    computer        `khep_twin.programs.computer.Computer`: what programs on the robot's computer use
+    computer        `khep_twin.programs.computer.Computer`: devices and files of programs on the robot
 """
 
 import re

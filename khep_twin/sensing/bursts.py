@@ -39,7 +39,7 @@ def record_scan(robot: Any, simulated: Simulated, inputs: StepInputs, time_ns: i
 
 @compilable
 def start_burst(robot: Any, simulated: Simulated, inputs: StepInputs, time_ns: int, active_mask: int) -> bool:
-    """End the last burst and start that of the next active sensor; return True if it is evaluated at once."""
+    """End the last burst and start that of the next active sensor; return True if it is evaluated now."""
     scene, first, times, last = simulated.scene, robot.first_moment, robot.times, robot.burst[0]
     if last != NONE and not robot.is_eager[0]:
         copy_moment(scene, first + BURST, first + ECHO + last)

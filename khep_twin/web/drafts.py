@@ -104,7 +104,7 @@ def surfaces() -> dict[str, object]:
 
 
 def _calibrations(model: RobotModel) -> Iterator[str]:
-    """Yield the names of the built-in calibrations, and of its own one, that fit a model."""
+    """Yield the names of the built-in calibrations, and of the model's one, that fit a model."""
     for name in dict.fromkeys((*calibration.names(), model.calibration_name)):
         with suppress(CalibrationError):
             calibration.read_for(name, model)

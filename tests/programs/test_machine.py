@@ -10,7 +10,7 @@ BUS, ADDRESS, BYTE_NS = 2, 0x30, 25_000
 COMPUTER = Computer({}, lambda robot: robot.devices, lambda number: {}, BYTE_NS)
 
 
-class Clock:
+class StepClock:
     """A clock without a world."""
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ class BareRobot:
         return self.computer
 
 
-def machine_of(chip: Chip, clock: Clock) -> Machine:
+def machine_of(chip: Chip, clock: StepClock) -> Machine:
     return Machine(BareRobot(Devices({(BUS, ADDRESS): chip})), clock)  # type: ignore[arg-type]
 
 
@@ -63,7 +63,7 @@ def machine_of(chip: Chip, clock: Clock) -> Machine:
 def test_a_message_of_n_bytes_takes_the_time_of_its_address_and_n_bytes(
     messages: list[tuple[int, int, bytes]], byte_ns: int
 ) -> None:
-    clock = Clock()
+    clock = StepClock()
     reply = machine_of(Chip(), clock).transfer(BUS, messages, byte_ns)
     # With its address each message is one byte longer than its content.
     assert clock.time_ns == byte_ns * (sum(len(content) for _, _, content in messages) + len(messages))
@@ -72,7 +72,7 @@ def test_a_message_of_n_bytes_takes_the_time_of_its_address_and_n_bytes(
 
 @pytest.mark.parametrize("fault", ["address", "bus", "power"])
 def test_a_message_without_an_answer_takes_no_time(fault: str) -> None:
-    clock, chip = Clock(), Chip()
+    clock, chip = StepClock(), Chip()
     chip.is_powered = fault != "power"
     with pytest.raises(OSError, match="no device has answered"):
         machine_of(chip, clock).transfer(
@@ -84,7 +84,7 @@ def test_a_message_without_an_answer_takes_no_time(fault: str) -> None:
 def test_slaves_of_the_same_address_on_two_buses_are_two() -> None:
     chips = [Chip(), Chip()]
     devices = Devices({(bus, ADDRESS): chip for bus, chip in enumerate(chips)})
-    machine = Machine(BareRobot(devices), Clock())  # type: ignore[arg-type]
+    machine = Machine(BareRobot(devices), StepClock())  # type: ignore[arg-type]
     for bus, chip in enumerate(chips):
         machine.transfer(bus, [(ADDRESS, 0, bytes([bus + 7]))], 0)
         assert chip.content == machine.transfer(bus, [(ADDRESS, READ_FLAG, b"\0")], 0) == bytes([bus + 7])
@@ -93,7 +93,7 @@ def test_slaves_of_the_same_address_on_two_buses_are_two() -> None:
 def test_pins_keep_their_levels_and_the_devices_see_each_new_one() -> None:
     calls: list[tuple[int, int]] = []
     devices = Devices({}, {65: 1}, lambda pin, level: calls.append((pin, level)))
-    machine = Machine(BareRobot(devices), Clock())  # type: ignore[arg-type]
+    machine = Machine(BareRobot(devices), StepClock())  # type: ignore[arg-type]
     assert (machine.pin(65), machine.pin(3)) == (1, 0)
     machine.set_pin(3, 5)
     machine.set_pin(65, 0)
@@ -101,7 +101,7 @@ def test_pins_keep_their_levels_and_the_devices_see_each_new_one() -> None:
 
 
 def test_time_never_goes_back() -> None:
-    clock = Clock()
+    clock = StepClock()
     machine = machine_of(Chip(), clock)
     machine.advance_to(500)
     machine.advance_to(400)

@@ -1,4 +1,4 @@
-"""Light of the floor: on a sensor by itself, and by way of objects; figures of a real Khepera III."""
+"""Light of the floor: on a sensor, directly and by way of objects; figures of a real Khepera III."""
 
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@
 
 A message to the dsPIC is a command: the number of all bytes, a letter and arguments. Its reply is a frame:
 the number of bytes after the second one, a filler (0 assumed), the letter and data. A read uses up one byte
-more than it returns, as both ways of reading show: one byte and then the rest (library), or all at once
+more than it returns, as both ways of reading show: one byte and then the rest (library), or all in one
 (toolbox).
 
 A message to a motor controller is a register and a byte for it (toolbox); further bytes have no effect
@@ -24,8 +24,8 @@ from khep_twin.programs.computer import Slave
 from khep_twin.robots.khepera3 import registers, state
 from khep_twin.robots.khepera3.channels import GROUND, RING
 from khep_twin.robots.khepera3.model import FIRST
-from khep_twin.robots.khepera3.motor_control import Motor, MotorState, halt, reset
-from khep_twin.robots.khepera3.registers import Mode, MotorRegister, Setting
+from khep_twin.robots.khepera3.motor_control import MotorState, Pic, halt, reset
+from khep_twin.robots.khepera3.registers import MotorRegister, PicMode, Setting
 from khep_twin.robots.khepera3.state import N_ECHO, SETTING, Khepera3State
 
 FRAMES = {
@@ -44,10 +44,10 @@ _ECHO_COUNT_SETTING = 254
 """Index of a setting by which the toolbox sets the number of echoes."""
 
 _LATCHES = {
-    MotorRegister.POSITION + 3: (4, Motor.POSITION),
-    MotorRegister.SPEED + 3: (4, Motor.SPEED),
-    MotorRegister.CURRENT + 1: (2, Motor.CURRENT),
-    MotorRegister.OUTPUT + 1: (2, Motor.PWM),
+    MotorRegister.POSITION + 3: (4, Pic.POSITION),
+    MotorRegister.SPEED + 3: (4, Pic.SPEED),
+    MotorRegister.CURRENT + 1: (2, Pic.CURRENT),
+    MotorRegister.OUTPUT + 1: (2, Pic.PWM),
 }
 """Size of a measured number, and the number, by the register of its highest byte."""
 
@@ -97,17 +97,17 @@ class MotorController(_Device):
             halt(self._motor)
         memory[register] = byte
         if register == MotorRegister.SET_POINT:
-            numbers[Motor.SET_POINT] = read_signed(memory, register, 4)
-            numbers[Motor.ON_TARGET] = 0
+            numbers[Pic.SET_POINT] = read_signed(memory, register, 4)
+            numbers[Pic.ON_TARGET] = 0
         elif register == MotorRegister.POSITION:
-            numbers[Motor.POSITION] = read_signed(memory, register, 4)
-        elif register == MotorRegister.MODE and byte == Mode.STOP:
-            numbers[Motor.HELD] = numbers[Motor.POSITION]
-        elif register == MotorRegister.MODE and byte == Mode.RESET:
+            numbers[Pic.POSITION] = read_signed(memory, register, 4)
+        elif register == MotorRegister.MODE and byte == PicMode.STOP:
+            numbers[Pic.HOLD_POSITION] = numbers[Pic.POSITION]
+        elif register == MotorRegister.MODE and byte == PicMode.RESET:
             reset(self._motor)
-        elif register == MotorRegister.MODE and byte in (Mode.SAVE, Mode.SEARCH):
-            # A search of limits ends at once, and settings are not saved (assumed).
-            memory[register] = Mode.IDLE
+        elif register == MotorRegister.MODE and byte in (PicMode.SAVE, PicMode.SEARCH):
+            # A search of limits ends immediately, and settings are not saved (assumed).
+            memory[register] = PicMode.IDLE
 
     def read(self, count: int) -> bytes:
         """Return the byte of the selected register, `count` times."""
@@ -131,7 +131,7 @@ class MotorController(_Device):
             self.write(bytes([register + offset, value >> 8 * offset & 0xFF]))
 
 
-class Dspic(_Device):
+class DspicDevice(_Device):
     """The dsPIC.
 
     Args:
@@ -156,7 +156,7 @@ class Dspic(_Device):
         return self._robot.board[SETTING + Setting.VEHICLE_GAIN]
 
     def write(self, message: bytes) -> None:
-        """Execute a command; one of another length than its first byte says has no effect (assumed)."""
+        """Execute a command; one whose first byte is not its length has no effect (assumed)."""
         if 1 < message[0] == len(message):
             reply = self.execute(message[1:])
             self._frame = bytes([len(reply), 0]) + reply if reply else b""
@@ -210,7 +210,7 @@ class Dspic(_Device):
         return self._read_infrared("ambient")
 
     def _on_v(self, kind: int) -> Sequence[int]:
-        """Return whole part and fraction in 1/10,000, of degrees in tenths, of a value (manual)."""
+        """Return integer part and fraction in 1/10,000, of degrees in tenths, of a value (manual)."""
         battery = self._robot.battery
         level = charge_level(battery[state.USED], state.CAPACITY)
         values = (
@@ -219,9 +219,9 @@ class Dspic(_Device):
             *((_TEMPERATURE, 10), (100 * level, 1)),
         )
         value, parts = values[kind] if kind < len(values) else (0, 1)  # kh3server's $ to others needs one
-        whole, fraction = divmod(round(abs(value) * parts), parts)
-        # Sign and magnitude: the highest bit of the whole part (library).
-        return whole | (value < 0) << 15, fraction
+        integer, fraction = divmod(round(abs(value) * parts), parts)
+        # Sign and magnitude: the highest bit of the integer part (library).
+        return integer | (value < 0) << 15, fraction
 
     def _on_z(self) -> Sequence[int]:
         self._robot.board[state.TIMER_ZERO_MS] = self.time_ms()
@@ -242,7 +242,7 @@ class RealTimeClock(_Device):
         dspic: Its dsPIC, which has the time.
     """
 
-    def __init__(self, robot: Khepera3State, dspic: Dspic) -> None:
+    def __init__(self, robot: Khepera3State, dspic: DspicDevice) -> None:
         super().__init__(robot)
         self._dspic, self._register = dspic, 0
 
@@ -259,7 +259,7 @@ class RealTimeClock(_Device):
 
 
 class Bus:
-    """All devices.
+    """Devices of the robot on its bus.
 
     Args:
         robot: State of the robot.
@@ -272,7 +272,7 @@ class Bus:
     """
 
     def __init__(self, robot: Khepera3State, version: tuple[int, int]) -> None:
-        self.dspic = Dspic(robot, version)
+        self.dspic = DspicDevice(robot, version)
         self.motors = MotorController(robot, robot.left), MotorController(robot, robot.right)
         self.devices: dict[int, Slave] = {
             registers.DSPIC: self.dspic,

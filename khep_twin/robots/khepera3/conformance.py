@@ -52,12 +52,12 @@ def _ultrasonic(line: CheckedPort) -> None:
         line.order(f"C,0,d{mask}", f"C,1,d{limit}", pause=_ROUND_S)
         for sensor in range(len(ULTRASONIC)):
             count, *numbers, _ = line.numbers(f"G,{sensor + 1}", 17)
-            distances, most = numbers[::3], limit if mask >> sensor & 1 else 0
-            is_sound = count <= most and all(20 <= cm <= 400 for cm in distances[:count])
+            distances, largest = numbers[::3], limit if mask >> sensor & 1 else 0
+            is_sound = count <= largest and all(20 <= cm <= 400 for cm in distances[:count])
             if not is_sound or any(numbers[3 * count :]) or distances[:count] != sorted(distances[:count]):
                 reply = f"with C,0,d{mask} and C,1,d{limit} G,{sensor + 1} gave {count} echoes, {numbers}"
                 raise Deviation(
-                    f"{reply}; expected up to {most} at 20 to 400 cm, nearest first, 0 after them"
+                    f"{reply}; expected up to {largest} at 20 to 400 cm, nearest first, 0 after them"
                 )
 
 

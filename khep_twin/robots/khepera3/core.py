@@ -17,8 +17,8 @@ from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.letters import Letters, program_of
 from khep_twin.robots.khepera3.model import KHEPERA_3, version_of
-from khep_twin.robots.khepera3.motor_control import Motor, MotorState, direction
-from khep_twin.robots.khepera3.registers import SINGLE_COUNT, Control, Mode, MotorRegister
+from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
+from khep_twin.robots.khepera3.registers import SINGLE_COUNT, ControlType, MotorRegister, PicMode
 from khep_twin.robots.khepera3.state import Khepera3State
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.bursts import MODULES, scan
@@ -41,8 +41,8 @@ _L, _F, _P = map(ord, "LFP")
 def _start(robot: Khepera3State, simulated: Simulated, inputs: StepInputs) -> bool:
     """Count from the wheels' present angles, and measure at time 0."""
     scene = simulated.scene
-    robot.left.numbers[Motor.PULSES] = wheel_pulses(robot, joint_position(scene, robot.angles[0]))
-    robot.right.numbers[Motor.PULSES] = wheel_pulses(robot, joint_position(scene, robot.angles[1]))
+    robot.left.numbers[Pic.PULSES] = wheel_pulses(robot, joint_position(scene, robot.angles[0]))
+    robot.right.numbers[Pic.PULSES] = wheel_pulses(robot, joint_position(scene, robot.angles[1]))
     robot.battery[state.CURRENT] = robot.battery[state.AVERAGE] = robot.idle_current
     measurements.record(robot, simulated, inputs, 0, simulated.timing.step_ns)
     return False
@@ -73,9 +73,9 @@ def _tick(robot: Khepera3State, simulated: Simulated, inputs: StepInputs, time_n
 @compilable
 def _cut_off(scene: Scene, robot: Khepera3State, side: int, motor: MotorState) -> None:
     """Stop a motor, and switch off the LED of the same number, for lack of voltage."""
-    for number in range(Motor.PULSES):
+    for number in range(Pic.PULSES):
         motor.numbers[number] = 0
-    motor.memory[MotorRegister.MODE] = Mode.IDLE
+    motor.memory[MotorRegister.MODE] = PicMode.IDLE
     robot.board[state.LEDS + side] = 0
     set_motor(scene, robot.motors[side], 0.0)
 
@@ -86,15 +86,15 @@ def _drive(scene: Scene, robot: Khepera3State, side: int, motor: MotorState, vol
     numbers, constant, sign = motor.numbers, robot.motor_constant, direction(motor)
     pulses = wheel_pulses(robot, joint_position(scene, robot.angles[side]))
     divisor = 4 if motor.memory[MotorRegister.HARDWARE_OPTIONS] & SINGLE_COUNT else 1
-    way = pulses // divisor - numbers[Motor.PULSES] // divisor
+    way = pulses // divisor - numbers[Pic.PULSES] // divisor
     amperes = motor_torque(scene, robot.motors[side]) / constant
     rate = joint_speed(scene, robot.speeds[side]) * robot.pulses_per_radian
-    numbers[Motor.PULSES] = pulses
-    numbers[Motor.POSITION] = wrap(numbers[Motor.POSITION] + sign * way)
-    numbers[Motor.SPEED] = sign * motor_control.measured_speed(rate)
-    numbers[Motor.CURRENT] = sign * round(1000 * amperes)
+    numbers[Pic.PULSES] = pulses
+    numbers[Pic.POSITION] = wrap(numbers[Pic.POSITION] + sign * way)
+    numbers[Pic.SPEED] = sign * motor_control.measured_speed(rate)
+    numbers[Pic.CURRENT] = sign * round(1000 * amperes)
     motor_control.control_motor(motor)
-    duty = sign * numbers[Motor.PWM] / PWM_LIMIT
+    duty = sign * numbers[Pic.PWM] / PWM_LIMIT
     drive_motor(scene, robot.faults, side, robot.motors[side], robot.speeds[side], constant, duty * voltage)
     return max(duty * amperes, 0.0)
 
@@ -108,13 +108,13 @@ def wheel_pulses(robot: Khepera3State, angle: float) -> int:
 @compilable
 def _command(robot: Khepera3State, letter: int, left: int, right: int) -> None:
     """Execute D, F, L or P, with the signs of the motor controllers."""
-    control = Control.SPEED.value
+    control = ControlType.SPEED.value
     if letter == _L:
-        control = Control.OPEN_LOOP.value
+        control = ControlType.OPEN_LOOP.value
     elif letter == _P:
-        control = Control.POSITION.value
+        control = ControlType.POSITION.value
     elif letter == _F:
-        control = Control.POSITION_PROFILE.value
+        control = ControlType.POSITION_PROFILE.value
     motor_control.set_order(robot.left, control, left)
     motor_control.set_order(robot.right, control, right)
 
@@ -122,8 +122,8 @@ def _command(robot: Khepera3State, letter: int, left: int, right: int) -> None:
 @compilable
 def _set_speeds(robot: Khepera3State, left: int, right: int) -> None:
     """Set the speeds forwards, by any options of the motor controllers."""
-    motor_control.set_order(robot.left, Control.SPEED.value, left * direction(robot.left))
-    motor_control.set_order(robot.right, Control.SPEED.value, right * direction(robot.right))
+    motor_control.set_order(robot.left, ControlType.SPEED.value, left * direction(robot.left))
+    motor_control.set_order(robot.right, ControlType.SPEED.value, right * direction(robot.right))
 
 
 @compilable

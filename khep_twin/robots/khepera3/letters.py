@@ -7,14 +7,14 @@ A command is a capital letter and numbers, separated by commas; the reply is the
 programs set the motors at their start, and have the same letters.
 
 The firmware (manual): replies end in LF CR. A number of more than 8 bits has the prefix d, of more than 16
-bits the prefix l. A missing number, or one that is too large for its prefix, is answered with $ and has no
+bits the prefix l. A missing number, or one outside the range of its prefix, is answered with $ and has no
 effect; any prefix is accepted, and text after digits ignored (assumed). U, its boot loader, is not modelled.
 
 kh3server (library), to the byte: replies end in CR LF, and discard all input after their command. The first
 character of a number with a prefix is blanked, whatever it is, so D,500,500 sets 0 and 0. A number has ten
 bytes of memory, 0 before a command here, from which a longer one overflows into the next. A proximity of -1
 is 65535. An A while the vehicle drives starts another in it, and an A,2 ends one. A command while it turns in
-place is answered at once here.
+place is answered immediately here.
 """
 
 import re
@@ -23,12 +23,24 @@ from collections.abc import Sequence
 
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.model import KHEPERA_3, SERVER, SERVER_VEHICLE, VEHICLE
-from khep_twin.robots.khepera3.registers import DEFAULTS, SETTINGS, Control, Mode, MotorRegister, Option
+from khep_twin.robots.khepera3.registers import (
+    DEFAULTS,
+    SETTINGS,
+    ControlType,
+    MotorRegister,
+    Option,
+    PicMode,
+)
 from khep_twin.robots.line_server import LONGEST_REQUEST, Command, Reply, VehicleServer
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.buffers import Vector
 
-_ORDERS = {"D": Control.SPEED, "F": Control.POSITION_PROFILE, "L": Control.OPEN_LOOP, "P": Control.POSITION}
+_ORDERS = {
+    "D": ControlType.SPEED,
+    "F": ControlType.POSITION_PROFILE,
+    "L": ControlType.OPEN_LOOP,
+    "P": ControlType.POSITION,
+}
 _MEASURES = {"E": MotorRegister.SPEED, "R": MotorRegister.POSITION}
 
 _ARGUMENTS = {
@@ -80,7 +92,7 @@ class Letters(VehicleServer):
             self._bus.dspic.ask("C", index, *divmod(value, 256))
         for led in range(2):
             self._bus.dspic.ask("K", led, 0)
-        self._set(MotorRegister.MODE, 1, Mode.RESET)
+        self._set(MotorRegister.MODE, 1, PicMode.RESET)
         return super().reset()
 
     def tick(self) -> None:
@@ -124,7 +136,7 @@ class Letters(VehicleServer):
             return self._start_vehicle(1 + (level if self.nests else mode), self._measure("R"))
         if level and (self.nests or mode == 2):
             self._state[WANDERING] = level - 1 if self.nests else 0
-            self._set(MotorRegister.MODE, 1, Mode.STOP)
+            self._set(MotorRegister.MODE, 1, PicMode.STOP)
         return () if mode == 2 else None
 
     def _on_h(self, values: Sequence[int]) -> Sequence[int]:
@@ -142,7 +154,7 @@ class Letters(VehicleServer):
         return self._set(MotorRegister.ACCELERATION, 1, values[1])
 
     def _on_m(self, values: Sequence[int]) -> Sequence[int]:
-        self._set(MotorRegister.MODE, 1, Mode.IDLE)
+        self._set(MotorRegister.MODE, 1, PicMode.IDLE)
         for register, size, value in DEFAULTS:
             self._set(register, size, value)
         self._set(MotorRegister.HARDWARE_OPTIONS, 1, 0)
@@ -172,7 +184,7 @@ class Letters(VehicleServer):
 
     def _order(self, letter: str, orders: Sequence[int]) -> Sequence[int]:
         """Set mode, control type and set points of the motors."""
-        self._set(MotorRegister.MODE, 1, Mode.NORMAL)
+        self._set(MotorRegister.MODE, 1, PicMode.NORMAL)
         self._set(MotorRegister.CONTROL, 1, _ORDERS[letter])
         return self._set(MotorRegister.SET_POINT, 4, *orders)
 

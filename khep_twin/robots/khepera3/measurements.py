@@ -12,8 +12,8 @@ from khep_twin.compilable import compilable
 from khep_twin.robots.khepera3 import state
 from khep_twin.robots.khepera3.channels import GROUND, NO_ECHO, RING
 from khep_twin.robots.khepera3.model import FIRST
-from khep_twin.robots.khepera3.motor_control import Motor, MotorState, direction
-from khep_twin.robots.khepera3.registers import Control, MotorRegister, Setting
+from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
+from khep_twin.robots.khepera3.registers import ControlType, MotorRegister, Setting
 from khep_twin.robots.khepera3.state import MAX_ECHOES, N_ECHO, N_ULTRASONIC, SETTING, Khepera3State
 from khep_twin.sensing import sonar
 from khep_twin.sensing.buffers import Vector
@@ -102,14 +102,14 @@ def fill_registers(robot: Khepera3State) -> None:
 def _fill_motor(robot: Khepera3State, side: int, motor: MotorState) -> None:
     """Set the registers of a motor and of the LED of the same number."""
     registers, memory, numbers, sign = robot.registers, motor.memory, motor.numbers, direction(motor)
-    set_point, control = sign * numbers[Motor.SET_POINT], memory[MotorRegister.CONTROL]
-    is_move = control == Control.POSITION or control == Control.POSITION_PROFILE
-    registers[_SPEED + side] = sign * numbers[Motor.SPEED]
+    set_point, control = sign * numbers[Pic.SET_POINT], memory[MotorRegister.CONTROL]
+    is_move = control == ControlType.POSITION or control == ControlType.POSITION_PROFILE
+    registers[_SPEED + side] = sign * numbers[Pic.SPEED]
     registers[_SPEED + 2 + side] = 0 if is_move else set_point
-    registers[_POSITION + side] = sign * numbers[Motor.POSITION]
+    registers[_POSITION + side] = sign * numbers[Pic.POSITION]
     registers[_POSITION + 2 + side] = set_point if is_move else 0
-    registers[_DUTY + side] = sign * numbers[Motor.PWM]
-    registers[_CURRENT + side] = sign * numbers[Motor.CURRENT]
+    registers[_DUTY + side] = sign * numbers[Pic.PWM]
+    registers[_CURRENT + side] = sign * numbers[Pic.CURRENT]
     registers[_LEDS + side] = robot.board[state.LEDS + side]
     registers[_CONTROL + side] = memory[MotorRegister.MODE]
     registers[_CONTROL + 2 + side] = control

@@ -19,7 +19,7 @@ from khep_twin.robots.khepera3.channels import (
     RING,
     ULTRASONIC,
 )
-from khep_twin.robots.khepera3.registers import Control, Mode
+from khep_twin.robots.khepera3.registers import ControlType, PicMode
 from khep_twin.robots.model import (
     Dialect,
     Interface,
@@ -183,7 +183,7 @@ KHEPERA_3 = RobotModel(
     terms=_TERMS,
     speed_modes={
         FIRST["control"] + index: value
-        for index, value in enumerate((Mode.NORMAL, Mode.NORMAL, Control.SPEED, Control.SPEED))
+        for index, value in enumerate((PicMode.NORMAL, PicMode.NORMAL, ControlType.SPEED, ControlType.SPEED))
     },
     vehicle=VEHICLE.speeds,
     template=str(ASSETS / "template.py"),

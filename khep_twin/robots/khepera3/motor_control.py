@@ -18,7 +18,7 @@ from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
 from khep_twin.robots.khepera3 import registers
 from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, PWM_LIMIT, SPEED_NUMERATOR
-from khep_twin.robots.khepera3.registers import Control, Mode, MotorRegister, Option, Status
+from khep_twin.robots.khepera3.registers import ControlType, MotorRegister, Option, PicMode, Status
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import TICK_NS
 
@@ -38,15 +38,15 @@ _LEAD, _LEAST_APPROACH, _NEAR_MARGINS = 5, 600, 10
 margins (assumed)."""
 
 
-class Motor(IntEnum):
-    """Numbers of a motor; signs are those of the controller."""
+class Pic(IntEnum):
+    """Numbers of a motor controller; signs are those of the controller."""
 
     POSITION = 0  # [pulses]
     SPEED = 1
     PWM = 2
     CURRENT = 3  # [mA]
     SET_POINT = 4  # in force
-    HELD = 5  # position to hold in mode STOP [pulses]
+    HOLD_POSITION = 5  # position to hold in mode STOP [pulses]
     ON_TARGET = 6  # 1 when its last move is complete
     RAMP = 7  # present speed order of a profile
     ERROR = 8  # last error
@@ -60,7 +60,7 @@ class MotorState(NamedTuple):
 
     Attributes:
         memory: Bytes of its registers (registers.N_BYTES,).
-        numbers: Numbers of `Motor` (n,).
+        numbers: Numbers of `Pic` (n,).
         mounting: Sign of forward motion: 1, or -1 for the left motor, which is mounted the other way round.
     """
 
@@ -71,7 +71,7 @@ class MotorState(NamedTuple):
 
 def power_up(mounting: int) -> MotorState:
     """Return the state at power-up."""
-    state = MotorState(np.zeros(registers.N_BYTES, np.int64), np.zeros(len(Motor), np.int64), mounting)
+    state = MotorState(np.zeros(registers.N_BYTES, np.int64), np.zeros(len(Pic), np.int64), mounting)
     reset(state)
     return state
 
@@ -80,7 +80,7 @@ def reset(motor: MotorState) -> None:
     """Return to the state at power-up, except for the pulses of the encoder."""
     for register in range(registers.N_BYTES):
         motor.memory[register] = 0
-    for number in range(Motor.PULSES):
+    for number in range(Pic.PULSES):
         motor.numbers[number] = 0
     for register, size, value in registers.DEFAULTS:
         write_number(motor.memory, register, size, value)
@@ -103,12 +103,12 @@ def measured_speed(pulse_rate: float) -> int:
 @compilable
 def set_order(motor: MotorState, control: int, order: int) -> None:
     """Set control type and set point of a motor in normal mode."""
-    if motor.memory[MotorRegister.CONTROL] != control or motor.memory[MotorRegister.MODE] != Mode.NORMAL:
+    if motor.memory[MotorRegister.CONTROL] != control or motor.memory[MotorRegister.MODE] != PicMode.NORMAL:
         halt(motor)
-    motor.memory[MotorRegister.MODE] = Mode.NORMAL
+    motor.memory[MotorRegister.MODE] = PicMode.NORMAL
     motor.memory[MotorRegister.CONTROL] = control
-    motor.numbers[Motor.SET_POINT] = wrap(order)
-    motor.numbers[Motor.ON_TARGET] = 0
+    motor.numbers[Pic.SET_POINT] = wrap(order)
+    motor.numbers[Pic.ON_TARGET] = 0
     write_number(motor.memory, MotorRegister.SET_POINT, 4, order)
 
 
@@ -116,32 +116,36 @@ def set_order(motor: MotorState, control: int, order: int) -> None:
 def halt(motor: MotorState) -> None:
     """Reset the control, and set the PWM to 0."""
     numbers = motor.numbers
-    numbers[Motor.PWM] = numbers[Motor.RAMP] = numbers[Motor.ERROR] = numbers[Motor.ERROR_SUM] = 0
+    numbers[Pic.PWM] = numbers[Pic.RAMP] = numbers[Pic.ERROR] = numbers[Pic.ERROR_SUM] = 0
 
 
 @compilable
 def control_motor(motor: MotorState) -> None:
     """Run one control period of a motor."""
     memory, numbers = motor.memory, motor.numbers
-    mode, control, order = memory[MotorRegister.MODE], memory[MotorRegister.CONTROL], numbers[Motor.SET_POINT]
-    if mode == Mode.STOP:
-        control, order = Control.POSITION.value, numbers[Motor.HELD]
-    if (mode != Mode.NORMAL and mode != Mode.STOP) or memory[MotorRegister.ERRORS]:
+    mode, control, order = (
+        memory[MotorRegister.MODE],
+        memory[MotorRegister.CONTROL],
+        numbers[Pic.SET_POINT],
+    )
+    if mode == PicMode.STOP:
+        control, order = ControlType.POSITION.value, numbers[Pic.HOLD_POSITION]
+    if (mode != PicMode.NORMAL and mode != PicMode.STOP) or memory[MotorRegister.ERRORS]:
         halt(motor)
-    elif control == Control.OPEN_LOOP:
-        numbers[Motor.PWM] = clip(order, PWM_LIMIT)
-    elif control == Control.POSITION:
-        _hold(motor, order - numbers[Motor.POSITION])
-    elif control == Control.POSITION_PROFILE:
-        _approach(motor, order - numbers[Motor.POSITION])
-    elif control == Control.SPEED:
+    elif control == ControlType.OPEN_LOOP:
+        numbers[Pic.PWM] = clip(order, PWM_LIMIT)
+    elif control == ControlType.POSITION:
+        _hold(motor, order - numbers[Pic.POSITION])
+    elif control == ControlType.POSITION_PROFILE:
+        _approach(motor, order - numbers[Pic.POSITION])
+    elif control == ControlType.SPEED:
         _regulate(motor, order)
-    elif control == Control.SPEED_PROFILE:
+    elif control == ControlType.SPEED_PROFILE:
         step = memory[MotorRegister.ACCELERATION] * _SPEED_STEP
-        numbers[Motor.RAMP] += clip(order - numbers[Motor.RAMP], step)
-        _regulate(motor, numbers[Motor.RAMP])
-    elif control == Control.CURRENT:
-        numbers[Motor.PWM] = clip(numbers[Motor.PWM] + order - numbers[Motor.CURRENT], PWM_LIMIT)
+        numbers[Pic.RAMP] += clip(order - numbers[Pic.RAMP], step)
+        _regulate(motor, numbers[Pic.RAMP])
+    elif control == ControlType.CURRENT:
+        numbers[Pic.PWM] = clip(numbers[Pic.PWM] + order - numbers[Pic.CURRENT], PWM_LIMIT)
     else:
         halt(motor)
     status = _protect(motor)
@@ -151,10 +155,10 @@ def control_motor(motor: MotorState) -> None:
 @compilable
 def _regulate(motor: MotorState, order: int) -> None:
     """Set the PWM for a speed; a wheel at rest that shall rest gets none (assumed)."""
-    if order == 0 and motor.numbers[Motor.SPEED] == 0:
+    if order == 0 and motor.numbers[Pic.SPEED] == 0:
         halt(motor)
     else:
-        error = order - motor.numbers[Motor.SPEED]
+        error = order - motor.numbers[Pic.SPEED]
         _drive(motor, MotorRegister.SPEED_GAINS.value, error, _SPEED_SCALE, 1, 1)
 
 
@@ -162,9 +166,9 @@ def _regulate(motor: MotorState, order: int) -> None:
 def _hold(motor: MotorState, distance: int) -> None:
     """Set the PWM for a position at a distance [pulses]; only small errors are summed (assumed)."""
     numbers, margin = motor.numbers, motor.memory[MotorRegister.MARGIN]
-    numbers[Motor.ON_TARGET] = 1 if abs(distance) <= margin else 0
+    numbers[Pic.ON_TARGET] = 1 if abs(distance) <= margin else 0
     if distance == 0 or abs(distance) > _NEAR_MARGINS * margin:
-        numbers[Motor.ERROR_SUM] = 0
+        numbers[Pic.ERROR_SUM] = 0
     gains = MotorRegister.POSITION_GAINS.value
     _drive(motor, gains, distance, _POSITION_SCALE, _SUM_SCALE, _SUM_PART)
 
@@ -178,40 +182,44 @@ def _drive(motor: MotorState, gains: int, error: int, scale: int, sum_scale: int
     sample_time = max(read_signed(memory, MotorRegister.SAMPLE_TIME, 2) & 0xFFFF, 1)
     change = divide(ki * error * _TICKS, sample_time)
     limit = PWM_LIMIT * scale * sum_scale // sum_part
-    numbers[Motor.ERROR_SUM] = clip(numbers[Motor.ERROR_SUM] + change, limit) if ki else 0
-    output = kp * error + divide(numbers[Motor.ERROR_SUM], sum_scale)
-    output += divide(kd * (error - numbers[Motor.ERROR]) * sample_time, _TICKS)
-    numbers[Motor.ERROR] = error
-    numbers[Motor.PWM] = clip(divide(output, scale), PWM_LIMIT)
+    numbers[Pic.ERROR_SUM] = clip(numbers[Pic.ERROR_SUM] + change, limit) if ki else 0
+    output = kp * error + divide(numbers[Pic.ERROR_SUM], sum_scale)
+    output += divide(kd * (error - numbers[Pic.ERROR]) * sample_time, _TICKS)
+    numbers[Pic.ERROR] = error
+    numbers[Pic.PWM] = clip(divide(output, scale), PWM_LIMIT)
 
 
 @compilable
 def _approach(motor: MotorState, distance: int) -> None:
     """Follow a trapezoidal speed profile to a target at a distance [pulses], and stop there."""
     memory, numbers = motor.memory, motor.numbers
-    n_margins = _NEAR_MARGINS if numbers[Motor.ON_TARGET] else 1
+    n_margins = _NEAR_MARGINS if numbers[Pic.ON_TARGET] else 1
     if abs(distance) <= n_margins * memory[MotorRegister.MARGIN]:
-        if not numbers[Motor.ON_TARGET]:
+        if not numbers[Pic.ON_TARGET]:
             halt(motor)
         _hold(motor, distance)
-        numbers[Motor.ON_TARGET] = 1
+        numbers[Pic.ON_TARGET] = 1
         return
-    numbers[Motor.ON_TARGET] = 0
+    numbers[Pic.ON_TARGET] = 0
     acceleration, towards = max(memory[MotorRegister.ACCELERATION], 1), 1 if distance > 0 else -1
-    lead = int(_LEAD * abs(numbers[Motor.SPEED]) * (PULSES_PER_SPEED * TICK_NS * 1e-9))
+    lead = int(_LEAD * abs(numbers[Pic.SPEED]) * (PULSES_PER_SPEED * TICK_NS * 1e-9))
     braking_speed = square_root(max(_BRAKING * acceleration * (abs(distance) - lead), 1))
-    least = max(read_signed(memory, MotorRegister.LEAST_SPEED, 2) & 0xFFFF, _LEAST_APPROACH)
-    next_speed = max(towards * numbers[Motor.RAMP] + acceleration * _SPEED_STEP, least)
+    least_speed = max(read_signed(memory, MotorRegister.LEAST_SPEED, 2) & 0xFFFF, _LEAST_APPROACH)
+    next_speed = max(towards * numbers[Pic.RAMP] + acceleration * _SPEED_STEP, least_speed)
     top = read_signed(memory, MotorRegister.TOP_SPEED, 2) & 0xFFFF
-    numbers[Motor.RAMP] = towards * min(next_speed, max(braking_speed, least), top)
-    _regulate(motor, numbers[Motor.RAMP])
+    numbers[Pic.RAMP] = towards * min(next_speed, max(braking_speed, least_speed), top)
+    _regulate(motor, numbers[Pic.RAMP])
 
 
 @compilable
 def _protect(motor: MotorState) -> int:
     """Stop a motor at a soft stop, and one that is blocked, as the options say; return its status."""
     memory, numbers, status = motor.memory, motor.numbers, 0
-    options, pwm, position = memory[MotorRegister.OPTIONS], numbers[Motor.PWM], numbers[Motor.POSITION]
+    options, pwm, position = (
+        memory[MotorRegister.OPTIONS],
+        numbers[Pic.PWM],
+        numbers[Pic.POSITION],
+    )
     is_low = pwm < 0 and position < read_signed(memory, MotorRegister.LOWEST, 4)
     is_high = pwm > 0 and position > read_signed(memory, MotorRegister.HIGHEST, 4)
     if (is_low and options & Option.STOP_AT_LOWEST) or (is_high and options & Option.STOP_AT_HIGHEST):
@@ -219,9 +227,9 @@ def _protect(motor: MotorState) -> int:
         status = Status.AT_STOP.value
         memory[MotorRegister.ERRORS] |= registers.STOP_ERROR if options & Option.ERROR_AT_STOPS else 0
     limit = read_signed(memory, MotorRegister.CURRENT_LIMIT, 2) & 0xFFFF
-    is_blocked = numbers[Motor.SPEED] == 0 and abs(numbers[Motor.CURRENT]) > limit
-    numbers[Motor.BLOCKED] = numbers[Motor.BLOCKED] + 1 if is_blocked else 0
-    if options & Option.STOP_WHEN_BLOCKED and numbers[Motor.BLOCKED] > memory[MotorRegister.BLOCKED_TIME]:
+    is_blocked = numbers[Pic.SPEED] == 0 and abs(numbers[Pic.CURRENT]) > limit
+    numbers[Pic.BLOCKED] = numbers[Pic.BLOCKED] + 1 if is_blocked else 0
+    if options & Option.STOP_WHEN_BLOCKED and numbers[Pic.BLOCKED] > memory[MotorRegister.BLOCKED_TIME]:
         memory[MotorRegister.ERRORS] |= registers.BLOCKED_ERROR
         halt(motor)
     return status
@@ -231,14 +239,14 @@ def _protect(motor: MotorState) -> int:
 def _status_of(motor: MotorState, control: int, order: int) -> int:
     """Return the status of a motor by its motion."""
     numbers, margin = motor.numbers, motor.memory[MotorRegister.MARGIN]
-    speed, status = numbers[Motor.SPEED], 0
+    speed, status = numbers[Pic.SPEED], 0
     if speed:
         status |= Status.MOVING
     if speed > 0:
         status |= Status.POSITIVE
-    if control == Control.POSITION or control == Control.POSITION_PROFILE:
-        distance = abs(order - numbers[Motor.POSITION])
-        is_reached, is_near = numbers[Motor.ON_TARGET] != 0, distance <= _NEAR_MARGINS * margin
+    if control == ControlType.POSITION or control == ControlType.POSITION_PROFILE:
+        distance = abs(order - numbers[Pic.POSITION])
+        is_reached, is_near = numbers[Pic.ON_TARGET] != 0, distance <= _NEAR_MARGINS * margin
     else:
         # By the resolution of the measured speed.
         is_reached = is_near = abs(order - speed) <= speed * speed // SPEED_NUMERATOR + 1
@@ -246,10 +254,10 @@ def _status_of(motor: MotorState, control: int, order: int) -> int:
         status |= Status.ON_TARGET
     if is_near:
         status |= Status.NEAR_TARGET
-    if abs(numbers[Motor.PWM]) >= PWM_LIMIT:
+    if abs(numbers[Pic.PWM]) >= PWM_LIMIT:
         status |= Status.SATURATED
         if motor.memory[MotorRegister.OPTIONS] & Option.ANTI_WINDUP:
             status |= Status.ANTI_WINDUP
-    if control == Control.CURRENT:
+    if control == ControlType.CURRENT:
         status |= Status.CURRENT_CONTROL
     return status

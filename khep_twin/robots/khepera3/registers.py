@@ -38,7 +38,7 @@ class MotorRegister(IntEnum):
     TOP_SPEED = 0x6D  # 2 bytes, of a move by a profile
 
 
-class Mode(IntEnum):
+class PicMode(IntEnum):
     """Mode of a motor controller."""
 
     IDLE = 0
@@ -50,7 +50,7 @@ class Mode(IntEnum):
     SEARCH = 6  # the soft stops
 
 
-class Control(IntEnum):
+class ControlType(IntEnum):
     """Control type of a motor in normal mode; the last one, zero friction, is not built into the robot."""
 
     OPEN_LOOP = 0

@@ -6,7 +6,7 @@ from khep_twin.robots.khepera3.core import wheel_pulses
 from khep_twin.robots.khepera3.letters import program_of
 from khep_twin.robots.khepera3.measurements import BURST_NS, fill_registers
 from khep_twin.robots.khepera3.model import SAMPLED, version_of
-from khep_twin.robots.khepera3.motor_control import Motor
+from khep_twin.robots.khepera3.motor_control import Pic
 from khep_twin.robots.khepera3.registers import N_BYTES, SETTINGS
 from khep_twin.robots.khepera3.state import Khepera3State
 from khep_twin.robots.measuring_robot import MeasuringRobot
@@ -16,7 +16,7 @@ from khep_twin.simulation.robot_arrays import Layout, Part
 
 _MEMORY, _NUMBERS = (
     [Part("byte of a motor controller", N_BYTES, 0, 255)],
-    [Part("number of a motor", len(Motor))],
+    [Part("number of a motor", len(Pic))],
 )
 
 LAYOUT = Layout(
@@ -71,7 +71,7 @@ class Khepera3Robot(MeasuringRobot):
         """Reset the board and its program, and cut the motors' voltage."""
         self.firmware.reset()
         for motor, joint in zip((self._state.left, self._state.right), self.indices.wheel_qpos, strict=True):
-            motor.numbers[Motor.PULSES] = wheel_pulses(self._state, self._context.data.qpos[joint])
+            motor.numbers[Pic.PULSES] = wheel_pulses(self._state, self._context.data.qpos[joint])
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
 
     def evaluate_all(self) -> None:

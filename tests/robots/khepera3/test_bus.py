@@ -7,8 +7,8 @@ import pytest
 from khep_twin.board.memory import write_number
 from khep_twin.playpen import parse
 from khep_twin.programs.computer import READ_FLAG, Machine
-from khep_twin.robots.khepera3.motor_control import Motor, control_motor, power_up, set_order
-from khep_twin.robots.khepera3.registers import CLOCK, DSPIC, MOTORS, Control, MotorRegister
+from khep_twin.robots.khepera3.motor_control import Pic, control_motor, power_up, set_order
+from khep_twin.robots.khepera3.registers import CLOCK, DSPIC, MOTORS, ControlType, MotorRegister
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 from khep_twin.world import World
 
@@ -55,10 +55,10 @@ def test_the_largest_error_of_position_is_a_number_of_32_bits() -> None:
     motor = power_up(1)
     for gain in range(3):
         write_number(motor.memory, MotorRegister.POSITION_GAINS + 2 * gain, 2, 0x7FFF)
-    motor.numbers[Motor.POSITION] = -(2**31)
-    set_order(motor, Control.POSITION.value, 2**31 - 1)
+    motor.numbers[Pic.POSITION] = -(2**31)
+    set_order(motor, ControlType.POSITION.value, 2**31 - 1)
     control_motor(motor)
-    assert (motor.numbers[Motor.ERROR], motor.numbers[Motor.PWM]) == (2**31 - 1, 1023)
+    assert (motor.numbers[Pic.ERROR], motor.numbers[Pic.PWM]) == (2**31 - 1, 1023)
 
 
 @pytest.mark.parametrize("model", ["khepera3", "khepera3-firmware2"])
@@ -77,8 +77,8 @@ def test_messages_of_any_kind_leave_the_state_in_range_and_a_snapshot_restores_i
         if number % 10 == 0:
             world.advance(0.01)
             for motor in (state.left, state.right):
-                assert abs(motor.numbers[Motor.PWM]) <= 1023
-                assert all(-(2**31) <= value < 2**31 for value in motor.numbers[: Motor.ERROR_SUM])
+                assert abs(motor.numbers[Pic.PWM]) <= 1023
+                assert all(-(2**31) <= value < 2**31 for value in motor.numbers[: Pic.ERROR_SUM])
             assert all(-20 < count < 4096 for count in robot.readings()["proximity"])
     snapshot = world.snapshot()
     world.restore(snapshot)

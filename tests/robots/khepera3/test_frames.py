@@ -6,7 +6,7 @@ import pytest
 from test_letters import PROXIMITY, Robot, robot
 
 from khep_twin.robots.khepera3 import state
-from khep_twin.robots.khepera3.motor_control import Motor, control_motor
+from khep_twin.robots.khepera3.motor_control import Pic, control_motor
 from khep_twin.robots.khepera3.registers import CLOCK, DSPIC, MOTORS
 from khep_twin.robots.khepera3.registers import MotorRegister as R
 
@@ -83,19 +83,23 @@ def test_a_setting_is_written_with_its_high_byte_first_and_the_toolbox_sets_the_
 
 
 def test_each_order_of_an_led_sets_its_state(robot3: Robot) -> None:
-    for order, lit in ((1, [1, 0]), (2, [0, 0]), (2, [1, 0]), (0, [0, 0])):
+    for order, states in ((1, [1, 0]), (2, [0, 0]), (2, [1, 0]), (0, [0, 0])):
         robot3.bus.dspic.write(bytes([4, ord("K"), 0, order]))
-        assert robot3.state.board[state.LEDS :][:2].tolist() == lit
+        assert robot3.state.board[state.LEDS :][:2].tolist() == states
     robot3.bus.dspic.write(b"\x04K\x01\x01")
     assert robot3.state.board[state.LEDS :][:2].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize(
     ("register", "size", "number"),
-    [(R.POSITION, 4, Motor.POSITION), (R.SPEED, 4, Motor.SPEED), (R.CURRENT, 2, Motor.CURRENT)],
+    [
+        (R.POSITION, 4, Pic.POSITION),
+        (R.SPEED, 4, Pic.SPEED),
+        (R.CURRENT, 2, Pic.CURRENT),
+    ],
 )
 def test_the_highest_byte_of_a_measured_number_latches_the_others(
-    register: R, size: int, number: Motor, robot3: Robot
+    register: R, size: int, number: Pic, robot3: Robot
 ) -> None:
     motor, numbers = robot3.bus.motors[0], robot3.state.left.numbers
     numbers[number] = -2
@@ -113,9 +117,9 @@ def test_a_set_point_is_in_force_with_its_lowest_byte(robot3: Robot) -> None:
     motor, numbers = robot3.bus.motors[1], robot3.state.right.numbers
     for byte, value in ((3, 0xFF), (2, 0xFF), (1, 0xB1)):
         motor.write(bytes([R.SET_POINT + byte, value]))
-        assert numbers[Motor.SET_POINT] == 0
+        assert numbers[Pic.SET_POINT] == 0
     motor.write(bytes([R.SET_POINT, 0xE0]))
-    assert numbers[Motor.SET_POINT] == -20_000
+    assert numbers[Pic.SET_POINT] == -20_000
 
 
 def test_a_message_sets_one_byte_and_a_read_repeats_the_byte_of_the_last_register(robot3: Robot) -> None:

@@ -15,7 +15,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.host import Echo, InfraredReadings
 from khep_twin.robots.khepera3.model import FIRST
-from khep_twin.robots.khepera3.registers import Mode, MotorRegister
+from khep_twin.robots.khepera3.registers import MotorRegister, PicMode
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 from khep_twin.robots.registry import find_model
 
@@ -114,10 +114,10 @@ def test_sensors_have_names_and_units(robot: Khepera3) -> None:
     assert distances == Distances(None, None, pytest.approx(0.94, abs=0.03), None, None)
     robot.configure_ultrasonic([0, 1], n_echoes=1)
     robot.sleep(0.3)
-    left, front_left, *others = robot.ultrasonic()
+    left, front_left, *inactive = robot.ultrasonic()
     assert left == pytest.approx(0.94, abs=0.03)
     assert front_left == math.inf
-    assert others == [None] * 3
+    assert inactive == [None] * 3
     (echo,) = robot.echoes(0)
     assert echo.amplitude > 200
     assert 0 < echo.time < 1
@@ -139,7 +139,7 @@ def test_its_vehicle_stops_with_its_motors(robot: Khepera3) -> None:
     robot.wander()
     robot.wander()
     robot.stop_wandering()
-    assert registers(robot, MotorRegister.MODE, 1) == [Mode.STOP] * 2
+    assert registers(robot, MotorRegister.MODE, 1) == [PicMode.STOP] * 2
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The page of the Khepera III: its blocks run in order, and its program prints the distances that it says."""
+"""The page of the Khepera III: its blocks run in order, and its program prints its distances."""
 
 import re
 import shutil

@@ -14,7 +14,7 @@ from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.letters import Letters, program_of
 from khep_twin.robots.khepera3.model import FIRST, KHEPERA_3, SERVER
 from khep_twin.robots.khepera3.motor_control import power_up
-from khep_twin.robots.khepera3.registers import SETTINGS, Control, Mode, MotorRegister
+from khep_twin.robots.khepera3.registers import SETTINGS, ControlType, MotorRegister, PicMode
 from khep_twin.robots.vehicle import N_VEHICLE, WANDERING
 
 FIRMWARE = "3.0"
@@ -153,7 +153,7 @@ def test_both_programs_configure_the_motors_at_their_start_and_by_m(
         left, right = started.bus.motors
         assert [left.get(MotorRegister.OPTIONS, 1) & 0xFF, right.get(0x2B, 1)] == [0xA2, 0x22]
         for register, size, value in (
-            (MotorRegister.MODE, 1, Mode.IDLE),
+            (MotorRegister.MODE, 1, PicMode.IDLE),
             (MotorRegister.SAMPLE_TIME, 2, 1550),
             (MotorRegister.MARGIN, 1, 6),
             (MotorRegister.ERRORS, 1, 0),
@@ -173,14 +173,14 @@ def test_both_programs_configure_the_motors_at_their_start_and_by_m(
 
 def test_orders_reach_both_controllers_with_their_control_type() -> None:
     for letter, control in (
-        ("D", Control.SPEED),
-        ("F", Control.POSITION_PROFILE),
-        ("P", Control.POSITION),
-        ("L", Control.OPEN_LOOP),
+        ("D", ControlType.SPEED),
+        ("F", ControlType.POSITION_PROFILE),
+        ("P", ControlType.POSITION),
+        ("L", ControlType.OPEN_LOOP),
     ):
         ordered = robot()
         ordered.ask(f"{letter},l70000,l-2")
-        assert ordered.numbers(MotorRegister.MODE, 1) == [Mode.NORMAL] * 2
+        assert ordered.numbers(MotorRegister.MODE, 1) == [PicMode.NORMAL] * 2
         assert ordered.numbers(MotorRegister.CONTROL, 1) == [control] * 2
         assert ordered.numbers(MotorRegister.SET_POINT, 4) == [70_000, -2]
     ordered.ask("H,d1,d200,d5,d10", "I,l5,l-70000", "K,1,1", "K,0,2", "C,4,d65535", "C,0,d21")
@@ -311,7 +311,7 @@ def test_an_a_2_ends_one_vehicle_of_the_server_and_all_of_the_firmware() -> None
         wanderer = robot(rom)
         assert wanderer.ask("A,0", "A,1", "A,2") == ["a"] * 3
         assert wanderer.state.vehicle[WANDERING] == n_left
-        assert wanderer.numbers(MotorRegister.MODE, 1) == [Mode.STOP] * 2
+        assert wanderer.numbers(MotorRegister.MODE, 1) == [PicMode.STOP] * 2
     assert wanderer.ask("A") == ["$"]  # also ends it
     assert wanderer.state.vehicle[WANDERING] == 0
     assert rounds(wanderer) == [0, 0]
@@ -341,7 +341,7 @@ def up_to_return_less_two(replies: bytes) -> list[str]:
 
 
 class PublishedHost(NamedTuple):
-    """Exchanges of a published program: what it sends and expects, and how it reads."""
+    """Exchanges of a published program: requests, expected replies, and its way of reading."""
 
     requests: tuple[bytes, ...]
     replies: tuple[str, ...]

@@ -9,14 +9,21 @@ from khep_twin.playpen import parse
 from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED
 from khep_twin.robots.khepera3.model import KHEPERA_3, KHEPERA_3_V2
 from khep_twin.robots.khepera3.motor_control import (
-    Motor,
     MotorState,
+    Pic,
     control_motor,
     measured_speed,
     power_up,
     set_order,
 )
-from khep_twin.robots.khepera3.registers import BLOCKED_ERROR, STOP_ERROR, Control, Mode, Option, Status
+from khep_twin.robots.khepera3.registers import (
+    BLOCKED_ERROR,
+    STOP_ERROR,
+    ControlType,
+    Option,
+    PicMode,
+    Status,
+)
 from khep_twin.robots.khepera3.registers import MotorRegister as R
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 from khep_twin.world import World
@@ -52,8 +59,8 @@ def set_all(robot: Khepera3Robot, register: R, size: int, *values: int) -> None:
         motor.set(register, size, value)
 
 
-def order(robot: Khepera3Robot, control: Control, *values: int) -> None:
-    set_all(robot, R.MODE, 1, Mode.NORMAL)
+def order(robot: Khepera3Robot, control: ControlType, *values: int) -> None:
+    set_all(robot, R.MODE, 1, PicMode.NORMAL)
     set_all(robot, R.CONTROL, 1, control)
     set_all(robot, R.SET_POINT, 4, *values)
 
@@ -91,7 +98,7 @@ def test_units_per_speed_are_those_of_the_manual_for_either_gear(model, units, s
 # Closed form, without a robot -----------------------------------------------------------------------------
 
 
-def controller(control: Control, value: int, **registers: int) -> MotorState:
+def controller(control: ControlType, value: int, **registers: int) -> MotorState:
     """Return a controller with an order, and registers of one byte by their names."""
     motor = power_up(1)
     for name, content in registers.items():
@@ -109,64 +116,64 @@ def run(motor: MotorState, n_periods: int) -> None:
 def test_the_ramp_of_a_speed_with_profile_rises_by_ten_units_for_each_one_of_acceleration(
     acceleration: int, target: int
 ) -> None:
-    motor = controller(Control.SPEED_PROFILE, target, ACCELERATION=acceleration)
+    motor = controller(ControlType.SPEED_PROFILE, target, ACCELERATION=acceleration)
     n_periods = math.ceil(abs(target) / (10 * acceleration))  # 30 to 15,000: half a second
     run(motor, n_periods - 1)
-    assert motor.numbers[Motor.RAMP] == math.copysign(10 * acceleration * (n_periods - 1), target)
+    assert motor.numbers[Pic.RAMP] == math.copysign(10 * acceleration * (n_periods - 1), target)
     run(motor, 2)
-    assert motor.numbers[Motor.RAMP] == target
+    assert motor.numbers[Pic.RAMP] == target
 
 
 def test_a_speed_order_without_profile_has_a_pwm_of_kp_and_the_sum_of_errors() -> None:
-    motor = controller(Control.SPEED, 1000)
+    motor = controller(ControlType.SPEED, 1000)
     for gain, value in zip((R.SPEED_GAINS, R.SPEED_GAINS + 2, R.SPEED_GAINS + 4), (512, 0, 0), strict=True):
         motor.memory[gain], motor.memory[gain + 1] = value & 0xFF, value >> 8
     run(motor, 3)
-    assert motor.numbers[Motor.PWM] == 512 * 1000 // 10_240
+    assert motor.numbers[Pic.PWM] == 512 * 1000 // 10_240
     motor.memory[R.SPEED_GAINS + 4] = 100
     run(motor, 1)
-    before = motor.numbers[Motor.PWM]
+    before = motor.numbers[Pic.PWM]
     run(motor, 10)
     rise = 10 * (100 * 1000 * 6250 // 1550) / 10_240  # 6250 ticks of 1.6 us are a period
-    assert motor.numbers[Motor.PWM] - before == pytest.approx(rise, abs=1)
+    assert motor.numbers[Pic.PWM] - before == pytest.approx(rise, abs=1)
 
 
 @pytest.mark.parametrize(("value", "pwm"), [(500, 500), (-500, -500), (32_767, 1023), (-4000, -1023)])
 def test_open_loop_sets_the_pwm_up_to_1023(value: int, pwm: int) -> None:
-    motor = controller(Control.OPEN_LOOP, value)
+    motor = controller(ControlType.OPEN_LOOP, value)
     run(motor, 1)
-    assert motor.numbers[Motor.PWM] == pwm
+    assert motor.numbers[Pic.PWM] == pwm
     assert bool(motor.memory[R.STATUS] & Status.SATURATED) == (abs(pwm) == 1023)
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.SLEEP, 77])
+@pytest.mark.parametrize("mode", [PicMode.IDLE, PicMode.SLEEP, 77])
 def test_other_modes_than_normal_and_stop_give_no_voltage(mode: int) -> None:
-    motor = controller(Control.SPEED, 10_000)
+    motor = controller(ControlType.SPEED, 10_000)
     run(motor, 5)
     motor.memory[R.MODE] = mode
     run(motor, 1)
-    assert motor.numbers[Motor.PWM] == 0
+    assert motor.numbers[Pic.PWM] == 0
 
 
 def blocked(n_periods: int, current: int, options: int) -> MotorState:
     """Return a motor that was held for some periods at a current [mA]."""
-    motor = controller(Control.SPEED, 10_000, OPTIONS=options)
-    motor.numbers[Motor.CURRENT] = current
+    motor = controller(ControlType.SPEED, 10_000, OPTIONS=options)
+    motor.numbers[Pic.CURRENT] = current
     run(motor, n_periods)
     return motor
 
 
 def test_a_blocked_motor_is_switched_off_after_the_blocked_time_until_its_error_is_reset() -> None:
     motor = blocked(10, 501, Option.STOP_WHEN_BLOCKED)
-    assert (motor.memory[R.ERRORS], motor.numbers[Motor.PWM] > 0) == (0, True)
+    assert (motor.memory[R.ERRORS], motor.numbers[Pic.PWM] > 0) == (0, True)
     run(motor, 1)
-    assert (motor.memory[R.ERRORS], motor.numbers[Motor.PWM]) == (BLOCKED_ERROR, 0)
-    motor.numbers[Motor.CURRENT] = 0
+    assert (motor.memory[R.ERRORS], motor.numbers[Pic.PWM]) == (BLOCKED_ERROR, 0)
+    motor.numbers[Pic.CURRENT] = 0
     run(motor, 1)
-    assert motor.numbers[Motor.PWM] == 0
+    assert motor.numbers[Pic.PWM] == 0
     motor.memory[R.ERRORS] = 0
     run(motor, 1)
-    assert motor.numbers[Motor.PWM] > 0
+    assert motor.numbers[Pic.PWM] > 0
 
 
 @pytest.mark.parametrize(("current", "options"), [(500, Option.STOP_WHEN_BLOCKED), (900, PLAIN)])
@@ -184,7 +191,7 @@ def test_a_motor_below_its_current_limit_or_without_the_option_is_never_blocked(
 )
 def test_both_wheels_reach_an_ordered_speed_to_its_resolution(model: str, speed: int) -> None:
     world, robot = drive(model)
-    order(robot, Control.SPEED, speed)
+    order(robot, ControlType.SPEED, speed)
     world.advance(1.0)
     starts = read(robot, R.POSITION)
     speeds = np.array([read(robot, R.SPEED) for _ in range(20) if world.advance(0.01) is None])
@@ -196,7 +203,7 @@ def test_both_wheels_reach_an_ordered_speed_to_its_resolution(model: str, speed:
 
 def test_the_left_motor_runs_backwards_without_the_option_of_inversion() -> None:
     world, robot = drive(options=(PLAIN, PLAIN))
-    order(robot, Control.SPEED, 10_000)
+    order(robot, ControlType.SPEED, 10_000)
     world.advance(0.5)
     positions = read(robot, R.POSITION)
     assert min(positions + read(robot, R.SPEED)) > 0
@@ -206,7 +213,7 @@ def test_the_left_motor_runs_backwards_without_the_option_of_inversion() -> None
         sum(positions) * 0.03068 / 88.41, rel=0.02
     )  # the manual's factor, and base
     world, robot = drive()
-    order(robot, Control.SPEED, 10_000)
+    order(robot, ControlType.SPEED, 10_000)
     world.advance(0.5)
     assert min(read(robot, R.POSITION)) > 0
     assert world.poses[0][0] > 1.015
@@ -215,12 +222,12 @@ def test_the_left_motor_runs_backwards_without_the_option_of_inversion() -> None
 @pytest.mark.parametrize(
     ("model", "control", "targets"),
     [
-        ("khepera3", Control.POSITION_PROFILE, (4198, 1)),
-        ("khepera3-firmware2", Control.POSITION, (-3000, 100)),
+        ("khepera3", ControlType.POSITION_PROFILE, (4198, 1)),
+        ("khepera3-firmware2", ControlType.POSITION, (-3000, 100)),
     ],
 )
 def test_a_move_soon_ends_within_the_margin_and_later_exactly_at_its_target(
-    model: str, control: Control, targets: tuple[int, int]
+    model: str, control: ControlType, targets: tuple[int, int]
 ) -> None:
     world, robot = drive(model)
     order(robot, control, *targets)
@@ -237,7 +244,7 @@ def test_a_move_along_a_profile_takes_the_time_of_its_trapezium() -> None:
     set_all(robot, R.TOP_SPEED, 2, 15_000)
     set_all(robot, R.ACCELERATION, 1, 30)
     way = 200 / 0.03068  # 200 mm, as in the example program of the manual
-    order(robot, Control.POSITION_PROFILE, round(way))
+    order(robot, ControlType.POSITION_PROFILE, round(way))
     expected = way / (15_000 * PULSES_PER_SPEED) + 15_000 / 30_000
     world.advance(0.9 * expected)
     assert not any(status & Status.ON_TARGET for status in read(robot, R.STATUS, 1))
@@ -255,12 +262,12 @@ def test_a_soft_stop_ends_a_motion_past_it_and_as_an_error_all_until_it_is_reset
     set_all(robot, R.OPTIONS, 1, INVERTED | stops, stops)
     set_all(robot, R.LOWEST, 4, -2000)
     set_all(robot, R.HIGHEST, 4, 2000)
-    order(robot, Control.SPEED, 10_000 * sign)
+    order(robot, ControlType.SPEED, 10_000 * sign)
     world.advance(3.0)
     for position in read(robot, R.POSITION):
         assert 2000 < position * sign < 2400
     assert read(robot, R.ERRORS, 1) == [STOP_ERROR * is_error] * 2
-    order(robot, Control.SPEED, -10_000 * sign)
+    order(robot, ControlType.SPEED, -10_000 * sign)
     world.advance(0.5)
     assert (abs(read(robot, R.POSITION)[0]) < 2000) == (not is_error)
     set_all(robot, R.ERRORS, 1, 0)
@@ -270,10 +277,10 @@ def test_a_soft_stop_ends_a_motion_past_it_and_as_an_error_all_until_it_is_reset
 
 def test_mode_stop_holds_the_position_at_its_order() -> None:
     world, robot = drive()
-    order(robot, Control.SPEED, 10_000)
+    order(robot, ControlType.SPEED, 10_000)
     world.advance(0.5)
     positions = read(robot, R.POSITION)
-    set_all(robot, R.MODE, 1, Mode.STOP)
+    set_all(robot, R.MODE, 1, PicMode.STOP)
     world.advance(1.0)
     np.testing.assert_allclose(read(robot, R.POSITION), positions, atol=12)  # two margins
     assert read(robot, R.SPEED) == [0, 0]
@@ -284,7 +291,7 @@ def test_counting_one_edge_of_the_encoder_gives_a_quarter_of_the_pulses() -> Non
     for options in (0, 8):
         world, robot = drive()
         set_all(robot, R.HARDWARE_OPTIONS, 1, options)
-        order(robot, Control.OPEN_LOOP, 500)
+        order(robot, ControlType.OPEN_LOOP, 500)
         world.advance(1.0)
         ways.append(read(robot, R.POSITION)[0])
     assert ways[1] == pytest.approx(ways[0] / 4, abs=1)

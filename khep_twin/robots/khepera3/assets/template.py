@@ -17,8 +17,8 @@ def controller(robot: Khepera3) -> None:
     # robot.ultrasonic()  distances [m]; robot.configure_ultrasonic() makes all sensors active
     # robot.ambient()     counts of light as in proximity, about 4000 in the dark
     # robot.position()    ways of the wheels [m]: left, right
-    ahead = near.front_side_left, near.front_left, near.front_right, near.front_side_right
-    if max(ahead) < NEAR_COUNTS:
+    counts = near.front_side_left, near.front_left, near.front_right, near.front_side_right
+    if max(counts) < NEAR_COUNTS:
         robot.set_speed(SPEED, SPEED)
     else:
         robot.set_speed(SPEED, -SPEED)  # to the right
