@@ -5,7 +5,7 @@
 
 import errno
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from khep_twin.robots.robot import Robot
 from khep_twin.world import World
@@ -66,7 +66,7 @@ class Computer(NamedTuple):
     """
 
     nodes: Mapping[str, int]
-    connect: Callable[[Any], Devices]
+    connect: Callable[..., Devices]
     files: Callable[[int], Mapping[str, str]]
     byte_ns: int
     memory: Mapping[int, int] = {}

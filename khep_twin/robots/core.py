@@ -14,11 +14,9 @@ from khep_twin.errors import RobotModelError
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.model import Interface, RobotModel
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.bursts import RobotState as RobotState
 from khep_twin.sensing.scene import BeamScene
 from khep_twin.sensing.simulated import Simulated, StepInputs
-
-RobotState = Any
-"""State of a robot: a named tuple of a class in `CORES`, or its record in compiled code."""
 
 Registers = Vector[int]
 """Registers of a robot (n_registers,)."""

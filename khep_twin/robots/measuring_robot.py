@@ -2,7 +2,6 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from khep_twin import step
 from khep_twin.robots.line_server import VehicleServer
 from khep_twin.robots.robot import Robot, RobotSetup
-from khep_twin.sensing.bursts import BURST, NONE
+from khep_twin.sensing.bursts import BURST, NONE, RobotState
 from khep_twin.simulation.robot_arrays import Part, read
 from khep_twin.simulation.world_state import POSITIONS, RobotSnapshot
 
@@ -30,10 +29,14 @@ class MeasuringRobot(Robot):
     firmware: VehicleServer
 
     def __init__(
-        self, setup: RobotSetup, firmware: VehicleServer, fill_registers: Callable[[Any], None], burst_ns: int
+        self,
+        setup: RobotSetup,
+        firmware: VehicleServer,
+        fill_registers: Callable[[RobotState], None],
+        burst_ns: int,
     ) -> None:
         super().__init__(setup, firmware)
-        self._state: Any = setup.context.simulation.robots.state_of(setup.index)
+        self._state: RobotState = setup.context.simulation.robots.state_of(setup.index)
         self._fill_registers, self._burst_ns = fill_registers, burst_ns
         self.registers = self._record["registers"]
         setup.context.observers.evaluations.append(self.refresh)

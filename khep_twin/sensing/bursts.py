@@ -11,6 +11,9 @@ from khep_twin.compilable import compilable
 from khep_twin.sensing.scene import copy_moment, save_moment, update_frames
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 
+RobotState = Any
+"""State of a robot: a named tuple of a class in `robots.core.CORES`, or its record in compiled code."""
+
 INFRARED, BURST, ECHO = 0, 1, 2
 """Moments of a robot: of its infrared sensors, of the last burst, and of the last complete burst of each
 ultrasonic sensor, from ECHO on."""
@@ -23,14 +26,14 @@ MODULES = *(f"khep_twin.board.{name}" for name in _BOARD), *(f"khep_twin.sensing
 """Modules that the cores of these robots compile besides their own."""
 
 
-def scan(robot: Any, simulated: Simulated, inputs: StepInputs) -> None:
+def scan(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> None:
     """Measure with all infrared sensors now."""
     save_moment(simulated.scene, robot.first_moment + INFRARED, inputs.powers[0])
     robot.times[INFRARED] = simulated.counters[STEPS] * simulated.timing.step_ns
 
 
 @compilable
-def record_scan(robot: Any, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
+def record_scan(robot: RobotState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
     """Record the moment of the infrared sensors."""
     powers = inputs.powers[powers_row(simulated, inputs)]
     save_moment(simulated.scene, robot.first_moment + INFRARED, powers)
@@ -38,7 +41,9 @@ def record_scan(robot: Any, simulated: Simulated, inputs: StepInputs, time_ns: i
 
 
 @compilable
-def start_burst(robot: Any, simulated: Simulated, inputs: StepInputs, time_ns: int, active_mask: int) -> bool:
+def start_burst(
+    robot: RobotState, simulated: Simulated, inputs: StepInputs, time_ns: int, active_mask: int
+) -> bool:
     """End the last burst and start that of the next active sensor; return True if it is evaluated now."""
     scene, first, times, last = simulated.scene, robot.first_moment, robot.times, robot.burst[0]
     if last != NONE and not robot.is_eager[0]:

@@ -22,6 +22,7 @@ import numpy as np
 from khep_twin.compilable import compilable
 from khep_twin.robots.body import SonarRing
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.bursts import RobotState
 from khep_twin.sensing.noise import Tables, draws
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Beams, BeamScene, body_frame, cast_rays, joint_position
@@ -92,7 +93,7 @@ def reading_of(sonar: Sonar, distance: float, tables: Tables, key: Vector[int], 
 
 
 @compilable
-def cast_level_rays(robot: Any, scene: BeamScene, sensor: int) -> float:
+def cast_level_rays(robot: RobotState, scene: BeamScene, sensor: int) -> float:
     """Return the distance by level rays, which meet all upright obstacles first, as `Core.echo` does.
 
     A robot's state has `pose`, `sensors`, `sonar` and `beams`.

@@ -5,7 +5,6 @@ A moment is evaluated when its readings are read. The functions are `compilable`
 """
 
 from collections.abc import Collection, Sequence
-from typing import Any
 
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
@@ -17,7 +16,7 @@ from khep_twin.robots.khepera3.registers import ControlType, MotorRegister, Sett
 from khep_twin.robots.khepera3.state import MAX_ECHOES, N_ECHO, N_ULTRASONIC, SETTING, Khepera3State
 from khep_twin.sensing import sonar
 from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.bursts import ECHO, INFRARED, NONE, record_scan, start_burst
+from khep_twin.sensing.bursts import ECHO, INFRARED, NONE, RobotState, record_scan, start_burst
 from khep_twin.sensing.device_faults import DEAD, STUCK, set_reading
 from khep_twin.sensing.ground import convert_any
 from khep_twin.sensing.noise import draws
@@ -116,7 +115,7 @@ def _fill_motor(robot: Khepera3State, side: int, motor: MotorState) -> None:
     registers[_CONTROL + 4 + side] = memory[MotorRegister.ERRORS]
 
 
-def request_terms(record: Any, names: Collection[str]) -> None:
+def request_terms(record: RobotState, names: Collection[str]) -> None:
     """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
     record["is_eager"] = "ultrasonic" in names
 

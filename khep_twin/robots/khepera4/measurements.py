@@ -5,7 +5,6 @@ its readings are read. The functions are `compilable`, see `robots.core`.
 """
 
 from collections.abc import Collection, Sequence
-from typing import Any
 
 from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
@@ -17,7 +16,7 @@ from khep_twin.robots.khepera4.motor_control import LEFT_PWM, RIGHT_PWM
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.state import Khepera4State
 from khep_twin.sensing import sonar
-from khep_twin.sensing.bursts import ECHO, INFRARED, NONE, record_scan, start_burst
+from khep_twin.sensing.bursts import ECHO, INFRARED, NONE, RobotState, record_scan, start_burst
 from khep_twin.sensing.device_faults import sensor_reading, set_reading
 from khep_twin.sensing.ground import convert_any
 from khep_twin.sensing.noise import draws
@@ -115,7 +114,7 @@ def fill_registers(robot: Khepera4State) -> None:
     registers[_DUTY + 1] = robot.dspic.motors[RIGHT_PWM]
 
 
-def request_terms(state: Any, names: Collection[str]) -> None:
+def request_terms(state: RobotState, names: Collection[str]) -> None:
     """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
     state["is_eager"] = "ultrasonic" in names
 
