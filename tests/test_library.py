@@ -32,8 +32,11 @@ NAMES = [
 ]
 
 
-ARENAS = ["arena4", "arena4-line", "arena4-ramps", "arena4-room", "arena4-table", "arena4-two"]
-"""Playpens of the Khepera IV."""
+ARENAS = [
+    *("arena3", "arena3-line"),
+    *("arena4", "arena4-line", "arena4-ramps", "arena4-room", "arena4-table", "arena4-two"),
+]
+"""Playpens of the Khepera III and IV."""
 
 
 def test_these_playpens_ship() -> None:

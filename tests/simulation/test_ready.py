@@ -156,7 +156,7 @@ def test_what_cannot_be_compiled_is_refused_in_one_line() -> None:
     assert (process.returncode, process.stdout) == (2, "")
     assert process.stderr == (
         "khep-twin: part 'wrold': unknown; did you mean 'world'? (choices: world, episodes, plane, vision, "
-        "shadow, world.khepera, world.khepera4)\n"
+        "shadow, world.khepera, world.khepera3, world.khepera4)\n"
     )
 
 
