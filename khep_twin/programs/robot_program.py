@@ -214,16 +214,21 @@ def _write_files(folder: Path, computer: Computer, robot_id: int) -> str:
     if memory:
         files[MEMORY_NODE] = ""
         paths.append(MEMORY_NODE)
-    for name, text in files.items():
-        path = Path(f"{folder}{name}")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    if memory:
-        with open(f"{folder}{MEMORY_NODE}", "r+b") as file:
-            file.truncate((max(memory) // mmap.PAGESIZE + 1) * mmap.PAGESIZE)  # without room on the disk
-            for address, word in memory.items():
-                file.seek(address)
-                file.write(word.to_bytes(4, "little"))
+    size = (max(memory, default=0) // mmap.PAGESIZE + 1) * mmap.PAGESIZE
+    try:
+        for name, text in files.items():
+            path = Path(f"{folder}{name}")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        if memory:
+            with open(f"{folder}{MEMORY_NODE}", "r+b") as file:
+                file.truncate(size)  # without room on the disk
+                for address, word in memory.items():
+                    file.seek(address)
+                    file.write(word.to_bytes(4, "little"))
+    except OSError as error:
+        expected = f"a folder in TMPDIR, and a limit (ulimit -f), for a sparse file of {size} bytes"
+        raise KhepTwinError(f"{folder}: {error.strerror}; expected {expected}") from error
     return ":".join(f"{node}{path}" for path, node in {**computer.nodes, **dict.fromkeys(paths, 0)}.items())
 
 

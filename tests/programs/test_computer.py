@@ -1,14 +1,16 @@
 """A computer of a model: its buses, empty messages, memory and files, as a program in C finds them."""
 
 import os
+import resource
 from pathlib import Path
 
 import pytest
 from test_compiled_programs import pytestmark
-from test_machine import BareRobot, Chip, Clock
+from test_machine import BareRobot, Chip, StepClock
 
+from khep_twin.errors import KhepTwinError
 from khep_twin.programs.computer import PWM, Computer, Devices, Machine, i2c_bus
-from khep_twin.programs.robot_program import RobotProgram, run_programs
+from khep_twin.programs.robot_program import RobotProgram, _write_files, run_programs  # type: ignore[reportPrivateUsage]
 
 __all__ = ["pytestmark"]
 
@@ -22,14 +24,14 @@ COMPUTER = Computer(
 )
 
 
-def machine_of(chips: dict[tuple[int, int], Chip], clock: Clock) -> Machine:
+def machine_of(chips: dict[tuple[int, int], Chip], clock: StepClock) -> Machine:
     return Machine(BareRobot(Devices(chips), COMPUTER), clock)  # type: ignore[arg-type]
 
 
 def test_a_program_finds_the_buses_memory_and_files_of_its_model(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    chips, clock = {place: Chip() for place in ((0, 0x29), (0, 0x31), (127, 0x31))}, Clock()
+    chips, clock = {place: Chip() for place in ((0, 0x29), (0, 0x31), (127, 0x31))}, StepClock()
     assert run_programs([RobotProgram([str(programs / "buses")], machine_of(chips, clock), 5)]) == [0]
     assert capfd.readouterr().out.splitlines() == [
         "unknown -1 ?",
@@ -63,9 +65,19 @@ def test_a_program_finds_the_buses_memory_and_files_of_its_model(
 
 
 def test_each_robot_has_its_own_memory(programs: Path) -> None:
-    clock = Clock()
+    clock = StepClock()
     commands = [[str(programs / "buses"), "own"]] * 2
     codes = run_programs(
         [RobotProgram(words, machine_of({}, clock), 7 + i) for i, words in enumerate(commands)]
     )
     assert (codes, clock.time_ns) == ([7, 8], 2_000_000)
+
+
+def test_a_memory_that_no_file_can_hold_is_a_one_line_error(tmp_path: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(KhepTwinError, match=r"File too large; expected a folder in TMPDIR, and a limit"):
+            _write_files(tmp_path, COMPUTER, 1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
