@@ -1,5 +1,6 @@
 """A fake robot: a table of answers behind a TCP port, which can also go silent or disconnect."""
 
+import contextlib
 import select
 import socket
 import threading
@@ -92,4 +93,5 @@ class FakeRobot:
             prefix, self.prefix = self.prefix, b""
             time.sleep(self.delay)
             if not self.silent:
-                client.sendall(prefix + answer)
+                with contextlib.suppress(ConnectionError):  # the host has closed the connection
+                    client.sendall(prefix + answer)
