@@ -283,7 +283,7 @@ def test_without_a_gpu_the_command_fails_with_one_line() -> None:
 
 @pytest.mark.parametrize("playpen", ["obstacles", pytest.param("arena3", marks=pytest.mark.long)])
 def test_the_kernel_compiles_for_a_gpu(request: pytest.FixtureRequest, playpen: str) -> None:
-    script, key = Path(__file__).with_name("cuda_ptx.py"), f"khep_twin/ptx/{playpen}"
+    script, key = Path(__file__).with_name("cuda_ptx.py"), f"khep_twin/ptx-{playpen}"
     cached_stamp = str(request.config.cache.get(key, "")) if request.config.cache else ""
     process = python(script, cached_stamp, playpen)
     assert process.returncode == 0, process.stderr
