@@ -135,7 +135,7 @@ def test_a_log_without_a_line_becomes_requests_that_its_robot_answers(tmp_path: 
 
 
 @with_numba
-@pytest.mark.parametrize("planar", [False, True])
+@pytest.mark.parametrize("planar", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_compiled_episodes_equal_plain_ones(planar: bool) -> None:
     network = Network(hidden=(3,), ambient=True, terms=("ultrasonic", "ground"), model="khepera3")
     genes = np.random.default_rng(5).normal(size=(2, network.n_genes))
