@@ -48,7 +48,7 @@ def run_libfuzzer(target: str, runs: int, folder: Path) -> None:
     """Run so many inputs of a libFuzzer target; fail with its finding, skip without atheris."""
     pytest.importorskip("atheris")
     process = run_target(target, f"-runs={runs}", "-seed=1", folder=folder)
-    assert f"Done {runs} runs" in process.stderr
+    assert f"Done {runs} runs" in process.stderr, process.stderr[-2000:]
 
 
 def run_target(target: str, *words: str, folder: Path) -> subprocess.CompletedProcess[str]:
