@@ -1,6 +1,7 @@
 """`ProfileRobot`: a robot behind a serial port whose wheels move along a profile, in SI units."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Generic, TypeVar
@@ -21,7 +22,7 @@ _POLL_INTERVAL_S = 0.05
 """Time between two reads of the wheels in a move [s]."""
 
 
-class ProfileRobot(HostRobot, Generic[Counts]):
+class ProfileRobot(HostRobot, ABC, Generic[Counts]):
     """A robot with the commands A, D, E, F, M, N, O, R and V of a Khepera IV.
 
     Leaving it as a context stops the motors. Errors are those of `Khepera`: reads are repeated, commands that
@@ -163,9 +164,9 @@ class ProfileRobot(HostRobot, Generic[Counts]):
     def _read_battery(self, kind: int) -> float:
         return self._run(HostCommand(f"V,{kind}", partial(self._battery_value, kind), repeatable=True))
 
+    @abstractmethod
     def _battery_value(self, kind: int, reply: str) -> float:
         """Return a value of `Battery` by the reply to V, the level in percent."""
-        raise NotImplementedError
 
     def _wheel_order(
         self, letter: str, numbers: Sequence[int], repeatable: bool = False

@@ -1,5 +1,6 @@
 """`LineServer`: a program on a robot that answers requests on its line, at one baud rate, without turrets."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, MutableSequence, Sequence
 from typing import Any
 
@@ -107,7 +108,7 @@ class LineServer:
         self._line, self._running = state.partial_line, state.running
 
 
-class VehicleServer(LineServer):
+class VehicleServer(LineServer, ABC):
     """A program whose commands are letters with numbers; it starts with the first bytes, by its command M.
 
     A method `_on_b` executes command B; it returns values, or a whole reply, or None for an error.
@@ -186,9 +187,9 @@ class VehicleServer(LineServer):
         turn = vehicle.turn * vehicle.unit
         self._order_speeds((turn, -turn) if is_turning else vehicle.speeds(readings, self._gain))
 
+    @abstractmethod
     def _parse(self, request: bytes) -> Command | None:
         """Return letter and numbers of a request; None if it is malformed."""
-        raise NotImplementedError
 
     def _run(self, letter: str, values: Sequence[int]) -> Reply:
         handler = getattr(self, f"_on_{letter.lower()}", None)

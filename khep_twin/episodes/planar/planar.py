@@ -118,11 +118,12 @@ def _robot_constants(
     forward = float((centre - data.xpos[indices.base]) @ data.xmat[indices.base].reshape(3, 3)[:, 0])
     support_distance = abs(float(model.geom(f"{_PREFIX}front_support").pos[0]))
     weight = mass * abs(float(model.opt.gravity[2]))
+    shell = model.geom(f"{_PREFIX}shell")
     return dict(
         substep=h,
         n_substeps=step_ns // units.STEP_NS,
         # A disc around the axle's middle that reaches as far forwards as the shell.
-        radius=float(model.geom(f"{_PREFIX}shell").size[0] + abs(model.geom(f"{_PREFIX}shell").pos[0])),
+        radius=float(shell.size[0] + abs(shell.pos[0])),
         track=track,
         wheel_radius=radius,
         left_wheel=left_wheel,
@@ -147,7 +148,7 @@ def _robot_constants(
         weight_moment=-weight * forward,
         pitch_arm=float(mass_height)
         + 2 * (wheel_inertia - float(model.dof_armature[axle])) / (radius * mass),
-        push_height=_height_range(model, model.geom(f"{_PREFIX}shell").id)[0],
+        push_height=_height_range(model, shell.id)[0],
         friction=SHELL_FRICTION,
     )
 
