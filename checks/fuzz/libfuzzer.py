@@ -47,7 +47,8 @@ def fuzz(
 def run_libfuzzer(target: str, runs: int, folder: Path) -> None:
     """Run so many inputs of a libFuzzer target; fail with its finding, skip without atheris."""
     pytest.importorskip("atheris")
-    process = run_target(target, f"-runs={runs}", "-seed=1", folder=folder)
+    # By default libFuzzer runs its own new inputs once more after a second, which are runs beyond `runs`.
+    process = run_target(target, f"-runs={runs}", "-seed=1", "-reload=0", folder=folder)
     assert f"Done {runs} runs" in process.stderr, process.stderr[-2000:]
 
 
