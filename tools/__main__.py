@@ -12,7 +12,6 @@ TOOLS = {
     "tutorial": "tutorial",
     "pictures": "pictures",
     "mjcf": "mjcf",
-    "foxglove-schema": "foxglove_schema",
     "three-js": "three_js",
     "wheels": "wheels",
     "built-wheel": "built_wheel",

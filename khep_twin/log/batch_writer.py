@@ -35,6 +35,8 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from khep_twin.log.chunk_index import COMPRESSION, ENTRY_BYTES, ChunkIndex
+from khep_twin.log.message_types import SCHEMAS, type_hash
+from khep_twin.log.qos import qos_of
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK
 
 _MESSAGE_FIELDS = [
@@ -98,24 +100,19 @@ class BatchWriter:
         length = self._sink.write(_encode(Metadata(name=name, metadata=dict(facts))))
         self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
 
-    def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
-        """Return the ID of a topic's channel, which is created at its first use.
-
-        A message type is defined by text for ROS 2, by a google.protobuf.FileDescriptorSet for protobuf.
-        """
-        is_ros = isinstance(definition, str)
+    def channel(self, topic: str, schema: str, definition: str) -> int:
+        """Return the ID of a topic's channel, which is created at its first use, as rosbag2 writes it."""
         if topic not in self._channels:
             if schema not in self._schemas:
-                data = definition.encode("ascii") if isinstance(definition, str) else definition
-                encoding = "ros2msg" if is_ros else "protobuf"
-                schema_record = Schema(id=len(self._schemas) + 1, name=schema, encoding=encoding, data=data)
+                number, data = len(self._schemas) + 1, definition.encode("ascii")
+                schema_record = Schema(id=number, name=schema, encoding="ros2msg", data=data)
                 self._schemas[schema] = schema_record
                 self._append(_encode(schema_record))
             channel = Channel(
                 id=len(self._channels) + 1,
                 topic=topic,
-                message_encoding="cdr" if is_ros else "protobuf",
-                metadata={},
+                message_encoding="cdr",
+                metadata=_ros_metadata(topic, schema),
                 schema_id=self._schemas[schema].id,
             )
             self._channels[topic] = channel
@@ -237,6 +234,12 @@ class BatchWriter:
     def _append(self, data: bytes | memoryview) -> None:
         self._records.append(data)
         self._chunk_size += len(data)
+
+
+def _ros_metadata(topic: str, schema: str) -> dict[str, str]:
+    """Return a channel's metadata: the offered quality of service, and the hash of a known type."""
+    hashes = {"topic_type_hash": type_hash(schema)} if schema in SCHEMAS else {}
+    return {"offered_qos_profiles": qos_of(topic).rosbag2_text(), **hashes}
 
 
 @cache

@@ -40,69 +40,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
+from khep_twin.log.cdr import CDR_HEADER, Encoder, Frame, encode
 
-CDR_HEADER = b"\x00\x01\x00\x00"
 FLOATS = "std_msgs/msg/Float64MultiArray"
 INTEGERS = "std_msgs/msg/Int64MultiArray"
 BYTES = "std_msgs/msg/UInt8MultiArray"
 POSE = "geometry_msgs/msg/PoseStamped"
 IMAGE = "sensor_msgs/msg/Image"
 LINES = "rcl_interfaces/msg/Log"
+SCENE = "foxglove_msgs/msg/SceneUpdate"
 STRING = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
-_ARRAY = "std_msgs/MultiArrayLayout layout\n{}[] data"
-_XYZ = "float64 x\nfloat64 y\nfloat64 z"
+MAP = "map"
+"""Frame of the scene, as REP 105 names it: origin at the inner corner of the playpen."""
 
-_FIELDS = {
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
-    "geometry_msgs/Point": _XYZ,
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-    "geometry_msgs/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
-    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
-    "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header header\n"
-    "geometry_msgs/PoseWithCovariance pose",
-    "geometry_msgs/Quaternion": f"{_XYZ}\nfloat64 w",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
-    "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
-    "geometry_msgs/Transform transform",
-    "geometry_msgs/Vector3": _XYZ,
-    "rcl_interfaces/Log": "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
-    "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
-    "uint32 line",
-    "sensor_msgs/Image": "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n"
-    "uint8 is_bigendian\nuint32 step\nuint8[] data",
-    "std_msgs/Float64MultiArray": _ARRAY.format("float64"),
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "std_msgs/Int64MultiArray": _ARRAY.format("int64"),
-    "std_msgs/MultiArrayDimension": "string label\nuint32 size\nuint32 stride",
-    "std_msgs/MultiArrayLayout": "std_msgs/MultiArrayDimension[] dim\nuint32 data_offset",
-    "std_msgs/String": "string data",
-    "std_msgs/UInt8MultiArray": _ARRAY.format("uint8"),
-    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
-}
-"""Fields of each message type."""
-
-
-def _definition(schema: str) -> str:
-    """Return the definition of a type: its fields, then those of each type in them."""
-    names: list[str] = []
-
-    def add(name: str) -> None:
-        if name in _FIELDS and name not in names:
-            names.append(name)
-            for line in _FIELDS[name].splitlines():
-                add(line.split()[0].removesuffix("[]"))
-
-    add(schema.replace("/msg/", "/"))
-    inner = [f"{'=' * 80}\nMSG: {name}\n{_FIELDS[name]}" for name in names[1:]]
-    return "\n".join([_FIELDS[names[0]], *inner])
-
-
-_TYPES = FLOATS, INTEGERS, BYTES, IMAGE, POSE, POSE_WITH_COVARIANCE, LINES, STRING, TRANSFORMS
-SCHEMAS = {schema: _definition(schema) for schema in _TYPES}
-"""Definition of each message type, as text of a `ros2msg` schema."""
+BASE_FRAME = "{}/base_link"
+"""Frame of a robot's body by the robot's name, as REP 105 names it."""
 
 
 class Level(IntEnum):
@@ -124,39 +79,6 @@ class TextLine:
     text: str
 
 
-class Encoder:
-    """Encoder of consecutive values, aligned as required by CDR."""
-
-    def __init__(self) -> None:
-        self._data = bytearray()
-
-    def append(self, kind: str, *values: float) -> "Encoder":
-        """Append numbers, `kind` as in `struct`."""
-        self.align(struct.calcsize(kind))
-        self._data += struct.pack(f"<{len(values)}{kind}", *values)
-        return self
-
-    def text(self, value: str) -> "Encoder":
-        """Append a string."""
-        data = value.encode("utf-8") + b"\0"
-        self.append("I", len(data))
-        self._data += data
-        return self
-
-    def time(self, time_ns: int) -> "Encoder":
-        """Append a time since the start of the run."""
-        return self.append("i", time_ns // NS_PER_S).append("I", time_ns % NS_PER_S)
-
-    def align(self, size: int) -> int:
-        """Pad to a multiple of `size`; return the offset in the finished message."""
-        self._data += bytes(-len(self._data) % size)
-        return len(CDR_HEADER) + len(self._data)
-
-    def message(self) -> bytes:
-        """Return the finished message."""
-        return CDR_HEADER + bytes(self._data)
-
-
 class ArrayFrame:
     """Frame of messages of one std_msgs/Float64MultiArray or Int64MultiArray channel, all of one length.
 
@@ -167,93 +89,67 @@ class ArrayFrame:
     """
 
     def __init__(self, length: int, kind: str, label: str) -> None:
-        head = _array_head(length, label)
-        self._frame = head + bytes(8 * length)
-        self._dtype = _message_type(len(self._frame), {"values": (f"<{kind}", length, len(head))})
+        message = {"layout": _layout(length, label), "data": np.zeros(length, kind)}
+        self._frame = Frame(FLOATS if kind == "f8" else INTEGERS, message, ["data"])
 
     def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
         """Return one message for each row of values (n, length), as rows of bytes (n,)."""
-        rows = _repeat_frame(self._frame, len(values), self._dtype)
-        rows["values"] = values
-        return rows
+        return self._frame.messages({"data": values})
 
 
 class ImageFrame:
     """Frame of messages of one sensor_msgs/Image channel: line images of `width` grey pixels."""
 
     def __init__(self, width: int, name: str) -> None:
-        encoder = Encoder()
-        stamp_offset = encoder.align(4)
-        encoder.time(0).text(name).append("I", 1, width).text("mono8")
-        encoder.append("B", 0).append("I", width, width)
-        self._frame = encoder.message() + bytes(width)
-        fields = {"stamp": ("<i4", 2, stamp_offset), "data": ("u1", width, len(self._frame) - width)}
-        self._dtype = _message_type(len(self._frame), fields)
+        message = {"header": {"frame_id": name}, "height": 1, "width": width, "encoding": "mono8"}
+        self._frame = Frame(IMAGE, {**message, "step": width, "data": bytes(width)}, ["header.stamp", "data"])
 
     def messages(self, times_ns: NDArray[np.int64], images: NDArray[Any]) -> NDArray[np.void]:
         """Return one message for each time (n,) [ns] and image: greys from the left, 0 to 255 (n, width)."""
-        rows = _repeat_frame(self._frame, len(times_ns), self._dtype)
-        rows["stamp"] = np.column_stack(np.divmod(times_ns, NS_PER_S))
-        rows["data"] = images
-        return rows
+        return self._frame.messages({"header.stamp": times_ns, "data": images})
 
 
 def array_message(values: NDArray[Any], label: str) -> bytes:
     """Return one std_msgs/Int64MultiArray of any length."""
-    return _array_head(len(values), label) + values.astype("<i8").tobytes()
+    return ArrayFrame(len(values), "i8", label).messages(values[None]).tobytes()
 
 
 def bytes_message(data: bytes, label: str) -> bytes:
     """Return one std_msgs/UInt8MultiArray."""
-    n = len(data)
-    return Encoder().append("I", 1).text(label).append("I", n, n, 0, n).message() + data
+    return encode(BYTES, {"layout": _layout(len(data), label), "data": data})
 
 
-def _array_head(length: int, label: str) -> bytes:
-    """Return the message of an array without its values."""
-    encoder = Encoder().append("I", 1).text(label).append("I", length, length, 0, length)
-    encoder.align(8)
-    return encoder.message()
+def _layout(length: int, label: str) -> dict[str, Any]:
+    """Return the layout of an array with one dimension."""
+    return {"dim": [{"label": label, "size": length, "stride": length}]}
 
 
 class TransformFrame:
-    """Frame of messages of /tf: poses of bodies, by the names of their frames, in the world frame."""
+    """Frame of messages of /tf: poses of bodies, by pairs of a parent's frame and the body's own."""
 
-    def __init__(self, names: Sequence[str]) -> None:
-        encoder = Encoder().append("I", len(names))
-        fields: dict[str, tuple[str, int, int]] = {}
-        for index, name in enumerate(names):
-            fields[f"stamp {index}"] = ("<i4", 2, encoder.align(4))
-            encoder.time(0).text("world").text(name)
-            fields[f"pose {index}"] = ("<f8", 7, encoder.align(8))
-            encoder.append("d", 0, 0, 0, 0, 0, 0, 1)
-        self._n_bodies = len(names)
-        self._frame = encoder.message()
-        self._dtype = _message_type(len(self._frame), fields)
+    def __init__(self, frames: Sequence[tuple[str, str]]) -> None:
+        transforms = [
+            {"header": {"frame_id": parent}, "child_frame_id": name, "transform": {"rotation": {"w": 1}}}
+            for parent, name in frames
+        ]
+        self._n_bodies = len(frames)
+        variables = [
+            f"transforms.{index}.{path}"
+            for index in range(len(frames))
+            for path in ("header.stamp", "transform")
+        ]
+        self._frame = Frame(TRANSFORMS, {"transforms": transforms}, variables)
 
     def messages(self, times_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> NDArray[np.void]:
         """Return one message for each time (n,) [ns], as rows of bytes (n,).
 
         The poses are position [m] and quaternion x, y, z, w of each body (n, bodies, 7).
         """
-        rows = _repeat_frame(self._frame, len(times_ns), self._dtype)
-        stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
+        values: dict[str, NDArray[Any]] = {}
         for index in range(self._n_bodies):
-            rows[f"stamp {index}"] = stamps
-            rows[f"pose {index}"] = poses[:, index]
-        return rows
-
-
-def _message_type(size: int, fields: dict[str, tuple[str, int, int]]) -> np.dtype[np.void]:
-    """Return the type of a message of `size` bytes with named fields: format, length and offset."""
-    formats = [(number_format, (length,)) for number_format, length, _ in fields.values()]
-    offsets = [offset for _, _, offset in fields.values()]
-    return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
-
-
-def _repeat_frame(frame: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return `count` copies of a message, to be filled in."""
-    return np.frombuffer(bytearray(frame * count), dtype)
+            values[f"transforms.{index}.header.stamp"] = times_ns
+            values[f"transforms.{index}.transform"] = poses[:, index]
+        return self._frame.messages(values)
 
 
 PLANAR_ROWS = [0, 1, 5]
@@ -265,7 +161,7 @@ def pose_message(
 ) -> bytes:
     """Return a PoseStamped of x, y [m] and heading [rad], or PoseWithCovarianceStamped with a (3, 3)."""
     x, y, heading = pose
-    encoder = Encoder().time(time_ns).text("world")
+    encoder = Encoder().time(time_ns).text(MAP)
     encoder.append("d", x, y, 0.0, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
     if covariance is not None:
         full_covariance = np.zeros((6, 6))

@@ -5,6 +5,7 @@ the expected value. The caller that reads the file adds its path and the positio
 """
 
 import struct
+import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
-from khep_twin.log.channels import CDR_HEADER, TextLine
+from khep_twin.log.cdr import CDR_HEADER, CODES
+from khep_twin.log.channels import TextLine
+from khep_twin.log.message_types import Field, fields_of
 from khep_twin.process.invocation import command
 
 LATEST_NS = 2**63 - 1
@@ -91,7 +94,7 @@ def first_line(error: KhepTwinError) -> str:
 
 
 class Decoder:
-    """Decoder of consecutive values of a CDR message, as written by `channels.Encoder`.
+    """Decoder of consecutive values of a CDR message, as written by `cdr.Encoder`.
 
     Raises:
         DecodeError: Here and in each method: the bytes are no CDR message, or end before the value.
@@ -107,7 +110,8 @@ class Decoder:
     def numbers(self, type_code: str, count: int = 1) -> tuple[Any, ...]:
         """Return `count` consecutive numbers of a type, by its `struct` format character."""
         size = struct.calcsize(type_code)
-        self._offset += -self._offset % size
+        # Before an empty array, a message may end without padding.
+        self._offset = min(self._offset + -self._offset % size, len(self._data) if not count else sys.maxsize)
         self._check_available(count, size)
         values = struct.unpack_from(f"<{count}{type_code}", self._data, self._offset)
         self._offset += count * size
@@ -146,6 +150,34 @@ class Decoder:
         if count * size > len(self._data) - self._offset:
             n_left = max(len(self._data) - self._offset, 0)
             raise DecodeError(f"{count} values of {size} bytes", f"at most the {n_left} bytes that are there")
+
+
+def decode(type_name: str, message: bytes) -> dict[str, Any]:
+    """Return the fields of a message of a type of `message_types` by name; a time is an integer [ns]."""
+    decoder = Decoder(message)
+    fields = _read_fields(decoder, type_name)
+    decoder.check_end()
+    return fields
+
+
+def _read_fields(decoder: Decoder, type_name: str) -> dict[str, Any]:
+    return {field.name: _read_field(decoder, field) for field in fields_of(type_name)}
+
+
+def _read_field(decoder: Decoder, field: Field) -> Any:
+    name = field.type_name
+    if field.length is None and name in CODES:
+        return decoder.numbers(CODES[name])[0]
+    if field.length is None:
+        if name == "string":
+            return decoder.text()
+        is_time = name in ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+        return decoder.time() if is_time else _read_fields(decoder, name)
+    count = decoder.uint32() if field.length < 0 else field.length
+    if name in CODES:
+        return list(decoder.numbers(CODES[name], count)) if count else []
+    # Each item takes at least a byte, so a count beyond the end of the message fails soon.
+    return [_read_field(decoder, field._replace(length=None)) for _ in range(count)]
 
 
 def read_array(message: bytes, type_code: str) -> tuple[Any, ...]:
@@ -226,13 +258,14 @@ def _read_image(message: bytes) -> bytes:
 
 
 def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
-    """Return the poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w."""
+    """Return the poses of a TFMessage by body: x, y, z [m] and quaternion x, y, z, w."""
     decoder = Decoder(message)
     poses: dict[str, tuple[float, ...]] = {}
     for _ in range(decoder.uint32()):
         decoder.time()
         decoder.text()
-        name = decoder.text()
+        # In logs of version 1.0, a robot's frame has the name of its body.
+        name = decoder.text().replace("/base_link", "/base")
         poses[name] = decoder.numbers("d", 7)
     decoder.check_end()
     return poses

@@ -1,7 +1,7 @@
 """URDF of the scene, from the compiled model: geometry for viewers that do not read MJCF.
 
-Each body becomes a link of the same name, with its visible geoms and sites as visuals; fixed bodies are
-part of the link "world". Poses come from /tf, so the joints only connect the links.
+Each body becomes a link named like its frame, with its visible geoms and sites as visuals; fixed bodies are
+part of the link "map". Poses come from /tf, so the joints only connect the links.
 """
 
 import math
@@ -13,6 +13,9 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+from khep_twin.log.channels import MAP
+from khep_twin.log.frames import frame_name
 
 Kind = Literal["box", "sphere", "cylinder", "capsule"]
 
@@ -56,20 +59,15 @@ def urdf(model: mujoco.MjModel) -> str:
     """Return the scene as URDF text; lengths in m, angles in rad."""
     robot = ElementTree.Element("robot", name=model.names[: model.names.index(b"\0")].decode() or "playpen")
     for body in range(model.nbody):
-        name = body_name(model, body)
+        name = frame_name(model, body)
         link = ElementTree.SubElement(robot, "link", name=name)
         link.extend(map(_visual, shapes(model, body)))
         if body:
             joint = ElementTree.SubElement(robot, "joint", name=f"{name}_joint", type="floating")
-            ElementTree.SubElement(joint, "parent", link="world")
+            ElementTree.SubElement(joint, "parent", link=MAP)
             ElementTree.SubElement(joint, "child", link=name)
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode")
-
-
-def body_name(model: mujoco.MjModel, body: int) -> str:
-    """Return a body's name in links and frames."""
-    return model.body(body).name or f"body{body}"
 
 
 def shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:

@@ -22,14 +22,14 @@ class Entry(NamedTuple):
     Attributes:
         topic: Topic of its channel.
         schema: Name of its type, empty if it has none.
-        definition: Definition of its type: text for ROS 2, bytes for protobuf, None for others.
+        definition: Definition of its type for ROS 2; None for others.
         time_ns: Log time [ns].
         data: Content as written.
     """
 
     topic: str
     schema: str
-    definition: str | bytes | None
+    definition: str | None
     time_ns: int
     data: bytes
 
@@ -43,7 +43,7 @@ class EntryReader:
 
     def __init__(self) -> None:
         self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, tuple[str, str, str | bytes | None]] = {}
+        self._channels: dict[int, tuple[str, str, str | None]] = {}
 
     def define(self, opcode: int, content: bytes, offset: int) -> None:
         """Store a schema or a channel."""
@@ -101,10 +101,8 @@ class EntryReader:
             raise DecodeError(f"chunk at byte {offset} with half a record", "whole ones")
 
 
-def _definition(schema: Schema) -> str | bytes | None:
-    if schema.encoding == "ros2msg":
-        return schema.data.decode("ascii", "ignore")
-    return schema.data if schema.encoding == "protobuf" else None
+def _definition(schema: Schema) -> str | None:
+    return schema.data.decode("ascii", "ignore") if schema.encoding == "ros2msg" else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import MissingExtraError, PortError
-from khep_twin.log.channels import LINES, SCHEMAS, STRING
-from khep_twin.log.foxglove_scene import SCHEMA
+from khep_twin.log.channels import LINES
+from khep_twin.log.message_types import SCHEMAS
 from khep_twin.log.output import split_rows
+from khep_twin.log.qos import qos_of
 from khep_twin.log.recorder import LiveRecorder
 from khep_twin.world import World
 
@@ -34,9 +35,6 @@ LAYOUT = files("khep_twin") / "assets" / "foxglove_layout.json"
 
 _BACKLOG = 4096
 """Number of messages buffered for a client that reads slowly."""
-
-_LATCHED = {STRING, SCHEMA}
-"""Types of messages that are sent once and latched: a later subscriber receives the last one."""
 
 
 class FoxgloveServer:
@@ -92,18 +90,13 @@ class FoxgloveServer:
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
         """Ignore metadata, which only logs contain."""
 
-    def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
+    def channel(self, topic: str, schema: str, definition: str) -> int:
         """Return the ID of a topic's channel, which is created at its first use."""
         if (topic, schema) not in self._ids:
-            is_ros = isinstance(definition, str)
             new_channel = Channel(
                 topic,
-                schema=Schema(
-                    name=schema,
-                    encoding="ros2msg" if is_ros else "protobuf",
-                    data=definition.encode("ascii") if is_ros else definition,
-                ),
-                message_encoding="cdr" if is_ros else "protobuf",
+                schema=Schema(name=schema, encoding="ros2msg", data=definition.encode("ascii")),
+                message_encoding="cdr",
                 context=self._context,
             )
             self._ids[topic, schema] = len(self._channels)
@@ -113,7 +106,7 @@ class FoxgloveServer:
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Send messages of different sizes; store the last of a latched channel."""
         target = self._channels[channel]
-        if messages and target.schema_name() in _LATCHED:
+        if messages and qos_of(target.topic()).is_latched:
             self._latched[target.id()] = messages[-1]
         if target.base.has_sinks():
             for time_ns, message in zip(times_ns, messages, strict=True):

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
 from khep_twin.log import channels, foxglove_scene
-from khep_twin.log.channels import LINES, STRING, Level, TextLine
+from khep_twin.log.channels import LINES, SCENE, STRING, TRANSFORMS, Level, TextLine
 from khep_twin.log.description import urdf
 from khep_twin.log.entries import Entry
+from khep_twin.log.frames import MovingBodies
+from khep_twin.log.message_types import SCHEMAS
 
 
 class Writer(Protocol):
@@ -25,7 +27,7 @@ class Writer(Protocol):
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
         """Add a table of facts by name."""
 
-    def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
+    def channel(self, topic: str, schema: str, definition: str) -> int:
         """Return the ID of a topic's channel, which is created at its first use."""
         ...
 
@@ -71,12 +73,10 @@ class Output:
                 self._writer.attach(name, text)
             self._writer.describe("run", {key: str(value) for key, value in facts.items()})
 
-    def add(
-        self, topic: str, schema: str, time_ns: int, message: bytes, descriptors: bytes | None = None
-    ) -> None:
-        """Add one message; `descriptors` define its type if it is in protobuf."""
+    def add(self, topic: str, schema: str, time_ns: int, message: bytes) -> None:
+        """Add one message."""
         with self.error_guard():
-            self._writer.add_lines(self._channel(topic, schema, descriptors), [time_ns], [message])
+            self._writer.add_lines(self._channel(topic, schema), [time_ns], [message])
 
     def add_rows(
         self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]
@@ -91,11 +91,13 @@ class Output:
             self._writer.add_lines(self._channel(topic, LINES), times_ns, messages)
 
     def add_entries(self, entries: Iterable[Entry]) -> None:
-        """Add messages of another log without changes."""
+        """Add messages of another log without changes, except those of its scene in protobuf."""
         with self.error_guard():
             for (topic, schema, definition), group in groupby(entries, key=lambda entry: entry[:3]):
+                if definition is None:
+                    continue
                 messages = list(group)
-                channel = self._writer.channel(topic, schema, definition or "")
+                channel = self._writer.channel(topic, schema, definition)
                 times_ns = [entry.time_ns for entry in messages]
                 self._writer.add_lines(channel, times_ns, [entry.data for entry in messages])
 
@@ -105,11 +107,10 @@ class Output:
         self.add("/events", LINES, time_ns, message)
 
     def add_scene(self, time_ns: int, model: mujoco.MjModel) -> None:
-        """Add the shapes of a scene."""
-        description = channels.text_message(urdf(model))
-        self.add("/robot_description", STRING, time_ns, description)
-        scene = foxglove_scene.scene_update(model)
-        self.add("/scene", foxglove_scene.SCHEMA, time_ns, scene, foxglove_scene.descriptors())
+        """Add the shapes of a scene, and the frames of what is fixed to its moving bodies."""
+        self.add("/robot_description", STRING, time_ns, channels.text_message(urdf(model)))
+        self.add("/scene", SCENE, time_ns, foxglove_scene.scene_update(model))
+        self.add("/tf_static", TRANSFORMS, time_ns, MovingBodies(model).static_message)
 
     def flush(self) -> None:
         """Write or send the added messages."""
@@ -126,5 +127,5 @@ class Output:
         """Handle errors of the destination; this class expects none."""
         yield
 
-    def _channel(self, topic: str, schema: str, descriptors: bytes | None = None) -> int:
-        return self._writer.channel(topic, schema, descriptors or channels.SCHEMAS[schema])
+    def _channel(self, topic: str, schema: str) -> int:
+        return self._writer.channel(topic, schema, SCHEMAS[schema])

@@ -23,21 +23,14 @@ from khep_twin.log.channels import (
     INTEGERS,
     ArrayFrame,
     ImageFrame,
-    TransformFrame,
     text_message,
 )
-from khep_twin.log.description import body_name
+from khep_twin.log.frames import MovingBodies
 from khep_twin.log.snapshots import RecorderState, board_registers
 from khep_twin.robots.model import SampledRegisters
 from khep_twin.robots.robot import Robot
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.world import World
-
-_STEPS_PER_UNIT = 2.0**30
-"""Resolution of positions [1/m] and of quaternions [1] in a log: about a nanometre.
-
-Finer digits are contact noise, which does not compress: a seventh of the file. The hashes of the state
-include them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +60,9 @@ class SampleLayout:
         starts = iter(offsets[2:-2])
         self.channels = [channel for robot in world.robots for channel in _make_channels(robot, starts)]
         # Moving bodies have poses in every sample; fixed ones are part of the description.
-        moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
-        self._transform_frame = TransformFrame([body_name(model, body) for body in moving])
-        self._state_size, quaternion_start = offsets[-2:]
-        positions = np.add.outer(self._state_size + 3 * moving, [0, 1, 2])
-        quaternions = np.add.outer(quaternion_start + 4 * moving, [1, 2, 3, 0])  # in the order x, y, z, w
-        self._pose_columns = np.hstack([positions, quaternions])
+        self._n_bodies: int = model.nbody
+        self._moving_bodies = MovingBodies(model)
+        self._state_size, self._quaternion_start = offsets[-2:]
 
     def take_sample(self) -> bytes:
         """Return a sample of the present state."""
@@ -88,8 +78,9 @@ class SampleLayout:
 
     def transforms(self, times_ns: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.void]:
         """Return one message of /tf for each sample (n,)."""
-        poses = np.rint(table.view(np.float64)[:, self._pose_columns] * _STEPS_PER_UNIT) / _STEPS_PER_UNIT
-        return self._transform_frame.messages(times_ns, poses)
+        columns, start, shape = table.view(np.float64), self._quaternion_start, (len(table), self._n_bodies)
+        positions = columns[:, self._state_size : start].reshape(*shape, 3)
+        return self._moving_bodies.messages(times_ns, positions, columns[:, start:].reshape(*shape, 4))
 
 
 def channel_names_message(channels: Iterable[SampledRegisters]) -> bytes:

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.log import channels, shadow_channels
-from khep_twin.log.channels import ArrayFrame, TextLine, TransformFrame
-from khep_twin.log.description import body_name
+from khep_twin.log.channels import ArrayFrame, TextLine
+from khep_twin.log.frames import MovingBodies
 from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.reader import hash_file
 from khep_twin.log.recorder import FLUSH_NS
@@ -174,8 +174,7 @@ class _Ghost:
         self.scene = spec.to_xml()
         self._data = mujoco.MjData(self.model)
         self._qpos_index = int(self.model.joint(f"{ROBOT}/pose").qposadr[0])
-        self._bodies = np.flatnonzero(self.model.body_weldid != 0)
-        self._frame = TransformFrame([body_name(self.model, body) for body in self._bodies.tolist()])
+        self._bodies = MovingBodies(self.model)
 
     def message(self, time_ns: int, pose: tuple[float, float, float]) -> bytes:
         """Return a message of /tf with the robot at a pose."""
@@ -185,5 +184,4 @@ class _Ghost:
         qpos[:2] = x, y
         qpos[3:7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
         mujoco.mj_kinematics(model, data)
-        poses = np.hstack([data.xpos[self._bodies], data.xquat[self._bodies][:, [1, 2, 3, 0]]])
-        return self._frame.messages(np.array([time_ns]), poses[None])[0].tobytes()
+        return self._bodies.messages(np.array([time_ns]), data.xpos[None], data.xquat[None]).tobytes()

@@ -12,7 +12,7 @@ from driving import drive
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from khep_twin.log.channels import SCHEMAS
+from khep_twin.log.message_types import SCHEMAS
 from khep_twin.log.reader import read_series
 from khep_twin.ports.twin import TwinOptions, open_twin
 

@@ -22,10 +22,9 @@ from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.lab.report.report import make_report
 from khep_twin.log.attached import compile_shapes
+from khep_twin.log.cdr import CDR_HEADER, Encoder
 from khep_twin.log.channels import (
-    CDR_HEADER,
     ArrayFrame,
-    Encoder,
     Level,
     LineFrame,
     TextLine,

@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from shares import share
 
 from khep_twin.errors import LogError
-from khep_twin.log.channels import CDR_HEADER
+from khep_twin.log.cdr import CDR_HEADER
 from khep_twin.log.log_file import PartFile
 from khep_twin.log.mcap_recovery import IntactRecords
 from khep_twin.log.reader import read_log, read_series

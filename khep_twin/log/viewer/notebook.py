@@ -39,7 +39,7 @@ class RerunWriter:
         self._folder = tempfile.TemporaryDirectory(prefix="khep-twin-")
         self._translator = Translator(Path(self._folder.name), _NAME)
         self._attachments: dict[str, str] = {}
-        self._channels: list[tuple[str, str, str | bytes]] = []
+        self._channels: list[tuple[str, str, str]] = []
         self._entries: list[Entry] = []
         self._label: Label | None = None
 
@@ -53,7 +53,7 @@ class RerunWriter:
         self._recording.send_blueprint(layout([ShownLog(self._label, last_s=CURVE_LENGTH_S)]))
         rr.send_chunks(static_chunks(self._label), recording=self._recording)
 
-    def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
+    def channel(self, topic: str, schema: str, definition: str) -> int:
         """Return the ID of a topic's channel."""
         key = topic, schema, definition
         if key not in self._channels:

@@ -16,7 +16,8 @@ from scipy.io import loadmat  # pyright: ignore[reportMissingTypeStubs, reportUn
 
 from khep_twin.lab.report.export import SUFFIXES
 from khep_twin.log import reader
-from khep_twin.log.channels import FLOATS, SCHEMAS, ArrayFrame
+from khep_twin.log.channels import FLOATS, ArrayFrame
+from khep_twin.log.message_types import SCHEMAS
 from khep_twin.log.reader import read_log
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
