@@ -135,7 +135,7 @@ class Frame:
         offsets: list[int] = []
         for path in variables:
             parts = [part for name, part in fields.offsets.items() if f"{name}.".startswith(f"{path}.")]
-            code, _, offset = parts[0]
+            code, _, offset = parts[0] if parts else ("B", 0, 0)  # an empty sequence
             formats.append((f"<{code}", (sum(length for _, length, _ in parts),)))
             offsets.append(offset)
         names = [*variables]

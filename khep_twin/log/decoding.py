@@ -264,11 +264,15 @@ def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
     for _ in range(decoder.uint32()):
         decoder.time()
         decoder.text()
-        # In logs of version 1.0, a robot's frame has the name of its body.
-        name = decoder.text().replace("/base_link", "/base")
+        name = body_of(decoder.text())
         poses[name] = decoder.numbers("d", 7)
     decoder.check_end()
     return poses
+
+
+def body_of(frame: str) -> str:
+    """Return the name of the body of a frame, of which logs of version 1.0 have the name in /tf."""
+    return frame.removesuffix("_link") if frame.endswith("/base_link") else frame
 
 
 def read_line(message: bytes) -> TextLine:

@@ -90,16 +90,19 @@ class Output:
         with self.error_guard():
             self._writer.add_lines(self._channel(topic, LINES), times_ns, messages)
 
-    def add_entries(self, entries: Iterable[Entry]) -> None:
-        """Add messages of another log without changes, except those of its scene in protobuf."""
+    def add_entries(self, entries: Iterable[Entry]) -> bool:
+        """Add messages of another log; return False if it has a scene in protobuf, which is left out."""
+        is_complete = True
         with self.error_guard():
             for (topic, schema, definition), group in groupby(entries, key=lambda entry: entry[:3]):
                 if definition is None:
+                    is_complete = False
                     continue
                 messages = list(group)
                 channel = self._writer.channel(topic, schema, definition)
                 times_ns = [entry.time_ns for entry in messages]
                 self._writer.add_lines(channel, times_ns, [entry.data for entry in messages])
+        return is_complete
 
     def add_event(self, time_ns: int, name: str, text: str) -> None:
         """Add an event."""

@@ -62,9 +62,12 @@ class WorldRecorder:
             self._log.add("/channel_names", STRING, 0, channel_names_message(channels))
             self._log.flush()
         else:
+            has_scene = True
             for entries in run.prefix.entries:
-                self._log.add_entries(entries)
+                has_scene &= self._log.add_entries(entries)
                 self._log.flush()
+            if not has_scene:  # a log of version 1.0
+                self._log.add_scene(world.time_ns, world.model)
             self._resume(run.prefix.state)
         self._log.on_exit = self._complete
 

@@ -65,14 +65,14 @@ def test_transforms_decode_by_the_rules_of_cdr() -> None:
     positions, quaternions = random.normal(size=(2, 3, 3)), random.normal(size=(2, 3, 4))
     times_ns = np.array([0, 12_345_678_901])
     poses = np.concatenate([positions, quaternions[:, :, [1, 2, 3, 0]]], axis=2)
-    messages = TransformFrame(names).messages(times_ns, poses)
+    messages = TransformFrame([("map", name) for name in names]).messages(times_ns, poses)
     for row, message in enumerate(rows(messages)):
         cdr = Cdr(message)
         assert cdr.take("I") == 3
         for body, name in enumerate(names):
             seconds, nanoseconds = cdr.take("i"), cdr.take("I")
             assert seconds * 10**9 + nanoseconds == times_ns[row]
-            assert (cdr.string(), cdr.string()) == ("world", name)
+            assert (cdr.string(), cdr.string()) == ("map", name)
             assert [cdr.take("d") for _ in range(3)] == positions[row, body].tolist()
             assert [cdr.take("d") for _ in range(4)] == quaternions[row, body, [1, 2, 3, 0]].tolist()
         assert cdr.at_end()
@@ -95,7 +95,7 @@ def test_what_is_encoded_can_be_read_back() -> None:
     (message,) = rows(ArrayFrame(3, "f8", "x").messages(np.array(values)))
     assert list(decoding.read_array(message, "d")) == values[0]
     pose = np.array([[[1.0, 1, 1, 0, 0, 0, 1]]])
-    (message,) = rows(TransformFrame(["a"]).messages(np.zeros(1, np.int64), pose))
+    (message,) = rows(TransformFrame([("map", "a")]).messages(np.zeros(1, np.int64), pose))
     assert decoding.read_transforms(message) == {"a": (1, 1, 1, 0, 0, 0, 1)}
 
 

@@ -45,29 +45,29 @@ def shape(visual: ElementTree.Element) -> tuple[str, dict[str, str]]:
 
 
 def test_every_body_is_a_link_named_as_its_frame(robot: ElementTree.Element) -> None:
-    assert [link.attrib["name"] for link in robot.findall("link")] == ["world", "post", "khepera0/base"]
-    assert [child.attrib["link"] for child in robot.iterfind("joint/child")] == ["post", "khepera0/base"]
+    assert [link.attrib["name"] for link in robot.findall("link")] == ["map", "post", "khepera0/base_link"]
+    assert [child.attrib["link"] for child in robot.iterfind("joint/child")] == ["post", "khepera0/base_link"]
 
 
 def test_what_is_transparent_or_for_contact_only_is_not_drawn(robot: ElementTree.Element) -> None:
-    assert set(visuals(robot, "world")) == {"floor", "wall", "lamp"}
-    assert set(visuals(robot, "khepera0/base")) == {"disc"}
+    assert set(visuals(robot, "map")) == {"floor", "wall", "lamp"}
+    assert set(visuals(robot, "khepera0/base_link")) == {"disc"}
 
 
 def test_half_sizes_become_whole_ones(robot: ElementTree.Element) -> None:
-    world = visuals(robot, "world")
+    world = visuals(robot, "map")
     assert shape(world["floor"]) == ("box", {"size": "0.8 0.6 0.0002"})
     assert shape(world["wall"]) == ("box", {"size": "0.2 0.02 0.04"})
     assert shape(world["lamp"]) == ("sphere", {"radius": "0.01"})
     assert shape(visuals(robot, "post")["pole"]) == ("capsule", {"radius": "0.01", "length": "0.1"})
-    assert shape(visuals(robot, "khepera0/base")["disc"]) == (
+    assert shape(visuals(robot, "khepera0/base_link")["disc"]) == (
         "cylinder",
         {"radius": "0.03", "length": "0.02"},
     )
 
 
 def test_positions_and_colours_are_the_models(robot: ElementTree.Element) -> None:
-    wall = visuals(robot, "world")["wall"]
+    wall = visuals(robot, "map")["wall"]
     assert wall.find("origin").attrib["xyz"] == "0 0.3 0.02"
     assert wall.find("material/color").attrib["rgba"] == "1 0.5 0 1"
 
@@ -90,6 +90,6 @@ def test_rotations_survive_the_angles_of_urdf(roll: float, pitch: float, yaw: fl
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><geom name="g" type="box" size="1 2 3" quat="{quat}"/></worldbody></mujoco>'
     )
-    origin = visuals(ElementTree.fromstring(urdf(model)), "world")["g"].find("origin")
+    origin = visuals(ElementTree.fromstring(urdf(model)), "map")["g"].find("origin")
     rotation = turned(*map(float, origin.attrib["rpy"].split()))
     assert rotation == pytest.approx(expected, abs=1e-6)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from driving import SECOND, drive
 from foxglove_client import FoxgloveClient, Sent, client
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from log_contents import messages_of
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
@@ -20,6 +19,8 @@ from khep_twin.log.channels import LINES
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
+from khep_twin.log.channels import SCENE
+from khep_twin.log.decoding import decode
 from khep_twin.log.foxglove_live import LAYOUT, FoxgloveRecorder, FoxgloveServer
 
 SAMPLED = [f"/khepera0/{name}" for name in ("proximity", "ambient", "speed", "duty", "leds", "registers")]
@@ -89,11 +90,11 @@ def test_an_independent_reader_decodes_them(server: FoxgloveServer) -> None:
         transform.child_frame_id: transform.transform.translation for transform in last["/tf"].transforms
     }
     x, y, _ = twin.robot.pose
-    assert (poses["khepera0/base"].x, poses["khepera0/base"].y) == pytest.approx((x, y), abs=1e-8)
+    assert (poses["khepera0/base_link"].x, poses["khepera0/base_link"].y) == pytest.approx((x, y), abs=1e-8)
     assert last["/khepera0/serial"].name in ("host", "robot")
     channel = watcher.channels["/scene"]
-    assert (channel["encoding"], channel["schemaName"]) == ("protobuf", "foxglove.SceneUpdate")
-    assert "khepera0/base" in {entity.id for entity in SceneUpdate.FromString(scene.data).entities}
+    assert (channel["encoding"], channel["schemaName"]) == ("cdr", SCENE)
+    assert "khepera0/base_link" in {entity["id"] for entity in decode(SCENE, scene.data)["entities"]}
 
 
 def test_who_subscribes_late_has_the_scene_and_the_time(server: FoxgloveServer, tmp_path: Path) -> None:

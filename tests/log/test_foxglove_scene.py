@@ -1,29 +1,32 @@
-"""The scene for Foxglove, read by the classes that Foxglove publishes."""
+"""The scene for Foxglove, read by the classes of another library from the definition in the log."""
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.message_factory import GetMessages
 from log_contents import messages_of
 from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scenes import arena, robot, table
 
 from khep_twin import playpen as playpens
-from khep_twin.log.decoding import read_transforms
-from khep_twin.log.foxglove_scene import descriptors, scene_update
+from khep_twin.log.channels import SCENE, TRANSFORMS
+from khep_twin.log.decoding import decode
+from khep_twin.log.foxglove_scene import scene_update
+from khep_twin.log.message_types import SCHEMAS
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from tools.foxglove_schema import published
 
 SHIPPED = sorted(
     path.stem for path in (Path(playpens.__file__).parents[1] / "assets" / "playpens").glob("*.toml")
 )
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STORE.register(get_types_from_msg(SCHEMAS[SCENE], SCENE))
 
 PLAYPEN = (
     arena()
@@ -36,68 +39,65 @@ PLAYPEN = (
 
 
 @pytest.fixture(scope="module")
-def scene() -> SceneUpdate:
+def scene() -> Any:
     """The scene of a playpen with a block, a lamp and two cylinders, one of them movable."""
-    return SceneUpdate.FromString(scene_update(to_spec(playpens.parse(PLAYPEN, "mine")).compile()))
+    return parse(scene_update(to_spec(playpens.parse(PLAYPEN, "mine")).compile()))
 
 
-def entity(scene: SceneUpdate, name: str) -> SceneUpdate:
+def parse(data: bytes) -> Any:
+    """Return a scene as an object of that library."""
+    return STORE.deserialize_cdr(data, SCENE)
+
+
+def entity(scene: Any, name: str) -> Any:
     (entity,) = [candidate for candidate in scene.entities if candidate.id == name]
     return entity
 
 
-def place(pose: SceneUpdate) -> list[float]:
+def place(pose: Any) -> list[float]:
     return [pose.position.x, pose.position.y, pose.position.z]
 
 
-def size(primitive: SceneUpdate) -> list[float]:
+def size(primitive: Any) -> list[float]:
     return [primitive.size.x, primitive.size.y, primitive.size.z]
 
 
-def test_the_definition_is_the_published_one() -> None:
-    assert FileDescriptorSet.FromString(descriptors()) == published()
-    # It is whole by itself, as a viewer needs it.
-    assert "foxglove.SceneUpdate" in GetMessages(FileDescriptorSet.FromString(descriptors()).file)
-
-
 @pytest.mark.parametrize("name", SHIPPED)
-def test_what_is_written_is_what_protobuf_itself_would_write(name: str) -> None:
+def test_another_library_reads_the_scene_and_writes_the_same_bytes(name: str) -> None:
     model = to_spec(Playpen.load(name)).compile()
     data = scene_update(model)
-    read = SceneUpdate.FromString(data)
-    read.DiscardUnknownFields()
-    assert read.SerializeToString(deterministic=True) == data
+    read = parse(data)
+    assert STORE.serialize_cdr(read, SCENE).tobytes() == data
     names = [entity.id for entity in read.entities]
     assert len(set(names)) == len(names)
     assert scene_update(to_spec(Playpen.load(name)).compile()) == data
 
 
-def test_every_entity_holds_for_ever_and_follows_its_frame(scene: SceneUpdate) -> None:
+def test_every_entity_holds_for_ever_and_follows_its_frame(scene: Any) -> None:
     for entity in scene.entities:
         assert entity.frame_locked
-        assert entity.HasField("timestamp")
-        assert (entity.timestamp.seconds, entity.timestamp.nanos) == (0, 0)
-        assert (entity.lifetime.seconds, entity.lifetime.nanos) == (0, 0)
-    assert not scene.deletions
+        assert (entity.timestamp.sec, entity.timestamp.nanosec) == (0, 0)
+        assert (entity.lifetime.sec, entity.lifetime.nanosec) == (0, 0)
+    assert not len(scene.deletions)
 
 
-def test_walls_and_blocks_stand_in_the_world_as_the_playpen_has_them(scene: SceneUpdate) -> None:
-    world = {entity.id for entity in scene.entities if entity.frame_id == "world"}
-    walls = {f"world/wall_{side}" for side in ("left", "right", "bottom", "top")}
-    assert world == walls | {"world/floor", "world/block0", "world/cylinder0", "world/lamp0"}
-    (block,) = entity(scene, "world/block0").cubes
+def test_walls_and_blocks_stand_in_the_world_as_the_playpen_has_them(scene: Any) -> None:
+    fixed = {entity.id for entity in scene.entities if entity.frame_id == "map"}
+    walls = {f"map/wall_{side}" for side in ("left", "right", "bottom", "top")}
+    assert fixed == walls | {"map/floor", "map/block0", "map/cylinder0", "map/lamp0"}
+    (block,) = entity(scene, "map/block0").cubes
     assert place(block.pose) == pytest.approx([0.12, 0.2, 0.025])
     assert size(block) == pytest.approx([0.06, 0.02, 0.05])
     turn = block.pose.orientation
     half = np.radians(15)
     assert [turn.x, turn.y, turn.z, turn.w] == pytest.approx([0, 0, np.sin(half), np.cos(half)])
-    (cylinder,) = entity(scene, "world/cylinder0").cylinders
+    (cylinder,) = entity(scene, "map/cylinder0").cylinders
     assert place(cylinder.pose) == pytest.approx([0.3, 0.4, 0.02])
     assert size(cylinder) == pytest.approx([0.025, 0.025, 0.04])
     assert (cylinder.bottom_scale, cylinder.top_scale) == (1, 1)
-    (lamp,) = entity(scene, "world/lamp0").spheres
+    (lamp,) = entity(scene, "map/lamp0").spheres
     assert place(lamp.pose) == pytest.approx([0.05, 0.45, 0.04])
-    (floor,) = entity(scene, "world/floor").cubes
+    (floor,) = entity(scene, "map/floor").cubes
     assert size(floor)[0] >= 0.6
     assert size(floor)[1] >= 0.5
     for wall in walls:
@@ -106,14 +106,14 @@ def test_walls_and_blocks_stand_in_the_world_as_the_playpen_has_them(scene: Scen
         assert cube.color.a == 1
 
 
-def test_what_moves_is_drawn_in_its_own_frame(scene: SceneUpdate) -> None:
+def test_what_moves_is_drawn_in_its_own_frame(scene: Any) -> None:
     (post,) = entity(scene, "cylinder1").cylinders
     assert entity(scene, "cylinder1").frame_id == "cylinder1"
     assert size(post) == pytest.approx([0.04, 0.04, 0.03])
     # Where it stands in the playpen is told by /tf alone.
     assert np.abs(place(post.pose)).max() < 0.03
-    base = entity(scene, "khepera0/base")
-    assert base.frame_id == "khepera0/base"
+    base = entity(scene, "khepera0/base_link")
+    assert base.frame_id == "khepera0/base_link"
     assert max(size(cylinder)[0] for cylinder in base.cylinders) == pytest.approx(0.055, abs=0.002)
     # Wheels look the same however they turn, and are drawn with the base.
     assert sum(size(cylinder)[2] == pytest.approx(0.003) for cylinder in base.cylinders) == 2
@@ -122,7 +122,7 @@ def test_what_moves_is_drawn_in_its_own_frame(scene: SceneUpdate) -> None:
 def test_colours_are_the_models() -> None:
     geom = '<geom name="g" type="box" size="1 2 3" rgba="0.25 0.5 0 0.75"/>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geom}</worldbody></mujoco>")
-    (cube,) = SceneUpdate.FromString(scene_update(model)).entities[0].cubes
+    (cube,) = parse(scene_update(model)).entities[0].cubes
     assert [cube.color.r, cube.color.g, cube.color.b, cube.color.a] == [0.25, 0.5, 0, 0.75]
 
 
@@ -139,9 +139,9 @@ def test_capsules_and_things_on_what_stands_still_are_drawn_where_they_are() -> 
     )
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    read = SceneUpdate.FromString(scene_update(model))
-    assert {entity.frame_id for entity in read.entities} == {"world"}
-    pin = entity(read, "world/pin")
+    read = parse(scene_update(model))
+    assert {entity.frame_id for entity in read.entities} == {"map"}
+    pin = entity(read, "map/pin")
     (cylinder,) = pin.cylinders
     assert place(cylinder.pose) == pytest.approx(data.geom("pin").xpos.tolist(), abs=1e-12)
     assert size(cylinder) == pytest.approx([0.02, 0.02, 0.1])
@@ -149,7 +149,7 @@ def test_capsules_and_things_on_what_stands_still_are_drawn_where_they_are() -> 
     for ball, side in zip(pin.spheres, (-1, 1), strict=True):
         assert place(ball.pose) == pytest.approx((data.geom("pin").xpos + side * axis).tolist(), abs=1e-12)
         assert size(ball) == pytest.approx([0.02, 0.02, 0.02])
-    (lid,) = entity(read, "world/lid").cubes
+    (lid,) = entity(read, "map/lid").cubes
     assert place(lid.pose) == pytest.approx([1, 0, 0.3])
 
 
@@ -163,15 +163,18 @@ def test_a_log_has_the_scene_once_and_a_frame_for_every_entity(
     with log.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         messages = list(reader.iter_messages(topics=["/scene"]))
-    frames = {name for _, message in messages_of(log, "/tf") for name in read_transforms(message.data)}
+    frames = {
+        transform["child_frame_id"]
+        for topic in ("/tf", "/tf_static")
+        for _, message in messages_of(log, topic)
+        for transform in decode(TRANSFORMS, message.data)["transforms"]
+    }
     ((schema, channel, message),) = messages
     assert schema is not None
-    assert schema.name == "foxglove.SceneUpdate"
-    assert schema.encoding == channel.message_encoding == "protobuf"
-    assert FileDescriptorSet.FromString(schema.data) == published()
+    assert schema.name == SCENE
+    assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+    assert schema.data.decode() == SCHEMAS[SCENE]
     assert (message.log_time, message.data) == (0, expected)
-    # By the definition in the log itself, as a viewer that knows nothing else reads it.
-    kinds = GetMessages(FileDescriptorSet.FromString(schema.data).file)
-    scene = kinds["foxglove.SceneUpdate"].FromString(message.data)
-    assert {entity.frame_id for entity in scene.entities} <= frames | {"world"}
-    assert {"cylinder0", "khepera0/gripper/left_finger"} <= {entity.frame_id for entity in scene.entities}
+    entities = parse(message.data).entities
+    assert {entity.frame_id for entity in entities} <= frames | {"map"}
+    assert {"cylinder0", "khepera0/gripper/left_finger"} <= {entity.frame_id for entity in entities}

@@ -35,10 +35,10 @@ def components(chunks: list[Chunk]) -> set[tuple[str, str]]:
 
 
 EXPECTED = {
-    ("/obstacles/visual_geometries/world/floor", "Boxes3D:half_sizes"),
-    ("/obstacles/visual_geometries/world/wall_left", "Boxes3D:half_sizes"),
-    ("/obstacles/visual_geometries/world/wall_top", "Boxes3D:half_sizes"),
-    (r"/obstacles/visual_geometries/khepera0\/base/khepera0\/base", "Cylinders3D:radii"),
+    ("/obstacles/visual_geometries/map/floor", "Boxes3D:half_sizes"),
+    ("/obstacles/visual_geometries/map/wall_left", "Boxes3D:half_sizes"),
+    ("/obstacles/visual_geometries/map/wall_top", "Boxes3D:half_sizes"),
+    (r"/obstacles/visual_geometries/khepera0\/base_link/khepera0\/base", "Cylinders3D:radii"),
     ("/tf", "Transform3D:translation"),
     ("/tf", "Transform3D:quaternion"),
     ("/tf", "Transform3D:child_frame"),
@@ -74,7 +74,9 @@ def test_the_boards_whole_state_opens_no_plot(log: Path) -> None:
 
 def test_the_scene_for_foxglove_draws_nothing_twice(log: Path) -> None:
     names = {name for entity, name in components(list(McapReader(log).stream())) if entity == "/scene"}
-    assert {name for name in names if not name.startswith("Mcap")} == {"foxglove.SceneUpdate:message"}
+    assert {name for name in names if not name.startswith("Mcap")} == {
+        "foxglove_msgs.msg.SceneUpdate:message"
+    }
 
 
 def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from khep_twin import playpen as playpens
 from khep_twin.drawing.light_map import illumination
 from khep_twin.errors import LogError
 from khep_twin.log.attached import compile_shapes, playpen_of
+from khep_twin.log.channels import BASE_FRAME, MAP
 from khep_twin.log.reader import Label
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.viewer.collected import Collector, Poses, Samples, time_column
@@ -90,7 +91,9 @@ class Rays:
         colours[~hits] = _NO_HIT_RGBA
         path, n_lines = f"/obstacles/{robot}_sensors", len(names) * _N_RAYS
         lines = strips.reshape(-1, 2, 3), colours.reshape(-1, 4)
-        return line_chunks(path, f"{robot}/base", samples.times_ns, *lines, radius=0.0004, n_lines=n_lines)
+        return line_chunks(
+            path, BASE_FRAME.format(robot), samples.times_ns, *lines, radius=0.0004, n_lines=n_lines
+        )
 
     def led_positions(self, robot: str) -> Floats:
         """Return the positions of a robot's LEDs in its frame (n, 3) [m]."""
@@ -152,7 +155,7 @@ def trail_chunks(
         return []
     strips = np.stack((points[:-1], points[1:]), axis=1).astype(np.float32)
     colours = np.tile(np.array([colour], np.uint8), (len(strips), 1))
-    return line_chunks(entity_path, "world", times_ns, strips, colours, radius=0.0015, n_lines=1)
+    return line_chunks(entity_path, MAP, times_ns, strips, colours, radius=0.0015, n_lines=1)
 
 
 def line_chunks(
@@ -197,7 +200,7 @@ def event_chunks(
         labels=texts,
         show_labels=[len(texts) <= LABEL_LIMIT] * len(texts),
     )
-    return [*chunks, frame_chunk(EVENT_PATH, "world"), Chunk.from_columns(EVENT_PATH, [times], points)]
+    return [*chunks, frame_chunk(EVENT_PATH, MAP), Chunk.from_columns(EVENT_PATH, [times], points)]
 
 
 class FloorLight:
@@ -228,7 +231,7 @@ class FloorLight:
             lamps_on = tuple(map(bool, row))
             if lamps_on not in self._paths_by_lamps and len(self._paths_by_lamps) < _STATE_LIMIT:
                 path = self._paths_by_lamps[lamps_on] = f"/light/{len(self._paths_by_lamps)}"
-                yield frame_chunk(path, "world")
+                yield frame_chunk(path, MAP)
                 yield Chunk.from_columns(path, [], _floor_columns(self._playpen, lamps_on))
             # Beyond `_STATE_LIMIT` combinations, the first one is shown.
             shown_paths.append(self._paths_by_lamps.get(lamps_on, "/light/0"))
@@ -269,6 +272,18 @@ def _robot_of_event(text: str, robots: Sequence[str]) -> str:
     """Return the robot of an event; the first one for events of the world."""
     match = re.match(r"\[([^\]]*)\]", text)
     return match[1] if match is not None and match[1] in robots else robots[0]
+
+
+def old_frame_chunks(robots: Sequence[str]) -> list[Chunk]:
+    """Return the chunks that join the frames of a log of version 1.0 to those of later ones."""
+    frames = [("world", MAP), *((f"{robot}/base", BASE_FRAME.format(robot)) for robot in robots)]
+    names = zip(*frames, strict=True)
+    parents, children = ([[name] for name in column] for column in names)
+    columns = rr.Transform3D.columns(
+        translation=[[0.0, 0.0, 0.0]] * len(frames), parent_frame=parents, child_frame=children
+    )
+    times = time_column(np.zeros(len(frames), np.int64))
+    return [Chunk.from_columns("/frames", [times], columns)]
 
 
 def frame_chunk(entity_path: str, frame: str) -> Chunk:

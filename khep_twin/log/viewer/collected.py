@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rerun.chunk import Chunk, McapReader
 
 from khep_twin.errors import LogError
-from khep_twin.log.decoding import printable
+from khep_twin.log.decoding import body_of, printable
 from khep_twin.log.shadow_channels import ALARMS, LINE_TOPICS
 
 Floats = NDArray[np.float64]
@@ -101,9 +101,14 @@ _SHADOW_CHANNELS = ("pose", "reckoned", "expected", "measured", "residuals")
 
 
 class Collector:
-    """Collector of samples, poses and events from a log while rerun reads it, to read the log only once."""
+    """Collector of samples, poses and events from a log while rerun reads it, to read the log only once.
+
+    Attributes:
+        has_old_frames: True if its robots' frames have the names of a log of version 1.0.
+    """
 
     def __init__(self) -> None:
+        self.has_old_frames = False
         self._values: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
         self._poses: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
         self._texts: dict[str, list[tuple[int, str]]] = {topic: [] for topic in ("/events", *LINE_TOPICS)}
@@ -221,7 +226,9 @@ class Collector:
             rows = poses(_POSE_COLUMNS[1:])
             for name in dict.fromkeys(frames.tolist()):
                 is_frame = frames == name
-                self._poses.setdefault(name, []).append((times_ns[is_frame], rows[is_frame]))
+                self.has_old_frames |= name.endswith("/base")
+                body = body_of(name)
+                self._poses.setdefault(body, []).append((times_ns[is_frame], rows[is_frame]))
 
 
 def _poses_with_covariance(messages: Any) -> Floats:

@@ -11,6 +11,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import Chunk
 
+from khep_twin.log.channels import BASE_FRAME
 from khep_twin.log.viewer.arena import frame_chunk, line_chunks
 from khep_twin.log.viewer.collected import Floats, Samples, time_column
 from khep_twin.robots.body import SonarRing
@@ -58,7 +59,7 @@ def _beams(
     colours = np.zeros((n, count, 4), np.uint8)
     colours[is_valid] = (64, 150, 208, 255)
     lines = strips.reshape(n * count, -1, 3).astype(np.float32), colours.reshape(-1, 4)
-    path, frame = f"/obstacles/{robot}_ultrasonic", f"{robot}/base"
+    path, frame = f"/obstacles/{robot}_ultrasonic", BASE_FRAME.format(robot)
     return line_chunks(path, frame, times_ns, *lines, radius=0.0015, n_lines=count)
 
 
@@ -75,4 +76,7 @@ def _lights(robot: str, times_ns: NDArray[np.int64], brightness: Floats, positio
     )
     path = f"/obstacles/{robot}_leds"
     columns = balls.partition([count] * n)
-    return [frame_chunk(path, f"{robot}/base"), Chunk.from_columns(path, [time_column(times_ns)], columns)]
+    return [
+        frame_chunk(path, BASE_FRAME.format(robot)),
+        Chunk.from_columns(path, [time_column(times_ns)], columns),
+    ]

@@ -19,7 +19,7 @@ from rerun.chunk import Chunk
 
 from khep_twin.errors import LogError
 from khep_twin.log.attached import calibration_of, playpen_of
-from khep_twin.log.channels import PLANAR_ROWS
+from khep_twin.log.channels import MAP, PLANAR_ROWS
 from khep_twin.log.decoding import DecodeError
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_file, read_series
@@ -182,7 +182,7 @@ class Ghost:
             edge = REGION_SIGMAS * _CIRCLE * np.sqrt(np.maximum(values, 0)) @ vectors.T + (x, y)
             strips.append(np.column_stack([edge, np.full(len(edge), _OVERLAY_HEIGHT)]))
         lines = [strip.astype(np.float32) for strip in strips], self._state_colours(times_ns)
-        yield from line_chunks("/ghost/spread", "world", times_ns, *lines, radius=0.0008, n_lines=1)
+        yield from line_chunks("/ghost/spread", MAP, times_ns, *lines, radius=0.0008, n_lines=1)
 
     def _rays(
         self, times_ns: NDArray[np.int64], poses: Floats, expected: Floats, measured: Floats
@@ -217,7 +217,7 @@ class Ghost:
             radii=np.full(n * PARTICLES, 0.0009, np.float32),
             colors=[colour for colour in self._state_colours(times_ns) for _ in range(PARTICLES)],
         )
-        yield frame_chunk("/ghost/particles", "world")
+        yield frame_chunk("/ghost/particles", MAP)
         times = [time_column(times_ns)]
         yield Chunk.from_columns("/ghost/particles", times, columns.partition([PARTICLES] * n))
 
@@ -228,7 +228,7 @@ def _line_chunks(
     """Yield one line per colour at each time."""
     if len(times_ns):
         lines = [strip.astype(np.float32) for strip in strips], colours * len(times_ns)
-        yield from line_chunks(path, "world", times_ns, *lines, radius, len(colours))
+        yield from line_chunks(path, MAP, times_ns, *lines, radius, len(colours))
 
 
 def _read_truth(label: Label, source: Path) -> tuple[NDArray[np.int64], Floats] | None:

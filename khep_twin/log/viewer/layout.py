@@ -10,6 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from khep_twin.log.attached import playpen_of
+from khep_twin.log.channels import BASE_FRAME
 from khep_twin.log.reader import Label
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import ALARMS, RESIDUALS, STATE, is_shadow
@@ -154,7 +155,7 @@ def _surroundings(log: ShownLog) -> rrb.Spatial3DView:
         ),
         line_grid=False,
         spatial_information=rrb.archetypes.SpatialInformation(
-            target_frame=f"{frame}{log.label.robots[0]}/base"
+            target_frame=f"{frame}{BASE_FRAME.format(log.label.robots[0])}"
         ),
         defaults=_SOLID,
     )

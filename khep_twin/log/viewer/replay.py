@@ -24,11 +24,20 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, part_file, resolve
 from khep_twin.files.text import escape_surrogates
 from khep_twin.log.attached import compile_shapes, playpen_of
+from khep_twin.log.channels import MAP
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.reader import Label, read_end_ns, read_message_batches
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import is_shadow
-from khep_twin.log.viewer.arena import TRAIL_COLOUR, FloorLight, Rays, event_chunks, trail_chunks, trail_path
+from khep_twin.log.viewer.arena import (
+    TRAIL_COLOUR,
+    FloorLight,
+    Rays,
+    event_chunks,
+    old_frame_chunks,
+    trail_chunks,
+    trail_path,
+)
 from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
 from khep_twin.log.viewer.further_sensors import arena_chunks
 from khep_twin.log.viewer.ghost import Ghost
@@ -188,7 +197,7 @@ def _encode_recording(
         else:
             end_ns = max(map(read_end_ns, paths))
             logs = [
-                ShownLog(label, name, str(rr.new_entity_path([name])), f"{name}/world", end_ns)
+                ShownLog(label, name, str(rr.new_entity_path([name])), f"{name}/{MAP}", end_ns)
                 for label, name in zip(labels, names, strict=True)
             ]
             recording.send_blueprint(layout(logs))
@@ -232,6 +241,8 @@ class Additions:
     def chunks(self, collector: Collector, thin: Callable[[Samples], Samples]) -> Iterator[Chunk]:
         """Yield the chunks of a batch; `thin` returns those samples of which the robot's panel is drawn."""
         poses = collector.poses()
+        if poses is not None and self._rays is None and collector.has_old_frames:
+            yield from old_frame_chunks(self._label.robots)
         yield from event_chunks(self._label, collector, poses, self._last_poses)
         if poses is not None and self._rays is None:
             self._rays = Rays(self._label, self._source)
