@@ -69,7 +69,7 @@ bench: $(VENV)/dev.stamp ## speed, as ratios to floors measured in the same run;
 lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv
 	@$(BIN)/uv pip compile pyproject.toml --extra pictures --extra fit --extra rl --group build --group dm-control --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
-	@$(BIN)/uv pip compile pyproject.toml --extra pictures --extra fit --extra rl --extra minari --extra foxglove --extra notebook --extra ray --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
+	@$(BIN)/uv pip compile pyproject.toml --extra pictures --extra fit --extra rl --extra minari --extra foxglove --extra notebook --extra ray --extra ros --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
 	@$(BIN)/uv pip compile --group browser --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements-dev.lock -o requirements-browser.lock
 	@$(BIN)/uv pip compile --group site --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements-dev.lock -o requirements-site.lock
 
