@@ -51,6 +51,7 @@ ORDER = [
     ["lab.dataset"],
     ["toolbox"],
     ["web"],
+    ["ros"],
     ["cli"],
     ["__main__"],
 ]
