@@ -8,12 +8,14 @@ threads of Zenoh. Publishing never waits: messages for a slow subscriber are dro
 # pyright: reportUnknownMemberType=false
 
 import time
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from itertools import count
 from threading import Lock
 from typing import Any, Self
 
 from khep_twin.errors import KhepTwinError, MissingExtraError
+from khep_twin.log.cdr import encode
+from khep_twin.log.decoding import DecodeError, decode
 from khep_twin.log.message_types import type_hash
 from khep_twin.log.qos import DEFAULT, Qos
 from khep_twin.ros import wire
@@ -32,6 +34,9 @@ _QUERY_TIMEOUT = 3.0
 _HEARTBEAT = 0.5
 """Interval at which a latched publisher repeats its last number [s], as in rmw_zenoh."""
 
+
+Message = Mapping[str, Any]
+"""Fields of a message by name, as in `khep_twin.log.cdr`."""
 
 _NO_ATTACHMENT = "without the attachment of ROS; expected 33 bytes with its number, time and sender"
 
@@ -178,11 +183,11 @@ class Node:
         return Publisher(publisher, self._declare(Kind.PUBLISHER, name, type_name, qos))
 
     def subscribe(
-        self, topic: str, types: Sequence[str], callback: Callable[[str, bytes], None], qos: Qos = DEFAULT
+        self, topic: str, types: Sequence[str], callback: Callable[[str, Message], None], qos: Qos = DEFAULT
     ) -> None:
-        """Call a function with the type and the bytes of each message of a topic, in a thread of Zenoh.
+        """Call a function with the type and the content of each message of a topic, in a thread of Zenoh.
 
-        Messages of other types are reported once, as are those that it refuses by a `KhepTwinError`.
+        Messages of another kind are reported once, as are those that it refuses by a `KhepTwinError`.
         """
         name = self.name.resolve(topic)
         graph = self._graph
@@ -196,7 +201,9 @@ class Node:
                 graph.report_once((name, "attachment"), f"{name}: a message {_NO_ATTACHMENT}")
             else:
                 try:
-                    callback(type_name, sample.payload.to_bytes())
+                    callback(type_name, decode(type_name, sample.payload.to_bytes()))
+                except DecodeError as error:
+                    graph.report_once((name, type_name, "bytes"), f"{name}: no {type_name}: {error}")
                 except KhepTwinError as error:
                     graph.report_once((name, type_name, "refused"), f"{name}: {error}")
 
@@ -205,27 +212,29 @@ class Node:
         for type_name in types:
             self._declare(Kind.SUBSCRIPTION, name, type_name, qos)
 
-    def serve(self, service: str, type_name: str, callback: Callable[[bytes], bytes]) -> None:
-        """Serve a service: the function returns the response to a request, in a thread of Zenoh."""
+    def serve(self, service: str, type_name: str, callback: Callable[[Message], Message]) -> None:
+        """Serve a service: the function returns the response to a request, in a thread of Zenoh.
+
+        Requests of another kind are reported once, as are those that it refuses by a `KhepTwinError`.
+        """
         name = self.name.resolve(service)
         graph = self._graph
         key = wire.data_key(graph.domain, name, type_name, type_hash(type_name))
 
         def answer(query: zenoh.Query) -> None:
             with query:
-                if (request := _parse_attachment(query)) is None:
-                    text = f"{name}: a request {_NO_ATTACHMENT}"
-                    graph.report_once((name, "attachment"), text)
-                    query.reply_err(text)
-                    return
+                request = _parse_attachment(query)
                 try:
-                    response = callback(b"" if query.payload is None else query.payload.to_bytes())
-                except KhepTwinError as error:
-                    graph.report_once((name, "refused"), f"{name}: {error}")
+                    if request is None:
+                        raise KhepTwinError(f"a request {_NO_ATTACHMENT}")
+                    payload = b"" if query.payload is None else query.payload.to_bytes()
+                    response = callback(decode(f"{type_name}_Request", payload))
+                except (KhepTwinError, DecodeError) as error:
+                    graph.report_once((name, type(error)), f"{name}: {error}")
                     query.reply_err(str(error))
                     return
-                reply = Attachment(request.number, time.time_ns(), request.gid)
-                query.reply(key, response, attachment=reply.to_bytes())
+                attachment = Attachment(request.number, time.time_ns(), request.gid).to_bytes()
+                query.reply(key, encode(f"{type_name}_Response", response), attachment=attachment)
 
         self._entities.append(graph.session.declare_queryable(key, answer, complete=True))
         self._declare(Kind.SERVICE, name, type_name, DEFAULT)

@@ -88,9 +88,10 @@ class Commands:
         if self._thread is not None:
             self._thread.join()
 
-    def put(self, key: str, data: str) -> None:
-        """Send bytes, in hexadecimal digits, with this key and without an attachment."""
-        self._session.session.put(key, bytes.fromhex(data))
+    def put(self, key: str, data: str, attachment: str | None = None) -> None:
+        """Send bytes, in hexadecimal digits, with this key."""
+        extra = {} if attachment is None else {"attachment": bytes.fromhex(attachment)}
+        self._session.session.put(key, bytes.fromhex(data), **extra)
 
     def call(self, service: str, type: str, request: dict[str, Any]) -> str | None:
         """Return the response of a service, as its text."""

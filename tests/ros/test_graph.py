@@ -14,8 +14,9 @@ from khep_twin.log.cdr import encode
 from khep_twin.log.message_types import type_hash
 from khep_twin.log.qos import LATCHED
 from khep_twin.ros import wire
-from khep_twin.ros.graph import Graph, Node
+from khep_twin.ros.graph import Graph, Message, Node
 from khep_twin.ros.session import Mode
+from khep_twin.ros.wire import Attachment
 
 STRING, TRIGGER = "std_msgs/msg/String", "std_srvs/srv/Trigger"
 TWISTS = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -71,7 +72,7 @@ def test_another_library_lists_nodes_topics_and_their_types(graph: Graph, foreig
     with Node(graph, "/lab/khepera0") as node:
         node.publisher("~/odom", "nav_msgs/msg/Odometry")
         node.subscribe("~/cmd_vel", TWISTS, lambda *_: None)
-        node.serve("~/step", TRIGGER, lambda request: request)
+        node.serve("~/step", TRIGGER, lambda _: {})
         assert_soon(foreign.services, {"/lab/khepera0/step": [TRIGGER]})
         assert foreign.topics() == {
             "/lab/khepera0/odom": ["nav_msgs/msg/Odometry"],
@@ -104,7 +105,7 @@ def test_a_late_subscriber_of_another_library_receives_a_latched_message(
 def test_both_forms_of_a_command_from_another_library_arrive_at_one_subscription(
     graph: Graph, foreign: ForeignNode, lines: Lines
 ) -> None:
-    received: queue.Queue[tuple[str, bytes]] = queue.Queue()
+    received: queue.Queue[tuple[str, Message]] = queue.Queue()
     with Node(graph, "khepera0") as node:
         node.subscribe("~/cmd_vel", TWISTS, lambda *message: received.put(message))
         twist = {"linear": {"x": 0.25}, "angular": {"z": -1.0}}
@@ -113,17 +114,13 @@ def test_both_forms_of_a_command_from_another_library_arrive_at_one_subscription
             while (arrived := received.get(timeout=LIMIT))[0] != type_name:
                 pass
             foreign.stop()
-            assert arrived[1] == encode(type_name, message)
+            assert encode(type_name, arrived[1]) == encode(type_name, message)
     assert lines.all() == []
 
 
 def test_another_library_calls_a_service(graph: Graph, foreign: ForeignNode) -> None:
-    def answer(request: bytes) -> bytes:
-        assert request == encode(f"{TRIGGER}_Request", {})
-        return encode(f"{TRIGGER}_Response", {"success": True, "message": "one step"})
-
     with Node(graph, "khepera0") as node:
-        node.serve("~/step", TRIGGER, answer)
+        node.serve("~/step", TRIGGER, lambda _: {"success": True, "message": "one step"})
         request = {"structure_needs_at_least_one_member": 0}
         response = foreign.call(service="/khepera0/step", type=TRIGGER, request=request)
     assert "success=True, message='one step'" in response
@@ -132,8 +129,8 @@ def test_another_library_calls_a_service(graph: Graph, foreign: ForeignNode) -> 
 def test_a_message_of_another_kind_is_reported_once_and_ignored(
     graph: Graph, foreign: ForeignNode, lines: Lines
 ) -> None:
-    def refuse(type_name: str, message: bytes) -> None:
-        raise ProtocolError(f"{len(message)} bytes of {type_name}; expected more")
+    def refuse(type_name: str, message: Message) -> None:
+        raise ProtocolError(f"x = {message['linear']['x']} m/s; expected more")
 
     with Node(graph, "khepera0") as node:
         node.subscribe("~/cmd_vel", TWISTS, refuse)
@@ -148,8 +145,16 @@ def test_a_message_of_another_kind_is_reported_once_and_ignored(
             "time and sender"
         )
         foreign.put(key=key, data="00")
-        foreign.publish(topic="/khepera0/cmd_vel", type=TWISTS[0], message={})
-        assert lines.next() == f"/khepera0/cmd_vel: 52 bytes of {TWISTS[0]}; expected more"
+        foreign.publish(topic="/khepera0/cmd_vel", type=TWISTS[0], message={"linear": {"x": 0.25}})
+        assert lines.next() == "/khepera0/cmd_vel: x = 0.25 m/s; expected more"
+        foreign.stop()
+        data = Attachment(1, 0, bytes(16)).to_bytes().hex()
+        foreign.put(key=key, data="00", attachment=data)
+        assert (
+            lines.next()
+            == f"/khepera0/cmd_vel: no {TWISTS[0]}: header 00; expected 00010000, CDR in little-endian"
+        )
+
         foreign.stop()
     assert lines.all() == []
 
