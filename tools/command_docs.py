@@ -34,6 +34,7 @@ PAGES = {
     "shadow": "twin.md",
     "ports": "host.md#ports",
     "drive": "host.md#manual-driving",
+    "ros": "ros2.md",
     "view": "logs.md#viewing",
     "report": "report.md",
     "export": "report.md#tables",

@@ -32,6 +32,7 @@ from khep_twin.cli.playpen import playpen_app
 from khep_twin.cli.ports import ports
 from khep_twin.cli.report import export, report
 from khep_twin.cli.rollout import rollout
+from khep_twin.cli.ros import ros
 from khep_twin.cli.run import run
 from khep_twin.cli.sense import sense
 from khep_twin.cli.series import new, series
@@ -55,7 +56,7 @@ app = typer.Typer(
 app.add_typer(playpen_app, name="playpen")
 app.add_typer(challenge_app, name="challenge")
 _RUNS = (run, rollout, series, sweep, new, design)
-_PORTS = (serve, shadow, ports, drive)
+_PORTS = (serve, shadow, ports, drive, ros)
 _LOGS = (view, report, export, recover, repeat, branch)
 _MEASUREMENTS = (sense, fit, calibrate)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:

@@ -60,15 +60,20 @@ class TimingOptions:
             if self.speed != "1":
                 raise usage("--speed: has no effect with --clock wire; expected one of them")
             return WIRE_SPEED
-        if self.speed == "max":
-            return math.inf
-        try:
-            speed = float(self.speed)
-        except ValueError:
-            speed = math.nan
-        if not 0.001 <= speed <= 1000:
-            raise usage(f"--speed {self.speed}: expected a number from 0.001 to 1000, or max")
-        return speed
+        return speed_factor(self.speed)
+
+
+def speed_factor(text: str) -> float:
+    """Return the simulated seconds per real second of an option --speed."""
+    if text == "max":
+        return math.inf
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not 0.001 <= speed <= 1000:
+        raise usage(f"--speed {text}: expected a number from 0.001 to 1000, or max")
+    return speed
 
 
 _TWIN_OPTIONS = option_names(RobotOptions, TimingOptions, LiveViewOptions) - {"mode"} | {

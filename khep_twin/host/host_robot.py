@@ -208,6 +208,14 @@ class HostRobot:
     def light_leds(self, are_lit: Sequence[bool]) -> None:
         """Switch the LEDs of `leds` on or off."""
 
+    def reset_position(self) -> None:
+        """Set the position counters to 0.
+
+        Raises:
+            RobotModelError: The model has no request for it.
+        """
+        raise RobotModelError(f"model {self.model.name}: no request resets the position counters")
+
     def ask(self, request: str) -> str:
         """Send any request, once, and return the reply, or a tool's first line, by their texts.
 

@@ -94,6 +94,10 @@ class Khepera(HostRobot):
         """Set the position counters [pulses] (command G)."""
         self._run(commands.set_position(left, right))
 
+    def reset_position(self) -> None:
+        """Set the position counters to 0 (command G)."""
+        self.set_position(0, 0)
+
     def speed(self) -> Speeds:
         """Return the measured speed of the left and right wheel [pulses/10 ms] (command E)."""
         return self._run(commands.speed())

@@ -1,0 +1,193 @@
+"""One robot as a node of ROS 2: commands from topics to its line, and its readings to topics.
+
+The robot's thread does all exchanges on the line, one request at a time. Callbacks of topics and services
+only store the latest command. It is sent between two requests, so that it waits for one exchange at most.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from typing import Protocol
+
+from khep_twin.errors import KhepTwinError, PortTimeout, ProtocolError
+from khep_twin.host.host_robot import HostRobot
+from khep_twin.robots.model import Dialect
+from khep_twin.ros.graph import Message, Node
+from khep_twin.ros.velocity import STOP, TWIST, TWIST_STAMPED, Velocity, setpoints_of
+
+_POLL_INTERVAL = 0.01
+"""Interval at which a robot that waits for its next cycle looks for commands [s of the robot's time]."""
+
+ANSWER_LIMIT = 5.0
+"""Longest wait of a service for a robot or a twin [s]."""
+
+TRIGGER, BOOL = "std_srvs/srv/Trigger", "std_msgs/msg/Bool"
+
+
+class Output(Protocol):
+    """Receiver of a robot's readings."""
+
+    def publish(self, channels: Mapping[str, Sequence[int]], time_ns: int) -> None:
+        """Publish the readings of one cycle by channel, with the time at its start [ns]."""
+
+    def restart(self) -> None:
+        """Begin odometry anew: the position counters are 0."""
+
+
+class RobotNode:
+    """Node of a robot.
+
+    The node subscribes `cmd_vel`, of both types of velocities, and `led0`, `led1` and so on, and serves
+    `reset_position`, all below the node's own name.
+
+    Args:
+        robot: Robot, used only by the thread that calls `run`.
+        node: Node in the graph.
+        output: Receiver of its readings.
+        interval: Shortest time of a cycle [s].
+        timeout: Time after the last velocity at which the robot stops [s].
+    """
+
+    def __init__(
+        self, robot: HostRobot, node: Node, output: Output, *, interval: float, timeout: float
+    ) -> None:
+        self._robot, self._node, self._output = robot, node, output
+        self._interval, self._timeout = interval, timeout
+        self._is_simulated = hasattr(robot.port, "time_ns")
+        self._requests = _requests_of(robot.dialect)
+        self._wake, self._lock = threading.Event(), threading.Lock()
+        self._command = STOP, robot.time
+        self._leds: tuple[bool, ...] | None = None
+        self._resets: list[Future[None]] = []
+        self._sent_setpoints: tuple[int, int] | None = None
+        self._sent_leds: tuple[bool, ...] | None = None
+        node.subscribe("~/cmd_vel", (TWIST, TWIST_STAMPED), self._on_velocity)
+        for number in range(len(robot.leds)):
+            node.subscribe(
+                f"~/led{number}", (BOOL,), lambda _, message, led=number: self._on_led(led, message)
+            )
+        node.serve("~/reset_position", TRIGGER, self._on_reset)
+
+    # Threads of Zenoh ----------------------------------------------------------------------------------
+
+    def _on_velocity(self, type_name: str, message: Message) -> None:
+        velocity = STOP
+        try:
+            velocity = Velocity.of_message(type_name, message)
+        finally:
+            self._command = velocity, self._robot.time
+            self._wake.set()
+
+    def _on_led(self, led: int, message: Message) -> None:
+        with self._lock:
+            are_lit = list(self._leds or (False,) * len(self._robot.leds))
+            are_lit[led] = bool(message["data"])
+            self._leds = tuple(are_lit)
+        self._wake.set()
+
+    def _on_reset(self, _: Message) -> Message:
+        reset = Future[None]()
+        self._resets.append(reset)
+        self._wake.set()
+        return await_outcome(reset, "the position counters are 0")
+
+    # The robot's thread --------------------------------------------------------------------------------
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Exchange commands and readings until `stop` returns true.
+
+        Raises:
+            KhepTwinError: The connection is lost, or two cycles in a row got no reply.
+        """
+        was_unanswered = False
+        try:
+            while not stop():
+                try:
+                    self._cycle(stop)
+                    was_unanswered = False
+                except (PortTimeout, ProtocolError):
+                    # The robot may have missed any command; the next cycle sends all of them again.
+                    self._sent_setpoints = self._sent_leds = None
+                    if was_unanswered:
+                        raise
+                    was_unanswered = True
+        finally:
+            while self._resets:
+                self._resets.pop().set_exception(KhepTwinError("the robot is not driven any more"))
+
+    def _cycle(self, stop: Callable[[], bool]) -> None:
+        end = self._robot.time + self._interval
+        time_ns = self._time_ns()
+        channels: dict[str, list[int]] = {}
+        for names in self._requests:
+            self._send_commands()
+            for name, values in self._robot.read_channels(*names).items():
+                channels.setdefault(_channel_of(name), []).extend(values)
+        self._output.publish(channels, time_ns)
+        while (rest := end - self._robot.time) > 0 and not stop():
+            self._send_commands()
+            if self._is_simulated:
+                self._robot.sleep(min(rest, _POLL_INTERVAL))
+            elif self._wake.wait(min(rest, _POLL_INTERVAL)):
+                self._wake.clear()
+
+    def _send_commands(self) -> None:
+        """Send commands that have changed."""
+        velocity, time = self._command
+        if self._robot.time - time > self._timeout:
+            velocity = STOP
+        setpoints = setpoints_of(self._robot.model, velocity)
+        if setpoints.is_clamped:
+            text = f"linear.x = {velocity.forward:g}, angular.z = {velocity.turn:g}: beyond the motors' limit"
+            self._node.report_once("limit", f"{text}; clamped, with the same curvature")
+        if (wheels := (setpoints.left, setpoints.right)) != self._sent_setpoints:
+            self._robot.set_setpoints(*wheels)
+            self._sent_setpoints = wheels
+        leds = self._leds
+        if leds is not None and leds != self._sent_leds:
+            self._robot.light_leds(leds)
+            self._sent_leds = leds
+        while self._resets:
+            self._reset()
+
+    def _reset(self) -> None:
+        reset = self._resets.pop()
+        try:
+            self._robot.reset_position()
+        except KhepTwinError as error:
+            reset.set_exception(error)
+            if isinstance(error, PortTimeout | ProtocolError):
+                raise
+        else:
+            self._output.restart()
+            reset.set_result(None)
+
+    def _time_ns(self) -> int:
+        """Return the time of stamps [ns], simulated on khep://; ROS takes 0 for no time."""
+        time_ns: int | None = getattr(self._robot.port, "time_ns", None)
+        return time.time_ns() if time_ns is None else max(time_ns, 1)
+
+
+def await_outcome(future: Future[None], message: str) -> Message:
+    """Return the response of a service of type Trigger or SetBool, after the end of its work."""
+    try:
+        future.result(ANSWER_LIMIT)
+    except TimeoutError:
+        return {"success": False, "message": f"not done within {ANSWER_LIMIT:g} s"}
+    except KhepTwinError as error:
+        return {"success": False, "message": str(error)}
+    return {"success": True, "message": message}
+
+
+def _requests_of(dialect: Dialect) -> list[list[str]]:
+    """Return the names of all channels that can be read, those of one request together."""
+    names_by_request: dict[str, list[str]] = {}
+    for name, read in dialect.reads.items():
+        names_by_request.setdefault(read.request, []).append(name)
+    return [*names_by_request.values()]
+
+
+def _channel_of(name: str) -> str:
+    """Return the channel of a read of one of its parts, like "ultrasonic 1"."""
+    return name.partition(" ")[0]
