@@ -239,10 +239,6 @@ class Node:
         self._entities.append(graph.session.declare_queryable(key, answer, complete=True))
         self._declare(Kind.SERVICE, name, type_name, DEFAULT)
 
-    def report(self, text: str) -> None:
-        """Report a line that starts with the node's name."""
-        self._graph.report(f"{self.name}: {text}")
-
     def report_once(self, cause: Hashable, text: str) -> None:
         """Report a line that starts with the node's name, once per cause."""
         self._graph.report_once((self.name, cause), f"{self.name}: {text}")

@@ -19,6 +19,9 @@ from khep_twin.ros.velocity import STOP, TWIST, TWIST_STAMPED, Velocity, setpoin
 _POLL_INTERVAL = 0.01
 """Interval at which a robot that waits for its next cycle looks for commands [s of the robot's time]."""
 
+_RESOLUTION = 1e-6
+"""Shortest wait [s]; simulated time has whole nanoseconds."""
+
 ANSWER_LIMIT = 5.0
 """Longest wait of a service for a robot or a twin [s]."""
 
@@ -125,7 +128,7 @@ class RobotNode:
             for name, values in self._robot.read_channels(*names).items():
                 channels.setdefault(_channel_of(name), []).extend(values)
         self._output.publish(channels, time_ns)
-        while (rest := end - self._robot.time) > 0 and not stop():
+        while (rest := end - self._robot.time) > _RESOLUTION and not stop():
             self._send_commands()
             if self._is_simulated:
                 self._robot.sleep(min(rest, _POLL_INTERVAL))

@@ -34,7 +34,7 @@ class TwinServices:
             node.serve("~/step", TRIGGER, self._on_step)
 
     def _on_pose(self, _: str, message: Message) -> None:
-        """Move the robot; each pose without room is reported."""
+        """Move the robot; a pose without room is reported, once for each reason."""
         frame, pose = message["header"]["frame_id"], message["pose"]["pose"]
         position, rotation = pose["position"], pose["orientation"]
         x, y, z, w = (rotation[axis] for axis in "xyzw")
@@ -46,7 +46,8 @@ class TwinServices:
             move = self._time.request(lambda: place_robot(self._world, self._robot, *arguments))
             move.result(ANSWER_LIMIT)
         except (KhepTwinError, TimeoutError) as error:
-            self._node.report(f"set_pose: {error or 'the twin did not reply'}")
+            text = f"set_pose: {error or 'the twin did not reply'}"
+            self._node.report_once(text, text)
 
     def _on_lamps(self, request: Message) -> Message:
         def switch_all() -> None:

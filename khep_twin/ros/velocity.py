@@ -31,7 +31,8 @@ class Velocity:
         twist = message["twist"] if type_name == TWIST_STAMPED else message
         forward, turn = twist["linear"]["x"], twist["angular"]["z"]
         if not (math.isfinite(forward) and math.isfinite(turn)):
-            raise KhepTwinError(f"linear.x = {forward}, angular.z = {turn}; expected finite numbers")
+            text = f"linear.x = {forward}, angular.z = {turn}: the robot stops"
+            raise KhepTwinError(f"{text}; expected finite numbers")
         return cls(forward, turn)
 
 

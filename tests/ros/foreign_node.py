@@ -11,6 +11,8 @@ import sys
 import threading
 from typing import Any
 
+import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2ServiceClient, ROS2Subscriber
 from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_names_and_types
@@ -111,14 +113,16 @@ class Commands:
             client.close()
 
     def _make(self, type: str, fields: dict[str, Any]) -> Any:
-        """Return a message of a type with some of its fields; the others are 0 or empty."""
+        """Return a message of a type with some of its fields; numbers of the others are 0."""
         store = self._session.store
         values: dict[str, Any] = {}
         for name, (node, rest) in store.fielddefs[type][1]:
-            if node == 2:  # a nested message
+            if node == Nodetype.NAME:
                 values[name] = self._make(rest, fields.get(name, {}))
-            else:
+            elif node == Nodetype.BASE:
                 values[name] = fields.get(name, "" if rest[0] == "string" else 0)
+            else:
+                values[name] = np.zeros(rest[1])
         return store.types[type](**values)
 
 

@@ -20,7 +20,9 @@ def test_both_forms_of_a_command_have_the_same_velocity() -> None:
 
 @pytest.mark.parametrize("speeds", [(math.nan, 0.0), (0.0, math.inf), (-math.inf, math.nan)])
 def test_a_speed_that_is_not_finite_is_refused(speeds: tuple[float, float]) -> None:
-    with pytest.raises(KhepTwinError, match=r"linear\.x = .*, angular\.z = .*; expected finite numbers"):
+    with pytest.raises(
+        KhepTwinError, match=r"linear\.x = .*, angular\.z = .*: the robot stops; expected finite numbers"
+    ):
         Velocity.of_message(TWIST, twist(*speeds))
 
 
