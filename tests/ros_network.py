@@ -1,13 +1,18 @@
 """A node of ROS 2 by another library, in another process, for tests of nodes on a Zenoh network."""
 
 import json
+import queue
 import select
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
+
+DOMAIN = 7
+"""Domain of ROS of the tests."""
 
 LIMIT = 60.0
 """Longest wait for the other process [s]; machines are as slow as they are."""
@@ -16,10 +21,10 @@ LIMIT = 60.0
 class ForeignNode:
     """A node by zenoh-ros2-sdk; its other methods are those of `Commands` in `ros/foreign_node.py`."""
 
-    def __init__(self, address: str, domain: int) -> None:
+    def __init__(self, address: str) -> None:
         program = Path(__file__).with_name("ros") / "foreign_node.py"
         self._process = subprocess.Popen(
-            [sys.executable, str(program), address.rpartition(":")[2], str(domain)],
+            [sys.executable, str(program), address.rpartition(":")[2], str(DOMAIN)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -71,3 +76,23 @@ def free_port() -> int:
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return listener.getsockname()[1]
+
+
+def assert_soon(read: Callable[[], object], expected: object) -> None:
+    """Check that a value becomes the expected one, as changes take time to reach another process."""
+    deadline = time.monotonic() + LIMIT
+    while (value := read()) != expected and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert value == expected
+
+
+class Lines(queue.Queue[str]):
+    """Lines that a graph reports."""
+
+    def next(self) -> str:
+        """Return the next line, which may be late."""
+        return self.get(timeout=LIMIT)
+
+    def all(self) -> list[str]:
+        """Return the lines that are there."""
+        return [self.get() for _ in range(self.qsize())]

@@ -53,10 +53,12 @@ def ros(
     from khep_twin.ros.fleet import Fleet, Settings
     from khep_twin.ros.graph import Graph
     from khep_twin.ros.session import Mode
+    from khep_twin.ros.wire import NodeName
 
-    names = namespace or [robot_name(number) for number in range(len(ports))]
-    if len(names) != len(ports):
-        raise usage(f"--namespace: {len(names)} for {len(ports)} ports; expected one for each port, or none")
+    names = [str(NodeName.of(name)) for name in namespace or map(robot_name, range(len(ports)))]
+    if len(names) != len(ports) or len({*names}) < len(names):
+        text = f"--namespace: {', '.join(names)} for {len(ports)} ports"
+        raise usage(f"{text}; expected another one for each port, or none")
     if be_router and peer:
         raise usage("--peer: has no effect with --be-router; expected one of them")
     if not any(port.startswith("khep://") for port in ports) and (paused or speed != "1"):

@@ -34,6 +34,7 @@ class TwinRobots:
     Attributes:
         titles: Titles of the robots' models by the names of their nodes.
         time: Time of the twin.
+        world: World of the twin.
 
     Raises:
         KhepTwinError: A URL cannot be used, or they are of two worlds.
@@ -44,17 +45,18 @@ class TwinRobots:
     ) -> None:
         self._twin, self._indices = _open_world(urls)
         self._nodes, self._is_paused = nodes, step is not None
-        world, robots = self._twin.world, self._twin.robots
+        self.world, robots = self._twin.world, self._twin.robots
         self._numbers = {name: robots[index].index for name, index in self._indices.items()}
         self.titles = {
-            name: world.playpen.robots[number].robot_model.title for name, number in self._numbers.items()
+            name: self.world.playpen.robots[number].robot_model.title
+            for name, number in self._numbers.items()
         }
         clock = next(iter(nodes.values())).publisher("/clock", _CLOCK, CLOCK)
         if not isinf(speed):
             # Loading compiled code later would stop the time for half a second.
-            world.code.switch_step = None
+            self.world.code.switch_step = None
         self.time = self._twin.time_source = TwinTime(
-            world,
+            self.world,
             speed,
             None if step is None else to_ns(step),
             lambda time_ns: clock.put(encode(_CLOCK, {"clock": time_ns})),
@@ -74,7 +76,7 @@ class TwinRobots:
             KhepTwinError: The twin ended, or motors could not be stopped.
         """
         for name, node in self._nodes.items():
-            TwinServices(node, self.time, self._twin.world, self._numbers[name], is_paused=self._is_paused)
+            TwinServices(node, self.time, self.world, self._numbers[name], is_paused=self._is_paused)
         scripts = {index: partial(run, name) for name, index in self._indices.items()}
         with ExitStack() as stack:
             for node in self._nodes.values():

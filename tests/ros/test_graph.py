@@ -2,12 +2,10 @@
 
 import queue
 import threading
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from ros_network import LIMIT, ForeignNode, free_port
+from ros_network import DOMAIN, LIMIT, ForeignNode, Lines, assert_soon, free_port
 
 from khep_twin.errors import KhepTwinError, PortError, ProtocolError
 from khep_twin.log.cdr import encode
@@ -20,52 +18,10 @@ from khep_twin.ros.wire import Attachment
 
 STRING, TRIGGER = "std_msgs/msg/String", "std_srvs/srv/Trigger"
 TWISTS = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-DOMAIN = 7
 
 
 def text_of(message: str) -> bytes:
     return encode(STRING, {"data": message})
-
-
-def assert_soon(read: Callable[[], object], expected: object) -> None:
-    """Check that a value becomes the expected one, as changes take time to reach another process."""
-    deadline = time.monotonic() + LIMIT
-    while (value := read()) != expected and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert value == expected
-
-
-class Lines(queue.Queue[str]):
-    """Lines that a graph reports."""
-
-    def next(self) -> str:
-        return self.get(timeout=LIMIT)
-
-    def all(self) -> list[str]:
-        return [self.get() for _ in range(self.qsize())]
-
-
-@pytest.fixture(scope="module")
-def router() -> Iterator[Graph]:
-    with Graph(f"127.0.0.1:{free_port()}", DOMAIN, mode=Mode.ROUTER) as graph:
-        yield graph
-
-
-@pytest.fixture(scope="module")
-def foreign(router: Graph) -> Iterator[ForeignNode]:
-    with ForeignNode(router.address, DOMAIN) as node:
-        yield node
-
-
-@pytest.fixture
-def lines() -> Lines:
-    return Lines()
-
-
-@pytest.fixture
-def graph(router: Graph, lines: Lines) -> Iterator[Graph]:
-    with Graph(router.address, DOMAIN, report=lines.put) as client:
-        yield client
 
 
 def test_another_library_lists_nodes_topics_and_their_types(graph: Graph, foreign: ForeignNode) -> None:
