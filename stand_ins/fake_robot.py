@@ -1,10 +1,12 @@
-"""A fake robot: a table of answers behind a TCP port, which can also go silent or disconnect."""
+"""Fake robots: a table of answers behind a TCP port or a terminal, which can also go silent or disconnect."""
 
 import contextlib
+import os
 import select
 import socket
 import threading
 import time
+import tty
 from types import TracebackType
 from typing import Self
 
@@ -95,3 +97,48 @@ class FakeRobot:
             if not self.silent:
                 with contextlib.suppress(ConnectionError):  # the host has closed the connection
                     client.sendall(prefix + answer)
+
+
+class TerminalRobot:
+    """A fake robot at a pseudo-terminal, which answers each line.
+
+    Attributes:
+        requests: All received lines, in order.
+        url: Path of the terminal.
+    """
+
+    def __init__(self) -> None:
+        self.requests: list[str] = []
+        self._robot_end, self._host_end = os.openpty()
+        tty.setraw(self._host_end)
+        self.url = os.ttyname(self._host_end)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.unplug()
+        os.close(self._host_end)
+
+    def unplug(self) -> None:
+        """Hang up, once."""
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _serve(self) -> None:
+        rest = b""
+        while not self._ended.is_set():
+            if select.select([self._robot_end], [], [], 0.01)[0]:
+                *lines, rest = (rest + os.read(self._robot_end, 4096)).split(b"\n")
+                for line in lines:
+                    request = line.decode("latin-1")
+                    self.requests.append(request)
+                    answer = ANSWERS.get(request[:1], request[:1].lower())
+                    os.write(self._robot_end, f"{answer}\r\n".encode() * bool(request))
+        os.close(self._robot_end)

@@ -59,6 +59,7 @@ class Fleet:
     Attributes:
         nodes: Nodes, in the order of the ports.
         titles: Titles of the robots' models, in this order.
+        twin: Robots of a twin at khep://; None without.
 
     Raises:
         KhepTwinError: A port cannot be opened, a name cannot be used, or there are two worlds.
@@ -68,7 +69,7 @@ class Fleet:
         self._graph, self._settings = graph, settings
         self._n_failures = 0
         self._is_stopping = False
-        self._twin: TwinRobots | None = None
+        self.twin: TwinRobots | None = None
         self._jobs: list[Callable[[], None]] = []
         titles: dict[str, str] = {}
         urls = dict(zip(names, map(resolve_port, ports), strict=True))
@@ -81,9 +82,9 @@ class Fleet:
                 titles[name] = robot.model.title
                 self._jobs.append(partial(self._drive, name, robot))
             if simulated:
-                self._twin = stack.enter_context(self._open_twin(simulated))
-                titles |= self._twin.titles
-                self._jobs.append(partial(self._drive_twin, self._twin))
+                self.twin = stack.enter_context(self._open_twin(simulated))
+                titles |= self.twin.titles
+                self._jobs.append(partial(self._drive_twin, self.twin))
             self._stack = stack.pop_all()
         self.nodes = [self._nodes[name] for name in names]
         self.titles = [titles[name] for name in names]
@@ -104,8 +105,8 @@ class Fleet:
                     time.sleep(_WATCH_INTERVAL)
             finally:
                 self._is_stopping = True
-                if self._twin is not None:
-                    self._twin.time.end()
+                if self.twin is not None:
+                    self.twin.time.end()
         for result in results:
             result.result()
         return self._n_failures

@@ -17,6 +17,9 @@ except ImportError as error:
 _OPEN_TIMEOUT_MS = 3000
 """Longest wait for a router that accepts the connection but does not reply [ms]."""
 
+_RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
+"""Periods of attempts to connect to a router that has gone."""
+
 _MAX_DOMAIN = 232
 """Largest domain of ROS."""
 
@@ -80,6 +83,7 @@ def _make_config(mode: Mode, address: str) -> zenoh.Config:
         "mode": json.dumps(mode),
         "scouting/multicast/enabled": "false",
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
+        "connect/retry": json.dumps(_RETRY),
         **connections[mode],
     }
     config = zenoh.Config()

@@ -24,9 +24,15 @@ def router() -> Iterator[Graph]:
 
 
 @pytest.fixture(scope="session")
-def foreign(router: Graph) -> Iterator[ForeignNode]:
+def foreign_process(router: Graph) -> Iterator[ForeignNode]:
     with ForeignNode(router.address) as node:
         yield node
+
+
+@pytest.fixture
+def foreign(foreign_process: ForeignNode) -> Iterator[ForeignNode]:
+    yield foreign_process
+    foreign_process.forget()
 
 
 @pytest.fixture

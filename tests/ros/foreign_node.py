@@ -90,6 +90,14 @@ class Commands:
         if self._thread is not None:
             self._thread.join()
 
+    def forget(self) -> None:
+        """Close all publishers and subscribers."""
+        self.stop()
+        for endpoint in (*self._publishers.values(), *self._subscribers):
+            endpoint.close()
+        self._publishers.clear()
+        self._subscribers.clear()
+
     def put(self, key: str, data: str, attachment: str | None = None) -> None:
         """Send bytes, in hexadecimal digits, with this key."""
         extra = {} if attachment is None else {"attachment": bytes.fromhex(attachment)}
