@@ -15,7 +15,10 @@ class RawOutput:
         self._node = node
         self._publishers: dict[str, Publisher] = {}
 
-    def publish(self, channels: Mapping[str, Sequence[int]], time_ns: int) -> None:
+    def begin(self) -> None:
+        """Do nothing: raw readings have no time."""
+
+    def publish(self, channels: Mapping[str, Sequence[int]]) -> None:
         """Publish the readings of one cycle by channel."""
         for channel, values in channels.items():
             if channel not in self._publishers:

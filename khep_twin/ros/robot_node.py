@@ -5,7 +5,6 @@ only store the latest command. It is sent between two requests, so that it waits
 """
 
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from typing import Protocol
@@ -31,8 +30,11 @@ TRIGGER, BOOL = "std_srvs/srv/Trigger", "std_msgs/msg/Bool"
 class Output(Protocol):
     """Receiver of a robot's readings."""
 
-    def publish(self, channels: Mapping[str, Sequence[int]], time_ns: int) -> None:
-        """Publish the readings of one cycle by channel, with the time at its start [ns]."""
+    def begin(self) -> None:
+        """Take the time of a cycle, immediately before its first reading."""
+
+    def publish(self, channels: Mapping[str, Sequence[int]]) -> None:
+        """Publish the readings of the cycle by channel."""
 
     def restart(self) -> None:
         """Begin odometry anew: the position counters are 0."""
@@ -121,13 +123,14 @@ class RobotNode:
 
     def _cycle(self, stop: Callable[[], bool]) -> None:
         end = self._robot.time + self._interval
-        time_ns = self._time_ns()
         channels: dict[str, list[int]] = {}
-        for names in self._requests:
+        for number, names in enumerate(self._requests):
             self._send_commands()
+            if not number:
+                self._output.begin()
             for name, values in self._robot.read_channels(*names).items():
                 channels.setdefault(_channel_of(name), []).extend(values)
-        self._output.publish(channels, time_ns)
+        self._output.publish(channels)
         while (rest := end - self._robot.time) > _RESOLUTION and not stop():
             self._send_commands()
             if self._is_simulated:
@@ -166,11 +169,6 @@ class RobotNode:
             self._output.restart()
             reset.set_result(None)
 
-    def _time_ns(self) -> int:
-        """Return the time of stamps [ns], simulated on khep://; ROS takes 0 for no time."""
-        time_ns: int | None = getattr(self._robot.port, "time_ns", None)
-        return time.time_ns() if time_ns is None else max(time_ns, 1)
-
 
 def await_outcome(future: Future[None], message: str) -> Message:
     """Return the response of a service of type Trigger or SetBool, after the end of its work."""
@@ -184,9 +182,12 @@ def await_outcome(future: Future[None], message: str) -> Message:
 
 
 def _requests_of(dialect: Dialect) -> list[list[str]]:
-    """Return the names of all channels that can be read, those of one request together."""
+    """Return the names of all channels that can be read, those of one request together.
+
+    The position is first: its age matters most.
+    """
     names_by_request: dict[str, list[str]] = {}
-    for name, read in dialect.reads.items():
+    for name, read in sorted(dialect.reads.items(), key=lambda item: item[0] != "position"):
         names_by_request.setdefault(read.request, []).append(name)
     return [*names_by_request.values()]
 
