@@ -69,12 +69,13 @@ class InfraredLaw:
         rest = np.where(self._threshold < 0, -self._threshold + _DEVIATIONS * noise, 0)
         self._dark = np.maximum(rest, max(_IDLE_MEANS * law.idle_counts, law.floor_counts))
         ends = self._invert(np.vstack([np.full(len(self._gain), float(self._full)), self._dark + 1]))
+        views = map(view_of, exponents.tolist())
+        headings = map(math.radians, measured.heading_deg)
+        places = [(*position, body.sensor_height) for position in body.sensor_positions]
         self.beams = [
-            Beam(f"ps{k}", (*position, body.sensor_height), math.radians(heading), view_of(exponent), *ends, True)
-            for k, (position, heading, exponent, ends) in enumerate(
-                zip(body.sensor_positions, measured.heading_deg, exponents.tolist(), ends.T.tolist(), strict=True)
-            )
-        ]  # fmt: skip
+            Beam(f"ps{k}", *beam, *limits, True)
+            for k, (*beam, limits) in enumerate(zip(places, headings, views, ends.T.tolist(), strict=True))
+        ]
 
     def distances(self, counts: Floats) -> Floats:
         """Return the distances of readings (n, n_sensors) [m]."""

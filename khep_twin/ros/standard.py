@@ -31,21 +31,18 @@ from khep_twin.robots.to_mjcf import ASSETS
 from khep_twin.ros.distances import Beam, Floats, GroundLaw, InfraredLaw, SonarLaw
 from khep_twin.ros.odometry import Odometry, Track
 from khep_twin.ros.quantities import columns_of
+from khep_twin.ros.scan import SCAN, scan_frame, scan_ranges
 from khep_twin.sensing.calibration import Calibration
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 JOINTS = "sensor_msgs/msg/JointState"
 RANGE = "sensor_msgs/msg/Range"
-SCAN = "sensor_msgs/msg/LaserScan"
 ILLUMINANCE = "sensor_msgs/msg/Illuminance"
 IMU = "sensor_msgs/msg/Imu"
 BATTERY = "sensor_msgs/msg/BatteryState"
 
 ODOM_FRAME = "{}/odom"
 """Frame of a robot's odometry by the robot's name, as REP 105 names it."""
-
-N_SCAN_BEAMS = 72
-"""Beams of a scan, one in 5 degrees."""
 
 _INFRARED, _ULTRASOUND = 1, 0
 _LUMENS_PER_WATT = 10.0
@@ -105,7 +102,7 @@ class StandardMessages:
         joints = {"name": [f"{name}/{side}_wheel_joint" for side in ("left", "right")]}
         joints |= {"position": np.zeros(2), "velocity": np.zeros(2)}
         self._joints = Frame(JOINTS, {**self._header(), **joints}, ["header.stamp", "position", "velocity"])
-        self._scan = self._scan_frame()
+        self._scan = scan_frame(self._base, self.beams)
 
     @property
     def beams(self) -> list[Beam]:
@@ -196,7 +193,7 @@ class StandardMessages:
             is_valid = ~np.isnan(column)
             values = {"header.stamp": times_ns[is_valid], "range": column[is_valid]}
             yield self._rows(beam.name, RANGE, times_ns[is_valid], self._ranges[beam.name], values)
-        values = {"header.stamp": times_ns, "ranges": _scan_ranges(beams, distances)}
+        values = {"header.stamp": times_ns, "ranges": scan_ranges(beams, distances)}
         yield self._rows("scan", SCAN, times_ns, self._scan, values)
 
     def _light(self, times_ns: Times, channels: Mapping[str, NDArray[np.generic]]) -> Iterator[StandardRows]:
@@ -221,7 +218,8 @@ class StandardMessages:
         force = columns_of(self._model, "accelerometer", channels)
         rate = columns_of(self._model, "gyroscope", channels)
         if len(force) == 3 or len(rate) == 3:
-            message: dict[str, Any] = {**self._header(), "orientation_covariance": [-1, *np.zeros(8)]}
+            message: dict[str, Any] = {**self._header(), "orientation": {"w": 1}}
+            message["orientation_covariance"] = [-1, *np.zeros(8)]
             values: dict[str, Any] = {"header.stamp": times_ns}
             for field, axes, signs in (
                 ("linear_acceleration", force, self._model.accelerometer_signs),
@@ -254,20 +252,6 @@ class StandardMessages:
     def _header(self) -> dict[str, Any]:
         return {"header": {"frame_id": self._base}}
 
-    def _scan_frame(self) -> Frame:
-        radii = [math.hypot(*beam.position[:2]) for beam in self.beams if not math.isnan(beam.heading)]
-        ends = [(radius + beam.nearest, radius + beam.reach) for radius, beam in zip(radii, self.beams)]
-        message = {
-            **self._header(),
-            "angle_min": -math.pi,
-            "angle_max": math.pi - math.tau / N_SCAN_BEAMS,
-            "angle_increment": math.tau / N_SCAN_BEAMS,
-            "range_min": min(nearest for nearest, _ in ends),
-            "range_max": max(reach for _, reach in ends),
-            "ranges": np.zeros(N_SCAN_BEAMS),
-        }
-        return Frame(SCAN, message, ["header.stamp", "ranges"])
-
 
 def _range_frame(name: str, beam: Beam) -> Frame:
     """Return the frame of a sensor's distances."""
@@ -279,28 +263,6 @@ def _range_frame(name: str, beam: Beam) -> Frame:
         "max_range": beam.reach,
     }
     return Frame(RANGE, message, ["header.stamp", "range"])
-
-
-def _scan_ranges(beams: list[Beam], distances: Floats) -> Floats:
-    """Return the ranges of a scan (n, N_SCAN_BEAMS) [m] from those of beams (n, n_beams)."""
-    rows = np.arange(len(distances))
-    ranges = np.full((len(distances), N_SCAN_BEAMS), np.inf)
-    too_near = np.zeros(ranges.shape, bool)
-    for beam, column in zip(beams, distances.T, strict=False):
-        if math.isnan(beam.heading):
-            continue
-        is_measured, is_near = np.isfinite(column), np.isneginf(column)
-        length = np.where(is_measured, column, beam.nearest)
-        x = beam.position[0] + length * math.cos(beam.heading)
-        y = beam.position[1] + length * math.sin(beam.heading)
-        bins = np.rint(np.arctan2(y, x) * (N_SCAN_BEAMS / math.tau)).astype(int) + N_SCAN_BEAMS // 2
-        bins %= N_SCAN_BEAMS
-        radii = np.where(is_measured, np.hypot(x, y), np.inf)
-        ranges[rows, bins] = np.minimum(ranges[rows, bins], radii)
-        too_near[rows, bins] |= is_near
-    # A measured distance is more than that another sensor is too near to measure.
-    ranges[too_near & np.isinf(ranges)] = -np.inf
-    return ranges
 
 
 def _ground_heights(model: RobotModel) -> list[float]:
