@@ -376,8 +376,8 @@ def parse_columns(channel: str, label: str) -> Columns:
     """Return the columns of a channel from the label of its numbers: "left, right [unit]", or with units."""
     names, _, unit = label.removesuffix("]").partition(" [")
     columns = [f"{channel}_{name.replace(' ', '_')}".lower() for name in names.split(", ")]
-    units = unit.split(", ") if unit.count(",") else [unit] * len(columns)
-    return tuple(zip(columns, units, strict=True))
+    units = unit.split(", ")
+    return tuple(zip(columns, units if len(units) == len(columns) else [unit] * len(columns), strict=True))
 
 
 class SampledRegisters(NamedTuple):

@@ -73,8 +73,10 @@ class InfraredLaw:
         headings = map(math.radians, measured.heading_deg)
         places = [(*position, body.sensor_height) for position in body.sensor_positions]
         self.beams = [
-            Beam(f"ps{k}", *beam, *limits, True)
-            for k, (*beam, limits) in enumerate(zip(places, headings, views, ends.T.tolist(), strict=True))
+            Beam(f"ps{k}", place, heading, view, nearest, reach, True)
+            for k, (place, heading, view, (nearest, reach)) in enumerate(
+                zip(places, headings, views, ends.T.tolist(), strict=True)
+            )
         ]
 
     def distances(self, counts: Floats) -> Floats:

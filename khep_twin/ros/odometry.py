@@ -17,7 +17,7 @@ from khep_twin.shadow.motion_noise import HEADING_NOISE, PLACE_NOISE
 _SPEED_MARGIN = 1.5
 """Largest speed of a wheel over that of its unloaded motor (assumed); faster steps are jumps of a counter."""
 
-_JUMP_MARGIN_RAD = 0.5
+_JUMP_MARGIN_RAD = 0.1
 """Turn of a wheel that is no jump after any time [rad] (assumed)."""
 
 _LEAST_VARIANCE = 1e-6
