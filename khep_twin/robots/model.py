@@ -373,10 +373,10 @@ def parse_channels(labels: Mapping[str, str]) -> dict[str, Columns]:
 
 
 def parse_columns(channel: str, label: str) -> Columns:
-    """Return the columns of a channel from the label of its numbers: "left, right [unit]", or with units."""
+    """Return the columns of a channel from the label of its numbers: "left, right [unit]", or "[unit; unit]"."""
     names, _, unit = label.removesuffix("]").partition(" [")
     columns = [f"{channel}_{name.replace(' ', '_')}".lower() for name in names.split(", ")]
-    units = unit.split(", ")
+    units = unit.split("; ")
     return tuple(zip(columns, units if len(units) == len(columns) else [unit] * len(columns), strict=True))
 
 

@@ -40,7 +40,7 @@ CHANNELS = {
     + " [0 to 63]",
     "accelerometer": f"{_AXES} [1/{COUNTS_PER_G} g]",
     "gyroscope": f"{_AXES} [{DEGREES_PER_COUNT} deg/s]",
-    "battery": "voltage, current, charge, temperature [9.76 mV, 0.0781 mA, 1.6 mAh, 1/256 degree C]",
+    "battery": "voltage, current, charge, temperature [9.76 mV; 0.0781 mA; 1.6 mAh; 1/256 degree C]",
     "control": "type, on target, ultrasonic enabled, status LED [register]",
 }
 """Label of each channel, in the order of the log's registers."""
