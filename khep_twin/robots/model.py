@@ -373,7 +373,7 @@ def parse_channels(labels: Mapping[str, str]) -> dict[str, Columns]:
 
 
 def parse_columns(channel: str, label: str) -> Columns:
-    """Return the columns of a channel from the label of its numbers: "left, right [unit]", or "[unit; unit]"."""
+    """Return the columns of a channel by its label: "left, right [unit]", or "left, right [unit; unit]"."""
     names, _, unit = label.removesuffix("]").partition(" [")
     columns = [f"{channel}_{name.replace(' ', '_')}".lower() for name in names.split(", ")]
     units = unit.split("; ")
