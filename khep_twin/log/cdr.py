@@ -156,3 +156,19 @@ class Frame:
                 array = np.column_stack(np.divmod(array, NS_PER_S))
             rows[path] = array.reshape(rows[path].shape)
         return rows
+
+    def parse(self, messages: Sequence[bytes]) -> tuple[NDArray[np.bool_], NDArray[np.void]]:
+        """Return which messages have this frame (n,), and those that do as rows with their variables."""
+        has_frame = np.array([len(message) == len(self._frame) for message in messages], bool)
+        same_size = [message for message, is_same in zip(messages, has_frame, strict=True) if is_same]
+        rows = np.frombuffer(bytearray(b"".join(same_size)), self._dtype)
+        blank = rows.copy()
+        for path in self._dtype.names or ():
+            blank[path] = 0
+        template = np.frombuffer(bytearray(self._frame), self._dtype)
+        for path in self._dtype.names or ():
+            template[path] = 0
+        size = len(self._frame)
+        is_equal = (blank.view(np.uint8).reshape(-1, size) == template.view(np.uint8)).all(axis=1)
+        has_frame[has_frame] = is_equal
+        return has_frame, rows[is_equal]
