@@ -159,16 +159,14 @@ class Frame:
 
     def parse(self, messages: Sequence[bytes]) -> tuple[NDArray[np.bool_], NDArray[np.void]]:
         """Return which messages have this frame (n,), and those that do as rows with their variables."""
-        has_frame = np.array([len(message) == len(self._frame) for message in messages], bool)
-        same_size = [message for message, is_same in zip(messages, has_frame, strict=True) if is_same]
-        rows = np.frombuffer(bytearray(b"".join(same_size)), self._dtype)
-        blank = rows.copy()
+        size = len(self._frame)
+        has_frame = np.array([len(message) == size for message in messages], bool)
+        data = b"".join(message for message in messages if len(message) == size)
+        # The frame and the messages without their variables; a copy by numpy would lack the bytes between.
+        blank = np.frombuffer(bytearray(self._frame + data), self._dtype)
         for path in self._dtype.names or ():
             blank[path] = 0
-        template = np.frombuffer(bytearray(self._frame), self._dtype)
-        for path in self._dtype.names or ():
-            template[path] = 0
-        size = len(self._frame)
-        is_equal = (blank.view(np.uint8).reshape(-1, size) == template.view(np.uint8)).all(axis=1)
+        contents = blank.view(np.uint8).reshape(-1, size)
+        is_equal = (contents[1:] == contents[0]).all(axis=1)
         has_frame[has_frame] = is_equal
-        return has_frame, rows[is_equal]
+        return has_frame, np.frombuffer(data, self._dtype)[is_equal]

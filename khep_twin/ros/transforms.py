@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.channels import BASE_FRAME, MAP, TRANSFORMS, TransformFrame
-from khep_twin.log.decoding import decode
+from khep_twin.log.decoding import DecodeError, decode
 from khep_twin.log.frames import multiply, rotate
 from khep_twin.ros.standard import ODOM_FRAME
 
-_STEPS_PER_UNIT = 2.0**30
-"""Resolution of positions and quaternions, as in a log (`log.frames`)."""
+_STEPS_PER_UNIT = 2.0**24
+"""Resolution of positions [1/m] and quaternions [1]: 0.06 um."""
 
 _OLD_MAP, _OLD_BASE = "world", "/base"
 """Frame of the scene and end of a robot's frame in logs of version 1.0."""
@@ -52,6 +52,8 @@ def odometry_trees(
     while rest:
         frames = read_frames(rest[0])
         has_frames, poses = TransformFrame(frames).parse(rest)
+        if not has_frames[0]:
+            raise DecodeError("other bytes between the values of a message", "zeros")
         group_ns = rest_ns[has_frames]
         rest_ns, rest = rest_ns[~has_frames], [rest[row] for row in np.flatnonzero(~has_frames)]
         frames, poses = _mounted(*_renamed(frames, poses))

@@ -62,10 +62,12 @@ def test_wheels_that_count_at_constant_rates_drive_a_circle(name: str) -> None:
     odom, joints, transform = (messages[topic][-1] for topic in ("odom", "joint_states", "/tf"))
     position, rotation = odom["pose"]["pose"]["position"], odom["pose"]["pose"]["orientation"]
     expected = (radius * math.sin(400 * turn), radius * (1 - math.cos(400 * turn)))
-    assert (position["x"], position["y"]) == pytest.approx(expected, abs=1e-12)
-    assert (rotation["z"], rotation["w"]) == pytest.approx((math.sin(200 * turn), math.cos(200 * turn)))
-    assert odom["twist"]["twist"]["linear"]["x"] == pytest.approx((left + right) / 2 / 0.02)
-    assert odom["twist"]["twist"]["angular"]["z"] == pytest.approx(turn / 0.02)
+    assert (position["x"], position["y"]) == pytest.approx(expected, abs=1e-7)
+    assert (rotation["z"], rotation["w"]) == pytest.approx(
+        (math.sin(200 * turn), math.cos(200 * turn)), abs=1e-7
+    )
+    assert odom["twist"]["twist"]["linear"]["x"] == pytest.approx((left + right) / 2 / 0.02, abs=1e-7)
+    assert odom["twist"]["twist"]["angular"]["z"] == pytest.approx(turn / 0.02, abs=1e-7)
     assert (odom["header"], odom["child_frame_id"]) == (
         {"stamp": 401 * STEP_NS, "frame_id": "khepera0/odom"},
         "khepera0/base_link",
@@ -98,7 +100,7 @@ def test_a_sample_at_time_0_only_starts_the_odometry() -> None:
     rows = [*standard(TOY).messages(times(3, first=0), {"position": np.array([[7, 7], [8, 8], [9, 9]])})]
     assert all(row.times_ns.tolist() == [STEP_NS, 2 * STEP_NS] for row in rows)
     steps = [message["pose"]["pose"]["position"]["x"] for message in by_topic(rows)["odom"]]
-    assert steps == pytest.approx([TOY.body.pulse_length, 2 * TOY.body.pulse_length])
+    assert steps == pytest.approx([TOY.body.pulse_length, 2 * TOY.body.pulse_length], abs=1e-7)
 
 
 def test_a_counter_that_is_set_or_forgotten_is_no_way() -> None:
@@ -108,13 +110,13 @@ def test_a_counter_that_is_set_or_forgotten_is_no_way() -> None:
     ways = [
         message["pose"]["pose"]["position"]["x"] / MODELS["khepera1"].body.pulse_length for message in odom
     ]
-    assert ways == pytest.approx([0, 10, 10, 20, 20])
+    assert ways == pytest.approx([0, 10, 10, 20, 20], abs=1e-3)
     robot.odometry.forget_counters()
     more = by_topic(
         [*robot.messages(times(2, first=6), {"position": np.array([[4990, 4990], [4991, 4991]])})]
     )
     assert more["odom"][-1]["pose"]["pose"]["position"]["x"] == pytest.approx(
-        21 * MODELS["khepera1"].body.pulse_length
+        21 * MODELS["khepera1"].body.pulse_length, abs=1e-7
     )
 
 
@@ -125,9 +127,9 @@ def test_the_covariance_of_a_straight_drive_is_that_of_a_random_heading() -> Non
     covariance = np.array(message["pose"]["covariance"]).reshape(6, 6)
     duration, length = n * 0.02, n * 100 * model.body.pulse_length
     assert covariance[0, 0] == pytest.approx(PLACE_NOISE**2 * duration, rel=0.02)
-    assert covariance[5, 5] == pytest.approx(HEADING_NOISE**2 * duration, rel=1e-3)
+    assert covariance[5, 5] == pytest.approx(HEADING_NOISE**2 * duration, rel=5e-3)
     assert covariance[1, 1] == pytest.approx(HEADING_NOISE**2 * duration * length**2 / 3, rel=1e-2)
-    assert covariance[1, 5] == pytest.approx(HEADING_NOISE**2 * duration * length / 2, rel=1e-3)
+    assert covariance[1, 5] == pytest.approx(HEADING_NOISE**2 * duration * length / 2, rel=5e-3)
     assert np.linalg.eigvalsh(covariance).min() > 0
     assert np.linalg.eigvalsh(np.array(message["twist"]["covariance"]).reshape(6, 6)).min() > 0
 
