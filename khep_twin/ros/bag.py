@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
+from khep_twin.files.atomic import resolve
 from khep_twin.files.folders import atomic_folder
 from khep_twin.log.attached import calibration_of, compile_shapes
 from khep_twin.log.batch_writer import BatchWriter
@@ -78,7 +79,7 @@ def write_bag(
     Raises:
         KhepTwinError: The log is invalid, or the folder cannot be written, or is something else than a bag.
     """
-    check_new_bag(folder, force)
+    check_new_bag(folder, log, force)
     bag = _Bag(log, read_label(log), rate_hz)
     name = f"{folder.absolute().name}.mcap"
     try:
@@ -92,14 +93,16 @@ def write_bag(
     return len(bag.topics), sum(count for _, count in bag.topics.values())
 
 
-def check_new_bag(folder: Path, force: bool) -> None:
-    """Refuse a folder that exists, except with `force` a bag."""
+def check_new_bag(folder: Path, log: Path, force: bool) -> None:
+    """Refuse a folder that exists, except with `force` another bag than that of the log."""
     if not folder.exists() and not folder.is_symlink():
         return
     if not force:
         raise LogError(f"{folder}: is there already; expected another name, or --force to replace it")
     if not (folder / METADATA).is_file():
         raise LogError(f"{folder}: is no bag; expected a new name, or that of a bag to replace")
+    if resolve(folder) in resolve(log).parents:
+        raise LogError(f"{folder}: has the log; expected another folder")
 
 
 class _Bag:
