@@ -87,9 +87,12 @@ def check_rules(path: Path) -> None:
 
 
 def messages_of(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
-    with AnyReader([path]) as foreign:
-        for connection, time_ns, data in foreign.messages():
-            yield connection.topic, connection.msgtype, time_ns, bytes(data)
+    """Yield topic, type, time [ns] and content of the messages of a file, or of the one of a bag."""
+    (file_path,) = [path] if path.is_file() else path.glob("*.mcap")
+    with file_path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            yield channel.topic, schema.name, message.log_time, message.data
 
 
 def read(path: Path) -> Topics:
@@ -105,37 +108,38 @@ def test_logs_and_bags_keep_the_rules_of_rosbag2(log: Path, bag: Path) -> None:
     check_rules(bag / "bag.mcap")
 
 
-def test_each_message_has_the_bytes_of_jazzys_own_type(log: Path, bag: Path) -> None:
-    for path in (log, bag, bag / "bag.mcap"):
-        n_messages = 0
-        for topic, type_name, _, data in messages_of(path):
-            n_messages += 1
-            if "foxglove" not in type_name:
-                message = JAZZY.deserialize_cdr(data, type_name)
-                assert bytes(JAZZY.serialize_cdr(message, type_name)) == data, topic
-        assert n_messages > 1000
+def check_messages(foreign: AnyReader) -> None:
+    """Check that each message has the bytes that the type of the distribution encodes."""
+    for connection, _, data in foreign.messages():
+        if "foxglove" not in (type_name := connection.msgtype):
+            message = JAZZY.deserialize_cdr(data, type_name)
+            assert JAZZY.serialize_cdr(message, type_name) == data, connection.topic
 
 
-def test_the_folder_is_read_with_qos_and_written_again_by_rosbags(bag: Path, tmp_path: Path) -> None:
-    with (
-        AnyReader([bag]) as foreign,
-        Writer(tmp_path / "copy", version=8, storage_plugin=StoragePlugin.MCAP) as writer,
-    ):
-        connections = {}
+def test_rosbags_reads_a_bare_log_and_its_messages_are_jazzys(log: Path) -> None:
+    with AnyReader([log]) as foreign:
+        check_messages(foreign)
+
+
+def test_rosbags_reads_a_bag_with_qos_and_writes_it_again(bag: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    with AnyReader([bag]) as foreign, Writer(copy, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        check_messages(foreign)
+        connections: dict[int, Any] = {}
         for connection in foreign.connections:
             assert isinstance(connection.ext, ConnectionExtRosbag2)
-            (profile,) = connection.ext.offered_qos_profiles
-            assert (profile.durability.name == "TRANSIENT_LOCAL") == (connection.topic in LATCHED)
+            profiles = connection.ext.offered_qos_profiles
+            is_latched = profiles[0].durability.name == "TRANSIENT_LOCAL"
+            assert is_latched == (connection.topic in LATCHED)
             connections[connection.id] = writer.add_connection(
                 connection.topic,
                 connection.msgtype,
                 typestore=foreign.typestore,
-                offered_qos_profiles=connection.ext.offered_qos_profiles,
+                offered_qos_profiles=profiles,
             )
         for connection, time_ns, data in foreign.messages():
             writer.write(connections[connection.id], time_ns, data)
-    assert [*messages_of(tmp_path / "copy")] == [*messages_of(bag)]
-    assert (tmp_path / "copy" / "metadata.yaml").is_file()
+    assert sorted(messages_of(copy)) == sorted(messages_of(bag))
 
 
 def test_the_metadata_counts_the_messages_of_the_file(bag: Path) -> None:
@@ -263,7 +267,6 @@ def test_batches_of_any_size_give_the_same_messages(
 ) -> None:
     monkeypatch.setattr(reader, "BATCH_BYTES", 1000)
     write_bag(log, tmp_path / "small")
-    # Messages of one time are in the order of the chunks.
     assert sorted(messages_of(tmp_path / "small")) == sorted(messages_of(bag))
 
 
