@@ -24,7 +24,6 @@ from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.cdr import Frame, encode
 from khep_twin.log.channels import SCENE, STRING, TRANSFORMS, TextLine, text_message
 from khep_twin.log.decoding import DecodeError, decode
-from khep_twin.log.description import urdf
 from khep_twin.log.entries import Entry, Label
 from khep_twin.log.foxglove_scene import scene_update
 from khep_twin.log.frames import MovingBodies
@@ -35,6 +34,7 @@ from khep_twin.log.reader import Recording, read_label, read_message_batches
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.robots.model import RobotModel
+from khep_twin.ros.robot_description import robot_description
 from khep_twin.ros.standard import StandardMessages, StandardRows
 from khep_twin.ros.transforms import Reckoned, odometry_trees
 from khep_twin.sensing import calibration as calibrations
@@ -193,7 +193,9 @@ class _Bag:
         static = b"" if self._scene is None else MovingBodies(self._scene).static_message
         yield _one("/tf_static", TRANSFORMS, 0, self._static_message(static))
         if self._scene is not None:
-            yield _one("/robot_description", STRING, 0, text_message(urdf(self._scene)))
+            sensors = [frame for robot in self._robots.values() for frame in robot.static_transforms()]
+            description = robot_description(self._scene, sensors)
+            yield _one("/robot_description", STRING, 0, text_message(description))
             yield _one("/scene", SCENE, 0, scene_update(self._scene))
 
     def _static_message(self, message: bytes) -> bytes:
