@@ -64,6 +64,44 @@ def check(playpen: PlaypenName) -> None:
         )
 
 
+@playpen_app.command()
+def urdf(
+    playpen: PlaypenName = "default",
+    robot: Annotated[
+        int | None, typer.Option(min=0, help="Number of the robot to write alone, from 0.")
+    ] = None,
+    output: Output = None,
+    seed: SpotSeed = 0,
+    force: Force = False,
+) -> None:
+    """Write a playpen, or one of its robots, as URDF with joints, to standard output by default.
+
+    RViz and other tools of ROS show it. Links are the frames of `khep-twin export --ros2`.
+    """
+    from khep_twin.playpen_to_mjcf import to_spec
+    from khep_twin.robots.model import robot_name
+    from khep_twin.ros.robot_description import robot_description
+    from khep_twin.ros.standard import StandardMessages
+    from khep_twin.sensing.calibration import read_for
+
+    check_inputs([playpen], output)
+    check_new(force, output)
+    loaded_playpen = playpens.at_spots(playpens.Playpen.load(playpen), seed)
+    if robot is not None and robot >= (n_robots := len(loaded_playpen.robots)):
+        expected = f"a number below {n_robots}" if n_robots else "a playpen with robots"
+        raise KhepTwinError(f"--robot {robot}: number of robots = {n_robots}; expected {expected}")
+    sensors = [
+        frame
+        for index, entry in enumerate(loaded_playpen.robots)
+        for frame in StandardMessages(
+            entry.robot_model, read_for(entry.calibration, entry.robot_model), robot_name(index)
+        ).static_transforms()
+    ]
+    model = to_spec(loaded_playpen).compile()
+    name = None if robot is None else robot_name(robot)
+    _write(robot_description(model, sensors, name), output, "URDF", force)
+
+
 @playpen_app.command("compile")
 def compile_playpen(
     playpen: PlaypenName, output: Output = None, seed: SpotSeed = 0, force: Force = False

@@ -1,6 +1,7 @@
-"""`khep-twin export` and `khep-twin report`: logs as tables, datasets and pages."""
+"""`khep-twin export` and `khep-twin report`: logs as tables, datasets, bags of ROS 2 and pages."""
 
 import math
+from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -28,9 +29,11 @@ def export(
     minari: str | None = None,
     task: str | None = None,
     period: Annotated[float | None, typer.Option(show_default=False)] = None,
+    ros2: Path | None = None,
+    rate: Annotated[float | None, typer.Option(show_default=False)] = None,
     force: Force = False,
 ) -> None:
-    """Write the data of logs as tables or as a dataset.
+    """Write the data of logs as tables, as a dataset or as a bag of ROS 2.
 
     Args:
         log: A log, FILE.mcap; several for a dataset.
@@ -41,7 +44,15 @@ def export(
         minari: Write a Minari dataset with this id, e.g. khepera/avoid-v0, for offline learning.
         task: Task of the dataset's observations and rewards, e.g. ObstacleAvoidance.
         period: Control period of the dataset [ms]; by default 50.
+        ros2: Write a bag of ROS 2 in this folder, with standard messages for its tools.
+        rate: Rate of the bag's messages of sensors [Hz]; by default 10.
     """
+    if ros2 is not None:
+        options = {"-o": output, "--channels": channels, "--robot": robot, "--transcript": transcript}
+        _export_bag(log, ros2, 10.0 if rate is None else rate, {**options, "--minari": minari}, force)
+        return
+    if rate is not None:
+        raise LogError(f"--rate {rate:g}: expected it with --ros2 alone")
     for name, value in (("--task", task), ("--period", period)):
         if minari is None and value is not None:
             raise LogError(f"{name} {value}: expected it with --minari alone")
@@ -56,6 +67,25 @@ def export(
     if output is None or task is None:
         raise LogError(f"--minari {minari}: expected -o FOLDER and --task NAME with it")
     _export_dataset(log, output, minari, task, 50.0 if period is None else period, robot, force)
+
+
+def _export_bag(
+    logs: list[Path], folder: Path, rate: float, others: Mapping[str, object], force: bool
+) -> None:
+    """Write a bag of one log."""
+    from khep_twin.ros.bag import check_new_bag, write_bag
+
+    for name, value in others.items():
+        if value is not None:
+            raise LogError(f"--ros2 with {name}; expected a bag alone")
+    if len(logs) > 1:
+        raise LogError(f"{len(logs)} logs; expected one for a bag")
+    if not 0 < rate <= 1000:
+        raise LogError(f"--rate {rate:g}: expected a rate above 0 and up to 1000 Hz")
+    check_new_bag(folder, logs[0], force)
+    with progress_bar() as progress:
+        n_topics, n_messages = write_bag(logs[0], folder, rate, force, progress)
+    typer.echo(f"bag         {folder}: {n_topics} topics, {n_messages} messages")
 
 
 def _export_tables(

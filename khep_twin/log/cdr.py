@@ -156,3 +156,17 @@ class Frame:
                 array = np.column_stack(np.divmod(array, NS_PER_S))
             rows[path] = array.reshape(rows[path].shape)
         return rows
+
+    def parse(self, messages: Sequence[bytes]) -> tuple[NDArray[np.bool_], NDArray[np.void]]:
+        """Return which messages have this frame (n,), and those that do as rows with their variables."""
+        size = len(self._frame)
+        has_frame = np.array([len(message) == size for message in messages], bool)
+        data = b"".join(message for message in messages if len(message) == size)
+        # The frame and the messages without their variables; a copy by numpy would lack the bytes between.
+        blank = np.frombuffer(bytearray(self._frame + data), self._dtype)
+        for path in self._dtype.names or ():
+            blank[path] = 0
+        contents = blank.view(np.uint8).reshape(-1, size)
+        is_equal = (contents[1:] == contents[0]).all(axis=1)
+        has_frame[has_frame] = is_equal
+        return has_frame, np.frombuffer(data, self._dtype)[is_equal]

@@ -151,6 +151,12 @@ class TransformFrame:
             values[f"transforms.{index}.transform"] = poses[:, index]
         return self._frame.messages(values)
 
+    def parse(self, messages: Sequence[bytes]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Return which messages have these frames (n,), and the poses of those that do (m, bodies, 7)."""
+        has_frames, rows = self._frame.parse(messages)
+        poses = [rows[f"transforms.{index}.transform"] for index in range(self._n_bodies)]
+        return has_frames, np.stack(poses, axis=1) if poses else np.zeros((len(rows), 0, 7))
+
 
 PLANAR_ROWS = [0, 1, 5]
 """Rows of x, y and heading in the covariance of a 3-D pose."""

@@ -1,7 +1,8 @@
 """URDF of the scene, from the compiled model: geometry for viewers that do not read MJCF.
 
 Each body becomes a link named like its frame, with its visible geoms and sites as visuals; fixed bodies are
-part of the link "map". Poses come from /tf, so the joints only connect the links.
+part of the link "map". Poses come from /tf, so the joints only connect the links; `ros.robot_description` has
+real ones.
 """
 
 import math
@@ -61,7 +62,7 @@ def urdf(model: mujoco.MjModel) -> str:
     for body in range(model.nbody):
         name = frame_name(model, body)
         link = ElementTree.SubElement(robot, "link", name=name)
-        link.extend(map(_visual, shapes(model, body)))
+        link.extend(map(visual, shapes(model, body)))
         if body:
             joint = ElementTree.SubElement(robot, "joint", name=f"{name}_joint", type="floating")
             ElementTree.SubElement(joint, "parent", link=MAP)
@@ -83,6 +84,15 @@ def shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:
         pose = model.site_pos[site], model.site_quat[site]
         geom_type, size = int(model.site_type[site]), model.site_size[site].tolist()
         yield from _shape(name, geom_type, size, *pose, model.site_rgba[site])
+
+
+def collision_shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:
+    """Yield the shapes of a body that only have contacts."""
+    for geom in np.flatnonzero((model.geom_bodyid == body) & (model.geom_group == _HIDDEN_GROUP)).tolist():
+        name = model.geom(geom).name or f"geom{geom}"
+        pose = model.geom_pos[geom], model.geom_quat[geom]
+        geom_type, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
+        yield from _shape(name, geom_type, size, *pose, np.ones(4, np.float32))
 
 
 def _shape(
@@ -108,31 +118,34 @@ def _shape(
     yield Shape(name, _KINDS[geom_type], size, position, quaternion, rgba)
 
 
-def _geometry(shape: Shape) -> ElementTree.Element:
+def geometry(shape: Shape) -> ElementTree.Element:
     """Return a shape as a URDF geometry."""
     if shape.kind == "box":
-        return ElementTree.Element("box", size=_join_numbers(shape.size))
-    radius = _join_numbers([shape.size[0] / 2])
+        return ElementTree.Element("box", size=join_numbers(shape.size))
+    radius = join_numbers([shape.size[0] / 2])
     if shape.kind == "sphere":
         return ElementTree.Element("sphere", radius=radius)
-    return ElementTree.Element(shape.kind, radius=radius, length=_join_numbers([shape.size[2]]))
+    return ElementTree.Element(shape.kind, radius=radius, length=join_numbers([shape.size[2]]))
 
 
-def _visual(shape: Shape) -> ElementTree.Element:
-    visual = ElementTree.Element("visual", name=shape.name)
-    ElementTree.SubElement(
-        visual,
-        "origin",
-        xyz=_join_numbers(shape.position.tolist()),
-        rpy=_join_numbers(_roll_pitch_yaw(shape.quaternion)),
-    )
-    ElementTree.SubElement(visual, "geometry").append(_geometry(shape))
-    material = ElementTree.SubElement(visual, "material", name=f"{shape.name}_colour")
-    ElementTree.SubElement(material, "color", rgba=_join_numbers(shape.rgba.tolist()))
-    return visual
+def visual(shape: Shape) -> ElementTree.Element:
+    """Return a shape with its colour as a URDF visual."""
+    element = ElementTree.Element("visual", name=shape.name)
+    element.append(origin(shape.position, shape.quaternion))
+    ElementTree.SubElement(element, "geometry").append(geometry(shape))
+    material = ElementTree.SubElement(element, "material", name=f"{shape.name}_colour")
+    ElementTree.SubElement(material, "color", rgba=join_numbers(shape.rgba.tolist()))
+    return element
 
 
-def _join_numbers(values: Sequence[float]) -> str:
+def origin(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> ElementTree.Element:
+    """Return a pose as URDF: position [m] and rotation w, x, y, z."""
+    angles = _roll_pitch_yaw(quaternion)
+    return ElementTree.Element("origin", xyz=join_numbers(position.tolist()), rpy=join_numbers(angles))
+
+
+def join_numbers(values: Sequence[float]) -> str:
+    """Return numbers in the form of an attribute."""
     return " ".join(f"{value:.9g}" for value in values)
 
 

@@ -50,8 +50,8 @@ class MovingBodies:
         parents = self._parents[self._is_mounted]
         inverse = quaternions[:, parents] * [1, -1, -1, -1]
         offset = position[:, self._is_mounted] - positions[:, parents]
-        position[:, self._is_mounted] = _rotate(inverse, offset)
-        rotation[:, self._is_mounted] = _multiply(inverse, rotation[:, self._is_mounted])
+        position[:, self._is_mounted] = rotate(inverse, offset)
+        rotation[:, self._is_mounted] = multiply(inverse, rotation[:, self._is_mounted])
         poses = np.concatenate([position, rotation[:, :, [1, 2, 3, 0]]], axis=2)
         return self._frame.messages(times_ns, np.rint(poses * _STEPS_PER_UNIT) / _STEPS_PER_UNIT)
 
@@ -70,7 +70,7 @@ def parent_frame(model: mujoco.MjModel, body: int) -> str:
     return frame_name(model, parent) if model.body_weldid[parent] else MAP
 
 
-def _multiply(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def multiply(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return products of quaternions w, x, y, z (..., 4)."""
     left_w, left_xyz, right_w, right_xyz = left[..., :1], left[..., 1:], right[..., :1], right[..., 1:]
     w = left_w * right_w - np.sum(left_xyz * right_xyz, axis=-1, keepdims=True)
@@ -78,7 +78,7 @@ def _multiply(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[
     return np.concatenate([w, xyz], axis=-1)
 
 
-def _rotate(rotation: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotate(rotation: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (..., 3) rotated by quaternions w, x, y, z (..., 4)."""
     w, xyz = rotation[..., :1], rotation[..., 1:]
     return vectors + 2 * np.cross(xyz, w * vectors + np.cross(xyz, vectors))

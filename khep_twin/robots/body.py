@@ -20,6 +20,9 @@ class SonarRing:
         lag: Mean age of a distance when it is read [s].
         positions: Positions of the sensors, x forward and y left of the centre [m]; empty if they lie on a
             circle, each in the direction of its heading.
+        nearest: Shortest measured distance [m].
+        reach: Longest measured distance [m].
+        exponent: Exponent of the cosine off the axis, of the beam's amplitude; 0 for an unknown one.
     """
 
     names: tuple[str, ...]
@@ -29,6 +32,9 @@ class SonarRing:
     codes: tuple[int, ...]
     lag: float = 0.0
     positions: tuple[tuple[float, float], ...] = ()
+    nearest: float = 0.0
+    reach: float = math.inf
+    exponent: float = 0.0
 
     @property
     def places(self) -> list[tuple[float, float, float, float]]:

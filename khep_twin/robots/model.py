@@ -222,6 +222,7 @@ class RobotModel:
             proximity; None without a vehicle.
         template: First text of a controller for it: a file in assets, or a path; empty for a straight drive.
         bench: Tests that calibrate it; None without a fit.
+        accelerometer_signs: Signs of its axes, to x forward, y left and z up.
     """
 
     name: str
@@ -244,6 +245,7 @@ class RobotModel:
     vehicle: Callable[[Sequence[int]], tuple[int, int]] | None = None
     template: str = ""
     bench: Bench | None = None
+    accelerometer_signs: tuple[int, int, int] = (1, 1, 1)
 
     @property
     def calibration_name(self) -> str:
@@ -371,9 +373,11 @@ def parse_channels(labels: Mapping[str, str]) -> dict[str, Columns]:
 
 
 def parse_columns(channel: str, label: str) -> Columns:
-    """Return the columns of a channel from the label of its numbers: "left, right [unit]"."""
+    """Return the columns of a channel by its label: "left, right [unit]", or "left, right [unit; unit]"."""
     names, _, unit = label.removesuffix("]").partition(" [")
-    return tuple((f"{channel}_{name.replace(' ', '_')}".lower(), unit) for name in names.split(", "))
+    columns = [f"{channel}_{name.replace(' ', '_')}".lower() for name in names.split(", ")]
+    units = unit.split("; ")
+    return tuple(zip(columns, units if len(units) == len(columns) else [unit] * len(columns), strict=True))
 
 
 class SampledRegisters(NamedTuple):

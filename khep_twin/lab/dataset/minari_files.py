@@ -10,15 +10,10 @@ The data are HDF5, Minari's default. The same episodes give the same bytes.
 # pyright: reportMissingImports=false, reportMissingTypeStubs=false, reportUnknownMemberType=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 
-import os
 import re
-import shutil
-from collections.abc import Generator, Iterable
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -26,10 +21,9 @@ import numpy as np
 from khep_twin.envs.gymnasium import register
 from khep_twin.envs.tasks import Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
-from khep_twin.files.atomic import free_name, name_taken_message, resolve
+from khep_twin.files.folders import atomic_folder
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset.episodes import OfflineEpisode
-from khep_twin.process.signals import register_cleanup
 
 try:
     import gymnasium
@@ -100,8 +94,9 @@ def write_dataset(
     target = check_new_dataset(Path(folder), dataset_id, force)
     observations, actions = spaces or (None, None)
     try:
-        with _temporary_folder(target, force) as part:
-            storage = MinariStorage.new(part, observations, actions, spec, data_format="hdf5")
+        with atomic_folder(target, force) as folder:
+            (data := folder / "data").mkdir()
+            storage = MinariStorage.new(data, observations, actions, spec, data_format="hdf5")
             storage.update_metadata(
                 {"dataset_id": dataset_id, "minari_version": minari.__version__, "description": description}
             )
@@ -123,33 +118,3 @@ def _buffer(episode: OfflineEpisode) -> Any:
     # Minari cannot read back one-dimensional arrays.
     infos = {name: values.tolist() for name, values in episode.infos.items()}
     return EpisodeBuffer(seed=episode.seed, infos=infos, **arrays)
-
-
-@contextmanager
-def _temporary_folder(target: Path, force: bool) -> Generator[Path]:
-    """Make a temporary folder for a dataset's data, and rename the complete dataset to `target`.
-
-    Raises:
-        KhepTwinError: Without `force`, `target` existed at the end; the dataset has another name.
-    """
-    new_folders = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
-    target.parent.mkdir(parents=True, exist_ok=True)
-    # Minari joins relative paths twice.
-    part = Path(mkdtemp(prefix=f".{target.name}.part-", dir=resolve(target.parent)))
-    clear = partial(shutil.rmtree, part, ignore_errors=True)
-    unregister = register_cleanup(clear)
-    try:
-        (part / "new" / "data").mkdir(parents=True)
-        yield part / "new" / "data"
-        destination = target if force else free_name(target, "kept")
-        if destination.exists():
-            os.replace(destination, part / "old")
-        os.replace(part / "new", destination)
-        if destination != target:
-            raise KhepTwinError(name_taken_message(target, destination))
-    finally:
-        clear()
-        unregister()
-        for folder in new_folders:
-            with suppress(OSError):  # not empty if it has the dataset
-                folder.rmdir()

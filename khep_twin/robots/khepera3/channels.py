@@ -43,7 +43,7 @@ CHANNELS = {
     "duty": f"{_WHEELS} [1/{PWM_LIMIT}]",
     "current": f"{_WHEELS} [mA]",
     "leds": "0, 1 [1 when lit]",
-    "battery": "voltage, current, charge [mV mA mAh]",
+    "battery": "voltage, current, charge [mV; mA; mAh]",
     "control": "mode left, mode right, type left, type right, errors left, errors right [register]",
 }
 """Label of each channel, in the order of the log's registers."""

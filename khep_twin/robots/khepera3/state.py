@@ -113,8 +113,7 @@ def make_state(
 ) -> Khepera3State:
     """Return the state of a robot at power-up."""
     used = lithium_cells.used_charge(CAPACITY, entry.battery_used_min, FULL_MIN)
-    # 20 cm (19 here: programs stop below 20) to 4 m: manual; half the amplitude at 35 degrees (a simulator).
-    sonar = Sonar.of(SONAR, reach=4.0, nearest=0.19, exponent=3.5, noise_cm=0.4)
+    sonar = Sonar.of(SONAR, SONAR.reach, SONAR.nearest, SONAR.exponent, noise_cm=0.4)
     return Khepera3State(
         **core_fields(model, indices, measured, entry, first_moment),
         idle_current=entry.body.idle_current,

@@ -1,7 +1,4 @@
-"""Numbers of a Khepera IV, and its channels in a log: names of their numbers, and their unit in brackets.
-
-The gauge counts voltage in 9.76 mV, current in 0.0781 mA, charge in 1.6 mAh, temperature in 1/256 degree C.
-"""
+"""Numbers of a Khepera IV, and its channels in a log: names of their numbers, and their unit in brackets."""
 
 RING = ("back left", "left", "front left", "front", "front right", "right", "back right", "back")
 GROUND = ("ground left", "ground front left", "ground front right", "ground right")
@@ -43,7 +40,7 @@ CHANNELS = {
     + " [0 to 63]",
     "accelerometer": f"{_AXES} [1/{COUNTS_PER_G} g]",
     "gyroscope": f"{_AXES} [{DEGREES_PER_COUNT} deg/s]",
-    "battery": "voltage, current, charge, temperature [gauge]",
+    "battery": "voltage, current, charge, temperature [9.76 mV; 0.0781 mA; 1.6 mAh; 1/256 degree C]",
     "control": "type, on target, ultrasonic enabled, status LED [register]",
 }
 """Label of each channel, in the order of the log's registers."""

@@ -32,8 +32,19 @@ from khep_twin.robots.model import (
 from khep_twin.robots.vehicle import Vehicle
 from khep_twin.units import COUNTS_LIMIT
 
-SONAR = SonarRing(ULTRASONIC, (90, 45, 0, -45, -90), 0.066, 0.0445, ULTRASONIC_CODES, lag=0.07)
-"""Headings: manual; distance from the centre: assumed; height: drawing. A distance is 20 to 120 ms old."""
+SONAR = SonarRing(
+    ULTRASONIC,
+    (90, 45, 0, -45, -90),
+    0.066,
+    0.0445,
+    ULTRASONIC_CODES,
+    lag=0.07,
+    nearest=0.25,
+    reach=2.5,
+    exponent=2.27,
+)
+"""Headings, 0.25 to 2.5 m: manual; distance from the centre: assumed; height: drawing. A distance is 20 to
+120 ms old. The amplitude is 0.5 at 42.5 degrees off the axis (typical, assumed)."""
 
 BODY = Body(
     radius=0.0704,
@@ -150,6 +161,7 @@ KHEPERA_4 = RobotModel(
     terms=_TERMS,
     speed_modes={_FIRST["control"]: Control.SPEED},
     vehicle=VEHICLE.speeds,
+    accelerometer_signs=(1, 1, -1),
     template=str(Path(__file__).parent / "assets" / "template.py"),
     # At full duty the twin's tyres slip by 0.05 %; paper of A4 is 210 mm wide.
     bench=Bench(

@@ -1,7 +1,6 @@
 """Ultrasonic sensors of the Khepera IV, by the law of `sensing.sonar`.
 
-The amplitude is 0.5 at 42.5 degrees off the axis (typical, assumed), so the beam's exponent is 2.27. Walls
-turned by 55 degrees or more are missed beyond some 0.4 m.
+Walls turned by 55 degrees or more are missed beyond some 0.4 m.
 """
 
 from khep_twin.robots.khepera4.channels import ULTRASONIC_CODES
@@ -15,5 +14,5 @@ _, NO_ECHO, DISABLED = ULTRASONIC_CODES
 
 
 def make_sonar() -> Sonar:
-    """Return the sensors: 0.25 to 2.5 m (manual), noise assumed; the manual states an error of 2 cm."""
-    return Sonar.of(SONAR, reach=2.5, nearest=0.25, exponent=2.27, noise_cm=0.4)
+    """Return the sensors; noise assumed; the manual states an error of 2 cm."""
+    return Sonar.of(SONAR, SONAR.reach, SONAR.nearest, SONAR.exponent, noise_cm=0.4)
