@@ -15,7 +15,7 @@ from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks import environments, growth, khepera4, peers, record
+from benchmarks import environments, growth, khepera4, peers, record, ros
 from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, episode_row, world_row
 from benchmarks.table import LEGEND, Table, measure, text
@@ -117,6 +117,7 @@ def tables(quick: bool, python: str | None, versions: dict[str, str]) -> Iterato
     part, rounds = (0.25, 2) if quick else (1.0, 7)
     yield main_job(part, rounds)
     yield trip_table(part, rounds)
+    yield ros.table(round(60 * part), rounds)
     if sys.platform == "linux" and shutil.which("cc"):
         with TemporaryDirectory() as folder:
             yield khepera4.table(Path(folder), part, rounds)

@@ -1,0 +1,137 @@
+"""Latency of a velocity command of ROS 2, from its publisher to a robot's line: `python -m benchmarks.ros`.
+
+A robot at a pseudo-terminal answers at once, so that the line itself takes no time. The floor is a line that
+is written to that terminal. `khep-twin ros` runs in another process and is the router. The velocity changes with
+each command, at moments that are independent of the node's cycle.
+"""
+
+import argparse
+import os
+import queue
+import random
+import socket
+import statistics
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+
+from benchmarks.table import LEGEND, Row, RunTimes, Table, measure, text
+from khep_twin.log.cdr import encode
+from khep_twin.log.message_types import type_hash
+from khep_twin.ros.graph import Graph
+from khep_twin.ros.velocity import TWIST
+from khep_twin.ros.wire import Attachment, data_key
+from stand_ins.fake_robot import ANSWERS
+
+COMMANDS = 200
+ROUNDS = 5
+UNIT = "commands per s"
+LIMIT = 30.0
+"""Longest wait for a command [s]."""
+
+
+class Terminal:
+    """Robot at a pseudo-terminal that answers at once.
+
+    Attributes:
+        path: Path of the terminal.
+        arrivals: Times at which commands of speeds arrived [s of `time.perf_counter`].
+    """
+
+    def __init__(self) -> None:
+        self._robot, self._host = os.openpty()
+        tty.setraw(self._host)
+        self.path = os.ttyname(self._host)
+        self.arrivals = queue.SimpleQueue[float]()
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def write(self, line: bytes) -> None:
+        """Write a line as a host does."""
+        os.write(self._host, line)
+
+    def _serve(self) -> None:
+        rest = b""
+        while True:
+            *lines, rest = (rest + os.read(self._robot, 4096)).split(b"\n")
+            for line in lines:
+                letter = line[:1].decode("latin-1")
+                if letter == "D":
+                    self.arrivals.put(time.perf_counter())
+                if letter:
+                    os.write(self._robot, f"{ANSWERS.get(letter, letter.lower())}\r\n".encode())
+
+
+def median_latency(
+    terminal: Terminal, send: Callable[[int], None], n_commands: int, latencies: list[float]
+) -> RunTimes:
+    """Send commands and return their median latency; `latencies` receives all of them [s]."""
+    latencies.clear()
+    moments = random.Random(1)
+    for number in range(n_commands):
+        time.sleep(moments.uniform(0, 0.06))
+        while not terminal.arrivals.empty():
+            terminal.arrivals.get()
+        start = time.perf_counter()
+        send(number)
+        latencies.append(terminal.arrivals.get(timeout=LIMIT) - start)
+    return RunTimes(statistics.median(latencies))
+
+
+@contextmanager
+def command_rows(n_commands: int) -> Generator[list[Row]]:
+    """Measure commands to a robot at a pseudo-terminal, by the median latency of a round."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        router = f"127.0.0.1:{listener.getsockname()[1]}"
+    floor, terminal = Terminal(), Terminal()
+    arguments = ["ros", terminal.path, "--router", router, "--be-router", "--domain", "0", "--timeout", "60"]
+    node = subprocess.Popen([sys.executable, "-m", "khep_twin", *arguments], stdout=subprocess.PIPE)
+    try:
+        assert node.stdout is not None
+        node.stdout.readline()  # its node is in the graph
+        key = data_key(0, "/khepera0/cmd_vel", TWIST, type_hash(TWIST))
+        with Graph(router, 0) as graph:
+
+            def publish(number: int) -> None:
+                speed = 0.08 if number % 2 else -0.08
+                attachment = Attachment(number + 1, time.time_ns(), bytes(16)).to_bytes()
+                graph.session.put(key, encode(TWIST, {"linear": {"x": speed}}), attachment=attachment)
+
+            yield [
+                _row("line to a pty (floor)", floor, lambda _: floor.write(b"D,1,1\n"), n_commands),
+                _row("cmd_vel to the line", terminal, publish, n_commands),
+            ]
+    finally:
+        node.terminate()
+        node.wait()
+
+
+def table(n_commands: int, rounds: int) -> Table:
+    """Measure the latency of commands."""
+    with command_rows(n_commands) as rows:
+        return measure("velocity command of ROS 2", rows, rounds, unit=UNIT)
+
+
+def _row(name: str, terminal: Terminal, send: Callable[[int], None], n_commands: int) -> Row:
+    latencies: list[float] = []
+
+    def note(_: float) -> str:
+        p50, p99 = statistics.median(latencies), statistics.quantiles(latencies, n=100)[98]
+        return f"p50 {1e3 * p50:.2f} ms, p99 {1e3 * p99:.2f} ms"
+
+    return Row(name, 1, lambda: median_latency(terminal, send, n_commands, latencies), note)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--commands", type=int, default=COMMANDS, help="commands of a round")
+    options = parser.parse_args()
+    print(f"{text([table(options.commands, ROUNDS)])}\n\n{LEGEND}")
+
+
+if __name__ == "__main__":
+    main()
