@@ -1,8 +1,8 @@
 """Latency of a velocity command of ROS 2, from its publisher to a robot's line: `python -m benchmarks.ros`.
 
 A robot at a pseudo-terminal answers at once, so that the line itself takes no time. The floor is a line that
-is written to that terminal. `khep-twin ros` runs in another process and is the router. The velocity changes with
-each command, at moments that are independent of the node's cycle.
+is written to that terminal. `khep-twin ros` runs in another process and is the router. The velocity changes
+with each command, at moments that are independent of the node's cycle.
 """
 
 import argparse
