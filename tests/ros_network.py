@@ -14,7 +14,7 @@ from typing import Any, Self
 DOMAIN = 7
 """Domain of ROS of the tests."""
 
-LIMIT = 60.0
+LIMIT = 30.0
 """Longest wait for the other process [s]; machines are as slow as they are."""
 
 

@@ -42,11 +42,15 @@ class Drive:
     def end(self) -> int:
         """Stop the robots; return the number of those that had failed."""
         self._stop.set()
-        return self.result()
-
-    def result(self) -> int:
-        """Return the number of robots that failed, when all robots have ended."""
         return self._result.result(LIMIT)
+
+    def wait_until(self, is_done: Callable[[], object]) -> None:
+        """Wait until something has happened, while the robots are driven."""
+        deadline = time.monotonic() + LIMIT
+        while not is_done():
+            assert not self._result.done(), f"ended: {self._result.result()} robots have failed"
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
 
     def close(self) -> None:
         self._stop.set()
@@ -88,23 +92,16 @@ def speeds(fake: TerminalRobot) -> list[str]:
     return [speed for index, speed in enumerate(requests) if index == 0 or speed != requests[index - 1]]
 
 
-def wait_until(is_done: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + LIMIT
-    while not is_done():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.005)
-
-
 def test_a_robot_obeys_velocities_and_stops_without_them(
     graph: Graph, foreign: ForeignNode, fake: TerminalRobot, lines: Lines
 ) -> None:
     with driven(graph, fake.url) as drive:
         foreign.publish(topic="/khepera0/cmd_vel", type=TWIST, message={"linear": {"x": 0.08}})
-        wait_until(lambda: "D,10,10" in fake.requests, "the robot drives")
+        drive.wait_until(lambda: "D,10,10" in fake.requests)
         foreign.stop()
-        wait_until(lambda: speeds(fake)[-1] == "D,0,0", "the robot stops by itself")
+        drive.wait_until(lambda: speeds(fake)[-1] == "D,0,0")
         foreign.publish(topic="/khepera0/led1", type=BOOL, message={"data": 1})
-        wait_until(lambda: "L,1,1" in fake.requests, "the LED is lit")
+        drive.wait_until(lambda: "L,1,1" in fake.requests)
         foreign.stop()
         assert drive.end() == 0
     assert speeds(fake)[-2:] == ["D,10,10", "D,0,0"]
@@ -114,16 +111,16 @@ def test_a_robot_obeys_velocities_and_stops_without_them(
 def test_an_impossible_velocity_is_reported_once(
     graph: Graph, foreign: ForeignNode, fake: TerminalRobot, lines: Lines
 ) -> None:
-    with driven(graph, fake.url):
+    with driven(graph, fake.url) as drive:
         foreign.publish(topic="/khepera0/cmd_vel", type=TWIST, message={"linear": {"x": 5.0}})
-        wait_until(lambda: "D,127,127" in fake.requests, "the robot drives")
+        drive.wait_until(lambda: "D,127,127" in fake.requests)
         text = "linear.x = 5, angular.z = 0: beyond the motors' limit; clamped, with the same curvature"
         assert lines.next() == f"/khepera0: {text}"
         foreign.publish(topic="/khepera0/cmd_vel", type=TWIST, message={"linear": {"x": math.nan}})
         assert lines.next() == (
             "/khepera0/cmd_vel: linear.x = nan, angular.z = 0.0: the robot stops; expected finite numbers"
         )
-        wait_until(lambda: speeds(fake)[-1] == "D,0,0", "the robot stops")
+        drive.wait_until(lambda: speeds(fake)[-1] == "D,0,0")
         foreign.stop()
     assert lines.all() == []
 
@@ -133,12 +130,11 @@ def test_a_robot_that_is_lost_leaves_the_graph_and_the_others_stay(
 ) -> None:
     with twin_at_terminal("arena4") as path, driven(graph, fake.url, path) as drive:
         assert [*drive.fleet.titles] == ["Khepera", "Khepera IV"]
-        wait_until(
-            lambda: foreign.topics().keys() >= {"/khepera0/raw/speed", "/khepera1/raw/gyroscope"}, "topics"
-        )
+        topics = {"/khepera0/raw/speed", "/khepera1/raw/gyroscope"}
+        drive.wait_until(lambda: foreign.topics().keys() >= topics)
         fake.unplug()
         assert re.match(rf"{fake.url}: the port failed at .*; the motors may still run: ", lines.next())
-        wait_until(lambda: "/khepera0/cmd_vel" not in foreign.topics(), "the node leaves")
+        drive.wait_until(lambda: "/khepera0/cmd_vel" not in foreign.topics())
         foreign.subscribe(topic="/khepera1/raw/gyroscope", type=FLOATS)
         for _ in range(3):
             assert "data=array" in foreign.hear(topic="/khepera1/raw/gyroscope")
@@ -188,9 +184,8 @@ def test_a_twin_is_moved_and_its_lamps_are_switched(graph: Graph, foreign: Forei
         place = {"position": {"x": 0.3, "y": 0.2}, "orientation": {"z": math.sqrt(0.5), "w": math.sqrt(0.5)}}
         message = {"header": {"frame_id": "map"}, "pose": {"pose": place}}
         foreign.publish(topic="/khepera0/set_pose", type=POSE, message=message)
-        wait_until(
-            lambda: world.robots[0].pose == pytest.approx((0.3, 0.2, math.pi / 2)), "the robot is moved"
-        )
+        pose = pytest.approx((0.3, 0.2, math.pi / 2))
+        drive.wait_until(lambda: world.robots[0].pose == pose)
         foreign.publish(topic="/khepera0/set_pose", type=POSE, message={"header": {"frame_id": "odom"}})
         assert lines.next() == "/khepera0: set_pose: a pose in frame 'odom'; expected 'map'"
         foreign.publish(topic="/khepera0/set_pose", type=POSE, message={})
@@ -212,7 +207,7 @@ def test_robots_of_one_playpen_share_a_world(graph: Graph, foreign: ForeignNode)
         robots = drive.fleet.twin.world.robots
         headings = [robot.pose[2] for robot in robots]
         foreign.publish(topic="/khepera1/cmd_vel", type=TWIST, message={"angular": {"z": 1.0}})
-        wait_until(lambda: abs(robots[0].pose[2] - headings[0]) > 0.1, "the second robot turns")
+        drive.wait_until(lambda: abs(robots[0].pose[2] - headings[0]) > 0.1)
         foreign.stop()
         assert robots[1].pose[2] == pytest.approx(headings[1], abs=0.01)
 
@@ -236,7 +231,7 @@ def test_a_signal_stops_the_robot(router: Graph, foreign: ForeignNode, fake: Ter
     with served(fake.url, *options, command="ros") as (process, line):
         assert line == f"/khepera0  Khepera at {fake.url}"
         foreign.publish(topic="/khepera0/cmd_vel", type=TWIST, message={"linear": {"x": 0.08}})
-        wait_until(lambda: "D,10,10" in fake.requests, "the robot drives")
+        assert_soon(lambda: "D,10,10" in fake.requests, True)
         foreign.stop()
         assert stop(process, signal.SIGINT) == (130, "")
     assert speeds(fake)[-2:] == ["D,10,10", "D,0,0"]
