@@ -54,6 +54,7 @@ def test_a_late_subscriber_of_another_library_receives_a_latched_message(
 ) -> None:
     with Node(graph, "talker") as node:
         node.publisher("/description", STRING, LATCHED).put(text_of("a robot"))
+        assert_soon(foreign.topics, {"/description": [STRING]})
         foreign.subscribe(topic="/description", type=STRING, latched=True)
         assert "data='a robot'" in foreign.hear(topic="/description")
 
