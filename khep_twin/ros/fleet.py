@@ -17,8 +17,9 @@ from khep_twin.host.connection import connect
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.opening import resolve_port
 from khep_twin.ros.graph import Graph, Node
-from khep_twin.ros.raw_output import RawOutput
 from khep_twin.ros.robot_node import RobotNode
+from khep_twin.ros.standard_output import StandardOutput
+from khep_twin.sensing.calibration import read_for
 
 if TYPE_CHECKING:
     from khep_twin.ros.twin_robots import TwinRobots
@@ -136,7 +137,11 @@ class Fleet:
 
     def _run_node(self, name: str, robot: HostRobot) -> None:
         settings, node = self._settings, self._nodes[name]
-        output = RawOutput(node)
+        if self.twin is not None and name in self.twin.titles:
+            output = self.twin.make_output(name)
+        else:
+            calibration = read_for(robot.model.calibration, robot.model)
+            output = StandardOutput(node, robot.model, calibration, time.time_ns)
         robot_node = RobotNode(robot, node, output, interval=1 / settings.rate, timeout=settings.timeout)
         robot_node.run(lambda: self._is_stopping)
 

@@ -16,8 +16,10 @@ from khep_twin.log.qos import CLOCK
 from khep_twin.ports.protocol_khep import open_url, parse_url
 from khep_twin.ports.twin import Twin, equip_playpen, open_twin
 from khep_twin.ros.graph import Node
+from khep_twin.ros.standard_output import StandardOutput
 from khep_twin.ros.twin_services import TwinServices
 from khep_twin.ros.twin_time import TwinTime
+from khep_twin.sensing.calibration import read_for
 
 _CLOCK = "rosgraph_msgs/msg/Clock"
 
@@ -68,6 +70,15 @@ class TwinRobots:
     def __exit__(self, *_: object) -> None:
         """Complete the log of the twin."""
         self._twin.close()
+
+    def make_output(self, name: str) -> StandardOutput:
+        """Return the receiver of a robot's readings, by the name of its node."""
+        number = self._numbers[name]
+        entry, robot = self.world.playpen.robots[number], self.world.robots[number]
+        calibration = read_for(entry.calibration, entry.robot_model)
+        return StandardOutput(
+            self._nodes[name], entry.robot_model, calibration, lambda: self.world.time_ns, lambda: robot.pose
+        )
 
     def drive(self, run: Callable[[str, HostRobot], None]) -> None:
         """Offer the twin's services, and call `run` with each robot, in threads that take turns.

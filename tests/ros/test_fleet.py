@@ -24,7 +24,7 @@ from khep_twin.ros.wire import NodeName
 from stand_ins.fake_robot import TerminalRobot
 
 TWIST, BOOL, TRIGGER = "geometry_msgs/msg/Twist", "std_msgs/msg/Bool", "std_srvs/srv/Trigger"
-FLOATS, POSE = "std_msgs/msg/Float64MultiArray", "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 NO_FIELDS = {"structure_needs_at_least_one_member": 0}
 QUICK = Settings(rate=100.0, timeout=0.2)
 
@@ -130,14 +130,14 @@ def test_a_robot_that_is_lost_leaves_the_graph_and_the_others_stay(
 ) -> None:
     with twin_at_terminal("arena4") as path, driven(graph, fake.url, path) as drive:
         assert [*drive.fleet.titles] == ["Khepera", "Khepera IV"]
-        topics = {"/khepera0/raw/speed", "/khepera1/raw/gyroscope"}
+        topics = {"/khepera0/odom", "/khepera1/imu"}
         drive.wait_until(lambda: foreign.topics().keys() >= topics)
         fake.unplug()
         assert re.match(rf"{fake.url}: the port failed at .*; the motors may still run: ", lines.next())
         drive.wait_until(lambda: "/khepera0/cmd_vel" not in foreign.topics())
-        foreign.subscribe(topic="/khepera1/raw/gyroscope", type=FLOATS)
+        foreign.subscribe(topic="/khepera1/imu", type="sensor_msgs/msg/Imu")
         for _ in range(3):
-            assert "data=array" in foreign.hear(topic="/khepera1/raw/gyroscope")
+            assert "frame_id='khepera1/base_link'" in foreign.hear(topic="/khepera1/imu")
         assert drive.end() == 1
     assert_soon(lambda: any(graph.session_id in token for token in foreign.tokens()), False)
     assert lines.all() == []
@@ -151,7 +151,6 @@ def test_a_paused_twin_advances_in_steps_and_publishes_its_time(
         assert drive.fleet.twin is not None
         world = drive.fleet.twin.world
         foreign.subscribe(topic="/clock", type="rosgraph_msgs/msg/Clock")
-        foreign.subscribe(topic="/khepera0/raw/position", type=FLOATS)
 
         def step() -> str:
             return foreign.call(service="/khepera0/step", type=TRIGGER, request=NO_FIELDS)

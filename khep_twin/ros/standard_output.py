@@ -1,0 +1,93 @@
+"""Readings of a robot as standard messages of its node, with the frames of its sensors."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from khep_twin.log.cdr import encode
+from khep_twin.log.channels import MAP, TRANSFORMS, TransformFrame
+from khep_twin.log.output import split_rows
+from khep_twin.log.qos import LATCHED, qos_of
+from khep_twin.robots.model import RobotModel
+from khep_twin.ros.graph import Node, Publisher
+from khep_twin.ros.standard import ODOM_FRAME, StandardMessages
+from khep_twin.sensing.calibration import Calibration
+
+Pose = tuple[float, float, float]
+"""Position x, y [m] and heading [rad]."""
+
+
+class StandardOutput:
+    """Publishers of a robot's standard messages; each is made at the first message of its topic.
+
+    Args:
+        node: Node of the robot.
+        model: Model of the robot.
+        calibration: Calibration of the robot.
+        now: Function that returns the time of stamps [ns].
+        find_pose: Function that returns the true pose in the map, for a twin: the node then publishes the
+            frame of odometry in the map so that the base has its true pose.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        model: RobotModel,
+        calibration: Calibration,
+        now: Callable[[], int],
+        find_pose: Callable[[], Pose] | None = None,
+    ) -> None:
+        self._node, self._now, self._find_pose = node, now, find_pose
+        name = str(node.name).removeprefix("/")
+        self._make = lambda: StandardMessages(model, calibration, name)
+        self._messages = self._make()
+        self._publishers: dict[str, Publisher] = {}
+        self._time_ns, self._pose = 0, (0.0, 0.0, 0.0)
+        self._odometry_in_map = TransformFrame([(MAP, ODOM_FRAME.format(name))])
+        static = {"transforms": [*map(_transform, self._messages.static_transforms())]}
+        node.publisher("/tf_static", TRANSFORMS, LATCHED).put(encode(TRANSFORMS, static))
+
+    def begin(self) -> None:
+        """Take the time of a cycle, and the true pose."""
+        self._time_ns = max(self._now(), 1)  # ROS takes 0 for no time
+        if self._find_pose is not None:
+            self._pose = self._find_pose()
+
+    def publish(self, channels: Mapping[str, Sequence[int]]) -> None:
+        """Publish the readings of the cycle by channel."""
+        times_ns = np.array([self._time_ns])
+        arrays = {name: np.array([values]) for name, values in channels.items()}
+        for rows in self._messages.messages(times_ns, arrays):
+            if rows.topic not in self._publishers:
+                publisher = self._node.publisher(rows.topic, rows.type_name, qos_of(rows.topic))
+                self._publishers[rows.topic] = publisher
+            publisher = self._publishers[rows.topic]
+            if rows.type_name == TRANSFORMS and self._find_pose is not None:
+                (odometry,) = rows.messages["transforms.0.transform"]
+                pose = _odometry_in_map(self._pose, odometry)
+                publisher.put(self._odometry_in_map.messages(times_ns, pose[None, None]).tobytes())
+            for message in split_rows(rows.messages):
+                publisher.put(message)
+
+    def restart(self) -> None:
+        """Begin the odometry anew."""
+        self._messages = self._make()
+
+
+def _odometry_in_map(pose: Pose, odometry: Sequence[float]) -> "np.ndarray[Any, np.dtype[np.float64]]":
+    """Return the odometry's frame in the map, position and quaternion (7,), by two poses of the base."""
+    x, y, _, _, _, qz, qw = odometry
+    heading = pose[2] - 2 * math.atan2(qz, qw)
+    cos, sin = math.cos(heading), math.sin(heading)
+    offset = pose[0] - (cos * x - sin * y), pose[1] - (sin * x + cos * y)
+    return np.array([*offset, 0, 0, 0, math.sin(heading / 2), math.cos(heading / 2)])
+
+
+def _transform(frame: tuple[str, str, tuple[float, ...]]) -> dict[str, Any]:
+    """Return a transform as fields of a message: parent, name, position and quaternion of a frame."""
+    parent, name, (*position, qx, qy, qz, qw) = frame
+    translation, rotation = dict(zip("xyz", position, strict=True)), {"x": qx, "y": qy, "z": qz, "w": qw}
+    transform = {"translation": translation, "rotation": rotation}
+    return {"header": {"frame_id": parent}, "child_frame_id": name, "transform": transform}
