@@ -22,6 +22,9 @@ from zenoh_ros2_sdk.session import ZenohSession
 LIMIT = 30.0
 """Longest wait for a message [s]."""
 
+NEAR = 0.065
+"""Distance from a robot's centre at which it turns away [m]."""
+
 
 class Commands:
     """What the other process may ask for."""
@@ -97,6 +100,50 @@ class Commands:
             endpoint.close()
         self._publishers.clear()
         self._subscribers.clear()
+
+    def avoid(self, robot: str, seconds: float, steps: bool = False) -> int:
+        """Drive a robot by its scan alone for a time of its stamps [s]; return the number of scans.
+
+        With `steps`, time passes by the robot's service `step` alone.
+        """
+        scans, type_hash = queue.Queue[Any](), self._session.store.hash_rihs01
+        scan, twist = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
+        definition = {"msg_definition": "", **self._place}
+        subscriber = ROS2Subscriber(
+            f"/{robot}/scan", scan, scans.put, type_hash=type_hash(scan), **definition
+        )
+        publisher = ROS2Publisher(f"/{robot}/cmd_vel", twist, type_hash=type_hash(twist), **definition)
+
+        def send(forward: float, turn: float) -> None:
+            velocity = self._make(twist, {"linear": {"x": forward}, "angular": {"z": turn}})
+            publisher.publish(**velocity.__dict__)
+
+        n_scans, start_s, time_s, turn = 0, None, 0.0, 0.0
+        while start_s is None or time_s - start_s < seconds:
+            if steps:
+                self.call(
+                    f"/{robot}/step", "std_srvs/srv/Trigger", {"structure_needs_at_least_one_member": 0}
+                )
+            message = scans.get(timeout=LIMIT)
+            while not scans.empty():
+                message = scans.get()
+            n_scans += 1
+            stamp = message.header.stamp
+            time_s = stamp.sec + stamp.nanosec / 1e9
+            start_s = time_s if start_s is None else start_s
+            angles = message.angle_min + message.angle_increment * np.arange(len(message.ranges))
+            left, right = (
+                message.ranges[(sign * angles > -0.1) & (sign * angles < 1.3)].min() for sign in (1, -1)
+            )
+            if min(left, right) > NEAR:
+                forward, turn = 0.06, 0.0
+            else:
+                forward, turn = -0.03, turn or (1.5 if left > right else -1.5)
+            send(forward, turn)
+        send(0.0, 0.0)
+        subscriber.close()
+        publisher.close()
+        return n_scans
 
     def put(self, key: str, data: str, attachment: str | None = None) -> None:
         """Send bytes, in hexadecimal digits, with this key."""
