@@ -7,13 +7,32 @@ from typing import Any
 import numpy as np
 
 from khep_twin.log.cdr import encode
-from khep_twin.log.channels import MAP, TRANSFORMS, TransformFrame
+from khep_twin.log.channels import MAP, STRING, TRANSFORMS, TransformFrame, text_message
 from khep_twin.log.output import split_rows
 from khep_twin.log.qos import LATCHED, qos_of
-from khep_twin.robots.model import RobotModel
+from khep_twin.playpen import parse
+from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.ros.graph import Node, Publisher
+from khep_twin.ros.robot_description import robot_description
 from khep_twin.ros.standard import ODOM_FRAME, StandardMessages
 from khep_twin.sensing.calibration import Calibration
+
+_ARENA = """
+version = 1
+name = "robot"
+
+[arena]
+width_mm = 1000
+height_mm = 1000
+
+[[robot]]
+model = "{}"
+x_mm = 500
+y_mm = 500
+heading_deg = 0
+"""
+"""Playpen of one robot, for its description."""
 
 Pose = tuple[float, float, float]
 """Position x, y [m] and heading [rad]."""
@@ -48,6 +67,8 @@ class StandardOutput:
         self._odometry_in_map = TransformFrame([(MAP, ODOM_FRAME.format(name))])
         static = {"transforms": [*map(_transform, self._messages.static_transforms())]}
         node.publisher("/tf_static", TRANSFORMS, LATCHED).put(encode(TRANSFORMS, static))
+        description = text_message(_describe(model, name))
+        node.publisher("~/robot_description", STRING, LATCHED).put(description)
 
     def begin(self) -> None:
         """Take the time of a cycle, and the true pose."""
@@ -83,6 +104,12 @@ def _odometry_in_map(pose: Pose, odometry: Sequence[float]) -> "np.ndarray[Any, 
     cos, sin = math.cos(heading), math.sin(heading)
     offset = pose[0] - (cos * x - sin * y), pose[1] - (sin * x + cos * y)
     return np.array([*offset, 0, 0, 0, math.sin(heading / 2), math.cos(heading / 2)])
+
+
+def _describe(model: RobotModel, name: str) -> str:
+    """Return a robot alone as URDF, with its name in the names of links and joints."""
+    scene = to_spec(parse(_ARENA.format(model.name), model.name)).compile()
+    return robot_description(scene, [], robot_name(0)).replace(f'"{robot_name(0)}/', f'"{name}/')
 
 
 def _transform(frame: tuple[str, str, tuple[float, ...]]) -> dict[str, Any]:

@@ -150,6 +150,7 @@ def test_a_paused_twin_advances_in_steps_and_publishes_its_time(
     with driven(graph, "khep://default?unpaced=on", settings=settings) as drive:
         assert drive.fleet.twin is not None
         world = drive.fleet.twin.world
+        drive.wait_until(lambda: "/khepera0/step" in foreign.services())
         foreign.subscribe(topic="/clock", type="rosgraph_msgs/msg/Clock")
 
         def step() -> str:
@@ -180,6 +181,7 @@ def test_a_twin_is_moved_and_its_lamps_are_switched(graph: Graph, foreign: Forei
     with driven(graph, "khep://two-lamps", settings=Settings(is_paused=True)) as drive:
         assert drive.fleet.twin is not None
         world = drive.fleet.twin.world
+        drive.wait_until(lambda: "/khepera0/lamps" in foreign.services())
         place = {"position": {"x": 0.3, "y": 0.2}, "orientation": {"z": math.sqrt(0.5), "w": math.sqrt(0.5)}}
         message = {"header": {"frame_id": "map"}, "pose": {"pose": place}}
         foreign.publish(topic="/khepera0/set_pose", type=POSE, message=message)

@@ -78,6 +78,7 @@ def test_both_forms_of_a_command_from_another_library_arrive_at_one_subscription
 def test_another_library_calls_a_service(graph: Graph, foreign: ForeignNode) -> None:
     with Node(graph, "khepera0") as node:
         node.serve("~/step", TRIGGER, lambda _: {"success": True, "message": "one step"})
+        assert_soon(foreign.services, {"/khepera0/step": [TRIGGER]})
         request = {"structure_needs_at_least_one_member": 0}
         response = foreign.call(service="/khepera0/step", type=TRIGGER, request=request)
     assert "success=True, message='one step'" in response

@@ -2,6 +2,7 @@
 
 import math
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ class StoringNode:
         self.messages: dict[str, list[dict[str, Any]]] = {}
 
     def publisher(self, topic: str, type_name: str, qos: object) -> Publisher:
-        return Publisher(self.messages.setdefault(topic, []), type_name)
+        return Publisher(self.messages.setdefault(self.name.resolve(topic), []), type_name)
 
 
 class Cycles:
@@ -72,6 +73,9 @@ def test_every_model_has_messages_with_the_names_of_its_node(name: str) -> None:
     [odometry] = cycles.messages["/lab/khepera0/odom"]
     assert odometry["header"] == {"stamp": 1, "frame_id": "lab/khepera0/odom"}  # 0 would be no time
     [static] = cycles.messages["/tf_static"]
+    [description] = cycles.messages["/lab/khepera0/robot_description"]
+    links = {link.get("name") for link in ElementTree.fromstring(description["data"]).iter("link")}
+    assert links >= {"lab/khepera0/base_link", "lab/khepera0/left_wheel"}
     frames = {transform["child_frame_id"]: transform for transform in static["transforms"]}
     assert frames["lab/khepera0/ps0"]["header"]["frame_id"] == "lab/khepera0/base_link"
 
