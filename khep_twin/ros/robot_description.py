@@ -1,7 +1,7 @@
 """URDF with real joints, for tools that move a robot by its joints, like RViz and robot_state_publisher.
 
 Links are the frames of /tf, and a link's joint has its name with "_joint": wheels turn without limits, parts
-of turrets have limits, sensors are fixed. Robots and objects that move freely have floating joints to "map".
+of turrets have limits, sensors are fixed. What moves freely, as robots do, has a floating joint with the map.
 A robot alone has no map, and its link base_link is the root.
 """
 
