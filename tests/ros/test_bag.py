@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -201,6 +202,14 @@ def test_the_frames_are_one_tree_in_which_the_robot_is_at_its_true_place(log: Pa
     assert parents["khepera1/left_wheel"] == parents["khepera1/ps3"] == {"khepera1/base_link"}
     assert parents["khepera0/base_link"] == {"khepera0/odom"}
     assert parents["khepera0/odom"] == {"map"}
+    urdf = ElementTree.fromstring(topics["/robot_description"][0][1]["data"])
+    joints = {
+        joint.find("child").attrib["link"]: joint.find("parent").attrib["link"]
+        for joint in urdf.iterfind("joint")
+    }
+    assert {link: {parent} for link, parent in joints.items()} == parents
+    wheels = topics["/khepera0/joint_states"][0][1]["name"]
+    assert {*wheels} <= {joint.attrib["name"] for joint in urdf.iterfind("joint[@type='continuous']")}
     _, message = topics["/tf"][-1]
     poses = {item["child_frame_id"]: item["transform"] for item in message["transforms"]}
     for name, track in run.robots.items():
