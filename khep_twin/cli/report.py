@@ -70,12 +70,12 @@ def export(
 
 
 def _export_bag(
-    logs: list[Path], folder: Path, rate: float, others: Mapping[str, object], force: bool
+    logs: list[Path], folder: Path, rate: float, other_options: Mapping[str, object], force: bool
 ) -> None:
     """Write a bag of one log."""
     from khep_twin.ros.bag import check_new_bag, write_bag
 
-    for name, value in others.items():
+    for name, value in other_options.items():
         if value is not None:
             raise LogError(f"--ros2 with {name}; expected a bag alone")
     if len(logs) > 1:
