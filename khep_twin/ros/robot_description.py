@@ -5,6 +5,10 @@ of turrets have limits, sensors are fixed. What moves freely has a floating join
 frame of its odometry. A robot alone has no map, and its link base_link is the root.
 """
 
+# MuJoCo's types are partly unknown.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
+
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
