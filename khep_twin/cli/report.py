@@ -33,7 +33,7 @@ def export(
     rate: Annotated[float | None, typer.Option(show_default=False)] = None,
     force: Force = False,
 ) -> None:
-    """Write the data of logs as tables, as a dataset or as a bag of ROS 2.
+    """Write logs as tables, as a dataset or as a bag of ROS 2.
 
     Args:
         log: A log, FILE.mcap; several for a dataset.
