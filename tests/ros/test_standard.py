@@ -126,7 +126,8 @@ def test_a_counter_that_is_set_or_forgotten_is_no_way() -> None:
 def test_the_covariance_of_a_straight_drive_is_that_of_a_random_heading() -> None:
     model, n = MODELS["khepera4"], 5000
     counts = np.arange(n + 1)[:, None] * [100, 100]
-    message = by_topic([*standard(model).messages(times(n + 1), {"position": counts})])["odom"][-1]
+    odom, *_ = standard(model).messages(times(n + 1), {"position": counts})
+    message = decode(odom.type_name, odom.messages[-1].tobytes())
     covariance = np.array(message["pose"]["covariance"]).reshape(6, 6)
     duration, length = n * 0.02, n * 100 * model.body.pulse_length
     assert covariance[0, 0] == pytest.approx(PLACE_NOISE**2 * duration, rel=0.02)
