@@ -74,9 +74,9 @@ def urdf(
     seed: SpotSeed = 0,
     force: Force = False,
 ) -> None:
-    """Write a playpen, or one of its robots, as URDF with joints, to standard output by default.
+    """Write a playpen, or one of its robots, as URDF.
 
-    RViz and other tools of ROS show it. Links are the frames of `khep-twin export --ros2`.
+    It goes to standard output by default. RViz and other tools of ROS show it. Links are the frames of `khep-twin export --ros2`.
     """
     from khep_twin.playpen_to_mjcf import to_spec
     from khep_twin.robots.model import robot_name

@@ -33,7 +33,7 @@ def export(
     rate: Annotated[float | None, typer.Option(show_default=False)] = None,
     force: Force = False,
 ) -> None:
-    """Write the data of logs as tables, as a dataset or as a bag of ROS 2.
+    """Write logs as tables, as a dataset or as a bag of ROS 2.
 
     Args:
         log: A log, FILE.mcap; several for a dataset.
@@ -70,12 +70,12 @@ def export(
 
 
 def _export_bag(
-    logs: list[Path], folder: Path, rate: float, others: Mapping[str, object], force: bool
+    logs: list[Path], folder: Path, rate: float, other_options: Mapping[str, object], force: bool
 ) -> None:
     """Write a bag of one log."""
     from khep_twin.ros.bag import check_new_bag, write_bag
 
-    for name, value in others.items():
+    for name, value in other_options.items():
         if value is not None:
             raise LogError(f"--ros2 with {name}; expected a bag alone")
     if len(logs) > 1:

@@ -1,9 +1,13 @@
 """URDF with real joints, for tools that move a robot by its joints, like RViz and robot_state_publisher.
 
 Links are the frames of /tf, and a link's joint has its name with "_joint": wheels turn without limits, parts
-of turrets have limits, sensors are fixed. Robots and objects that move freely have floating joints to "map".
-A robot alone has no map, and its link base_link is the root.
+of turrets have limits, sensors are fixed. What moves freely has a floating joint; that of a robot is with the
+frame of its odometry. A robot alone has no map, and its link base_link is the root.
 """
+
+# MuJoCo's types are partly unknown.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
 
 from collections.abc import Iterable
 from xml.etree import ElementTree
@@ -11,11 +15,16 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
+from khep_twin.log.channels import BASE_FRAME, MAP
 from khep_twin.log.description import collision_shapes, geometry, join_numbers, origin, shapes, visual
 from khep_twin.log.frames import frame_name
+from khep_twin.ros.standard import ODOM_FRAME
 
 StaticTransform = tuple[str, str, tuple[float, ...]]
 """Parent, name and pose of a frame: x, y, z [m] and quaternion x, y, z, w."""
+
+_BASE_END = BASE_FRAME.format("")
+"""End of the name of a robot's frame."""
 
 _KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "revolute", mujoco.mjtJoint.mjJNT_SLIDE: "prismatic"}
 
@@ -45,8 +54,14 @@ def robot_description(
             ElementTree.SubElement(collision, "geometry").append(geometry(shape))
         if body and model.body_mass[body] > 0:
             link.append(_inertial(model, body))
-        if links:
-            root.append(_joint(model, body))
+        joint = _joint(model, body) if links else None
+        if joint is not None and link_name.endswith(_BASE_END):
+            odom = ODOM_FRAME.format(link_name.removesuffix(_BASE_END))
+            ElementTree.SubElement(root, "link", name=odom)
+            root.append(_connect("floating", MAP, odom))
+            joint = _connect("floating", odom, link_name)
+        if joint is not None:
+            root.append(joint)
         links.add(link_name)
     for parent, child, (x, y, z, *rotation) in sensors:
         if parent in links:

@@ -90,7 +90,7 @@ def _mounted(frames: Frames, poses: Floats) -> tuple[Frames, Floats]:
         if parent == MAP and child != base and base in names:
             base_pose = poses[:, names.index(base)]
             frames[index] = base, child
-            poses[:, index] = compose(_invert(base_pose), poses[:, index])
+            poses[:, index] = _compose(_invert(base_pose), poses[:, index])
     return frames, poses
 
 
@@ -101,7 +101,7 @@ def _with_odometry(frames: Frames, poses: Floats, robot: str, reckoned: Floats) 
         return frames, poses
     index = frames.index((MAP, base))
     poses = np.concatenate([poses, reckoned[:, None]], axis=1)
-    poses[:, index] = compose(poses[:, index], _invert(reckoned))
+    poses[:, index] = _compose(poses[:, index], _invert(reckoned))
     return [*frames[:index], (MAP, odom), *frames[index + 1 :], (odom, base)], poses
 
 
@@ -111,7 +111,7 @@ def _at(reckoned: Reckoned, times_ns: Times) -> Floats:
     return reckoned.poses[np.maximum(rows, 0)]
 
 
-def compose(first: Floats, second: Floats) -> Floats:
+def _compose(first: Floats, second: Floats) -> Floats:
     """Return the poses (n, 7) that are `second` in the frame of `first`."""
     rotation = multiply(_wxyz(first), _wxyz(second))
     position = first[:, :3] + rotate(_wxyz(first), second[:, :3])

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -22,20 +23,18 @@ from scenes import arena, robot, table
 
 from khep_twin import playpen as playpens
 from khep_twin.log import reader
-from khep_twin.log.cdr import encode
-from khep_twin.log.channels import TRANSFORMS
 from khep_twin.log.decoding import decode
 from khep_twin.log.message_types import type_hash
-from khep_twin.log.reader import read_log, read_series
+from khep_twin.log.reader import LoggedRun, read_log, read_series
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.ros.bag import write_bag
-from khep_twin.ros.transforms import compose
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 QOS_KEYS = (
     *("history", "depth", "reliability", "durability", "deadline", "lifespan", "liveliness"),
     *("liveliness_lease_duration", "avoid_ros_namespace_conventions"),
 )
+LOG_OF_1_0 = Path(__file__).parents[1] / "data" / "log_of_1_0.mcap"
 LATCHED = {"/robot_description", "/tf_static", "/scene", "/channel_names"}
 Topics = dict[str, list[tuple[int, dict[str, Any]]]]
 BLOCK = table("block", x_mm=600, y_mm=350, length_mm=40, width_mm=40, height_mm=40, movable=True)
@@ -190,17 +189,14 @@ def rotation(heading: float) -> NDArray[np.float64]:
     return np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
 
 
-def test_the_frames_are_one_tree_in_which_the_robot_is_at_its_true_place(log: Path, topics: Topics) -> None:
-    run = read_log(log)
-    parents: dict[str, set[str]] = defaultdict(set)
+def check_tree(topics: Topics, run: LoggedRun) -> dict[str, str]:
+    """Check that the robots of a bag are at their true places at the end; return the parents of frames."""
+    parents: dict[str, str] = {}
     for topic in ("/tf", "/tf_static"):
         for _, message in topics[topic]:
             for item in message["transforms"]:
-                parents[item["child_frame_id"]].add(item["header"]["frame_id"])
-    assert all(len(names) == 1 for names in parents.values())
-    assert parents["khepera1/left_wheel"] == parents["khepera1/ps3"] == {"khepera1/base_link"}
-    assert parents["khepera0/base_link"] == {"khepera0/odom"}
-    assert parents["khepera0/odom"] == {"map"}
+                parent = item["header"]["frame_id"]
+                assert parents.setdefault(item["child_frame_id"], parent) == parent
     _, message = topics["/tf"][-1]
     poses = {item["child_frame_id"]: item["transform"] for item in message["transforms"]}
     for name, track in run.robots.items():
@@ -211,46 +207,36 @@ def test_the_frames_are_one_tree_in_which_the_robot_is_at_its_true_place(log: Pa
             places.append(np.array([pose["translation"]["x"], pose["translation"]["y"]]))
             headings.append(2 * math.atan2(pose["rotation"]["z"], pose["rotation"]["w"]))
         assert places[0] + rotation(headings[0]) @ places[1] == pytest.approx(track.pose[-1, :2], abs=1e-6)
-        assert math.remainder(sum(headings) - track.pose[-1, 2], math.tau) == pytest.approx(0, abs=1e-6)
-        assert np.hypot(*places[1]) > 0.03
+        assert math.remainder(sum(headings) - track.pose[-1, 2], math.tau) == pytest.approx(0, abs=1e-5)
         _, odom = topics[f"/{name}/odom"][-1]
         assert odom["pose"]["pose"]["position"] == poses[f"{name}/base_link"]["translation"]
+        assert np.hypot(*places[1]) > 0.01
+        assert parents[f"{name}/left_wheel"] == parents[f"{name}/ps3"] == f"{name}/base_link"
+    urdf = ElementTree.fromstring(topics["/robot_description"][0][1]["data"])
+    joints = {
+        joint.find("child").attrib["link"]: joint.find("parent").attrib["link"]
+        for joint in urdf.iterfind("joint")
+    }
+    assert joints == parents
+    wheels = topics["/khepera0/joint_states"][0][1]["name"]
+    assert {*wheels} <= {joint.attrib["name"] for joint in urdf.iterfind("joint[@type='continuous']")}
+    return parents
 
 
-def test_frames_of_a_log_of_version_1_0_become_the_same_tree(
-    log: Path, topics: Topics, tmp_path: Path
+def test_the_frames_are_the_tree_of_the_description_with_the_robots_at_their_true_places(
+    log: Path, topics: Topics
 ) -> None:
+    parents = check_tree(topics, read_log(log))
+    assert parents["khepera0/base_link"] == "khepera0/odom"
+    assert parents["khepera0/odom"] == "map"
+    assert parents["khepera1/gripper/left_finger"] == "khepera1/gripper/arm"
+
+
+def test_a_log_of_version_1_0_becomes_a_bag(tmp_path: Path) -> None:
     """In such a log, all poses are in the frame world, and a robot's frame is that of its body."""
-
-    def in_world(topic: str, time_ns: int, data: bytes) -> bytes:
-        if topic != "/tf":
-            return data
-        transforms = decode(TRANSFORMS, data)["transforms"]
-        poses: dict[str, NDArray[np.float64]] = {}
-        for item in transforms:
-            place, turn = (np.array([*part.values()])[None] for part in item["transform"].values())
-            parent, child = item["header"]["frame_id"], item["child_frame_id"]
-            pose = np.hstack([place, turn])
-            poses[child] = pose = compose(poses[parent], pose) if parent in poses else pose
-            item["header"]["frame_id"], item["child_frame_id"] = "world", child.replace("base_link", "base")
-            x, y, z, *rotation = pose[0].tolist()
-            item["transform"] = {
-                "translation": {"x": x, "y": y, "z": z},
-                "rotation": dict(zip("xyzw", rotation, strict=True)),
-            }
-        return encode(TRANSFORMS, {"transforms": transforms})
-
-    write_bag(rewritten(log, tmp_path / "old.mcap", in_world), tmp_path / "old")
-    for (_, old), (_, new) in zip(read(tmp_path / "old")["/tf"], topics["/tf"], strict=True):
-        expected = {item["child_frame_id"]: item for item in new["transforms"]}
-        for item in old["transforms"]:
-            if expected[item["child_frame_id"]]["header"]["frame_id"] != item["header"]["frame_id"]:
-                # A part of a turret was in the world, and is now on the robot.
-                assert item["header"]["frame_id"] == "khepera1/base_link"
-                continue
-            for part in ("translation", "rotation"):
-                wanted = expected[item["child_frame_id"]]["transform"][part]
-                assert item["transform"][part] == pytest.approx(wanted, abs=1e-6)
+    write_bag(LOG_OF_1_0, tmp_path / "bag")
+    check_rules(tmp_path / "bag" / "bag.mcap")
+    check_tree(read(tmp_path / "bag"), read_log(LOG_OF_1_0))
 
 
 def test_the_rate_of_sensors_is_an_option_that_odometry_ignores(log: Path, tmp_path: Path) -> None:

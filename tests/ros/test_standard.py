@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scenes import arena, robot
 from second_robot.model import SCOUT
 from toy_robot.model import TOY
 
+from khep_twin import playpen as playpens
 from khep_twin.log.decoding import decode
 from khep_twin.robots.model import RobotModel
 from khep_twin.robots.registry import shipped_models
@@ -17,6 +19,7 @@ from khep_twin.ros.distances import InfraredLaw
 from khep_twin.ros.standard import StandardMessages, StandardRows
 from khep_twin.sensing.calibration import Calibration, read_for
 from khep_twin.shadow.motion_noise import HEADING_NOISE, PLACE_NOISE
+from khep_twin.world import World
 
 STEP_NS = 20_000_000
 MODELS = {**shipped_models(), "toy": TOY, "scout": SCOUT}
@@ -88,10 +91,10 @@ def test_single_samples_of_a_line_give_the_messages_of_a_log() -> None:
         "proximity": rng.integers(0, 1021, (50, 8)),
     }
     together = [*standard(model).messages(times(50), channels)]
-    robot, singles = standard(model), dict[str, list[bytes]]()
+    messages, singles = standard(model), dict[str, list[bytes]]()
     for index, time_ns in enumerate(times(50)):
         sample = {name: values[index : index + 1] for name, values in channels.items()}
-        for row in robot.messages(np.array([time_ns]), sample):
+        for row in messages.messages(np.array([time_ns]), sample):
             singles.setdefault(row.topic, []).append(row.messages.tobytes())
     assert {row.topic: [m.tobytes() for m in row.messages] for row in together} == singles
 
@@ -104,16 +107,16 @@ def test_a_sample_at_time_0_only_starts_the_odometry() -> None:
 
 
 def test_a_counter_that_is_set_or_forgotten_is_no_way() -> None:
-    robot = standard(MODELS["khepera1"])
+    messages = standard(MODELS["khepera1"])
     counts = np.array([[900, 900], [910, 910], [0, 0], [10, 10], [5000, 5000]])
-    odom = by_topic([*robot.messages(times(5), {"position": counts})])["odom"]
+    odom = by_topic([*messages.messages(times(5), {"position": counts})])["odom"]
     ways = [
         message["pose"]["pose"]["position"]["x"] / MODELS["khepera1"].body.pulse_length for message in odom
     ]
     assert ways == pytest.approx([0, 10, 10, 20, 20], abs=1e-3)
-    robot.odometry.forget_counters()
+    messages.odometry.forget_counters()
     more = by_topic(
-        [*robot.messages(times(2, first=6), {"position": np.array([[4990, 4990], [4991, 4991]])})]
+        [*messages.messages(times(2, first=6), {"position": np.array([[4990, 4990], [4991, 4991]])})]
     )
     assert more["odom"][-1]["pose"]["pose"]["position"]["x"] == pytest.approx(
         21 * MODELS["khepera1"].body.pulse_length, abs=1e-7
@@ -123,7 +126,8 @@ def test_a_counter_that_is_set_or_forgotten_is_no_way() -> None:
 def test_the_covariance_of_a_straight_drive_is_that_of_a_random_heading() -> None:
     model, n = MODELS["khepera4"], 5000
     counts = np.arange(n + 1)[:, None] * [100, 100]
-    message = by_topic([*standard(model).messages(times(n + 1), {"position": counts})])["odom"][-1]
+    odom, *_ = standard(model).messages(times(n + 1), {"position": counts})
+    message = decode(odom.type_name, odom.messages[-1].tobytes())
     covariance = np.array(message["pose"]["covariance"]).reshape(6, 6)
     duration, length = n * 0.02, n * 100 * model.body.pulse_length
     assert covariance[0, 0] == pytest.approx(PLACE_NOISE**2 * duration, rel=0.02)
@@ -161,6 +165,20 @@ def test_a_wide_white_wall_is_at_the_distance_of_the_calibrations_law(name: str)
         assert message["min_range"] < message["range"] < message["max_range"]
         assert (message["radiation_type"], message["header"]["frame_id"]) == (1, f"khepera0/ps{index}")
         assert 0.5 < message["field_of_view"] < math.pi
+
+
+@pytest.mark.parametrize(("name", "gap_mm"), [("khepera1", 26), ("khepera2", 25), ("khepera3", 60)])
+def test_a_twin_before_the_wall_of_an_arena_has_its_distance(name: str, gap_mm: float) -> None:
+    model = MODELS[name]
+    headings = calibration_of(model).heading_deg
+    index = min(range(len(headings)), key=lambda k: abs(math.remainder(headings[k], 360)))
+    (x, y), heading = model.body.sensor_positions[index], math.radians(headings[index])
+    reach = x * math.cos(heading) + y * math.sin(heading)
+    text = arena(1000, 800) + robot(1000 - gap_mm - 1000 * reach, 400, -headings[index], model=name)
+    world = World(playpens.parse(text, "wall"), noise=False, compiled=False)
+    world.advance(0.2)
+    (message,) = read(model, proximity=[world.robots[0].readings()["proximity"]])[f"ps{index}"]
+    assert message["range"] == pytest.approx(gap_mm / 1000, abs=1e-3)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -209,13 +227,13 @@ def test_the_scan_has_a_wall_ahead_at_its_distance_from_the_centre() -> None:
     counts = law.gain_counts_mm2[3] / (100 + law.offset_mm[3]) ** 2 - law.threshold_counts[3]
     proximity = [[96, 96, 96, counts, *[96] * 8]]
     (scan,) = read(model, proximity=proximity, ultrasonic=[[100, 1000, 0, 1000, 1000]])["scan"]
-    ahead, left = len(scan["ranges"]) // 2, len(scan["ranges"]) * 3 // 4
-    assert scan["angle_min"] + ahead * scan["angle_increment"] == pytest.approx(0, abs=1e-6)
+    front, left = len(scan["ranges"]) // 2, len(scan["ranges"]) * 3 // 4
+    assert scan["angle_min"] + front * scan["angle_increment"] == pytest.approx(0, abs=1e-6)
     # The infrared sensor measures what is too near for the ultrasonic one.
-    assert scan["ranges"][ahead] == pytest.approx(0.068 + 0.1, abs=1e-4)
+    assert scan["ranges"][front] == pytest.approx(0.068 + 0.1, abs=1e-4)
     assert scan["ranges"][left] == pytest.approx(0.066 + 1.0)
     assert sum(map(math.isfinite, scan["ranges"])) == 2
-    assert scan["range_min"] < scan["ranges"][ahead] < scan["range_max"]
+    assert scan["range_min"] < scan["ranges"][front] < scan["range_max"]
 
 
 def test_gravity_points_up_and_turns_to_the_left_are_positive() -> None:
@@ -268,7 +286,7 @@ def test_each_sensor_has_a_frame_whose_x_axis_is_its_beam(name: str) -> None:
         pose = transforms[f"khepera0/ps{index}"][1]
         assert pose[:3] == (*place, model.body.sensor_height)
         assert 2 * math.atan2(pose[5], pose[6]) == pytest.approx(math.radians(heading))
-    assert sum(name.startswith("khepera0/gs") for name in transforms) == len(model.body.ground_positions)
-    assert sum(name.startswith("khepera0/us") for name in transforms) == len(
+    assert sum(frame.startswith("khepera0/gs") for frame in transforms) == len(model.body.ground_positions)
+    assert sum(frame.startswith("khepera0/us") for frame in transforms) == len(
         getattr(model.body.sonar, "names", ())
     )

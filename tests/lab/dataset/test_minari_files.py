@@ -13,7 +13,7 @@ import pytest
 from command_line import good, refusal
 
 from khep_twin.envs.tasks import find_task
-from khep_twin.errors import KhepTwinError, MissingExtraError
+from khep_twin.errors import MissingExtraError
 from khep_twin.lab.dataset.episodes import episodes_of
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -111,24 +111,6 @@ def test_a_dataset_is_replaced_by_force_alone_and_stays_if_that_fails(
     assert "data-v0: is there already, no dataset; expected another id" in refused(
         log, "--minari", "mine/data-v0", "--task", "Homing", "-o", tmp_path, "--force"
     )
-
-
-def test_what_appears_under_its_name_meanwhile_is_kept(minari: Any, tmp_path: Path) -> None:
-    from khep_twin.lab.dataset.minari_files import _temporary_folder
-
-    target = tmp_path / "data-v0"
-
-    def write() -> None:
-        with _temporary_folder(target, False):
-            target.mkdir()
-            (target / "notes").write_text("a year's work")
-
-    with pytest.raises(
-        KhepTwinError, match=r"another file exists by now and is kept; the new one is .*data-v0\.kept"
-    ):
-        write()
-    assert (target / "notes").read_text() == "a year's work"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["data-v0", "data-v0.kept"]
 
 
 def test_what_cannot_be_written_leaves_nothing(minari: Any, log: Path, tmp_path: Path) -> None:
