@@ -76,7 +76,8 @@ def urdf(
 ) -> None:
     """Write a playpen, or one of its robots, as URDF.
 
-    It goes to standard output by default. RViz and other tools of ROS show it. Links are the frames of `khep-twin export --ros2`.
+    It goes to standard output by default. RViz and other tools of ROS show it. Links are the frames of
+    `khep-twin export --ros2`.
     """
     from khep_twin.playpen_to_mjcf import to_spec
     from khep_twin.robots.model import robot_name

@@ -31,9 +31,10 @@ def ros(
     speed: str = "1",
     paused: bool = False,
 ) -> None:
-    """Show robots and twins as nodes of ROS 2, and drive them by its velocity commands.
+    """Show robots and twins as nodes of ROS 2.
 
-    The nodes join the network of RMW_IMPLEMENTATION=rmw_zenoh_cpp; no installation of ROS is needed here.
+    They publish readings as standard messages, and drive by velocity commands. The nodes join the network of
+    RMW_IMPLEMENTATION=rmw_zenoh_cpp; no installation of ROS is needed here.
 
     A robot stops without commands, at errors and at the end. Standard output has one line per node.
 
