@@ -64,6 +64,8 @@ def ros(
         raise usage("--peer: has no effect with --be-router; expected one of them")
     if not any(port.startswith("khep://") for port in ports) and (paused or speed != "1"):
         raise usage(f"--{'paused' if paused else 'speed'} is for twins at khep://; expected such a port")
+    if paused and speed != "1":
+        raise usage("--speed: has no effect with --paused; expected one of them")
     settings = Settings(rate, timeout, speed_factor(speed), paused)
     mode = Mode.ROUTER if be_router else Mode.PEER if peer else Mode.CLIENT
     with (

@@ -6,7 +6,7 @@ alone.
 
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -82,6 +82,9 @@ class Fleet:
                 robot.check_clock("a node of ROS")
                 titles[name] = robot.model.title
                 self._jobs.append(partial(self._drive, name, robot))
+            if simulated and len(simulated) < len(names):
+                text = "robots have the time of the wall clock, twins at khep:// simulated time"
+                graph.report(f"{text}; expected one kind, unless all listeners ignore stamps")
             if simulated:
                 self.twin = stack.enter_context(self._open_twin(simulated))
                 titles |= self.twin.titles
@@ -101,9 +104,11 @@ class Fleet:
         with ThreadPoolExecutor(len(self._jobs), "ros") as pool:
             results = [pool.submit(job) for job in self._jobs]
             try:
-                while not (stop() or all(result.done() for result in results)):
+                while not stop() and wait(results, _WATCH_INTERVAL, FIRST_EXCEPTION).not_done:
                     self._graph.watch()
-                    time.sleep(_WATCH_INTERVAL)
+                    for result in results:
+                        if result.done():
+                            result.result()  # raises a fault of the program
             finally:
                 self._is_stopping = True
                 if self.twin is not None:

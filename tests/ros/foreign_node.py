@@ -27,7 +27,7 @@ NEAR = 0.065
 
 
 class Commands:
-    """What the other process may ask for."""
+    """Commands of the other process."""
 
     def __init__(self, port: int, domain: int) -> None:
         self._place: dict[str, Any] = {"router_ip": "127.0.0.1", "router_port": port, "domain_id": domain}

@@ -246,6 +246,7 @@ def test_a_signal_stops_the_robot(router: Graph, foreign: ForeignNode, fake: Ter
         (["khep://default", "--be-router", "--peer"], "--peer: has no effect with --be-router"),
         (["/dev/ttyUSB0", "--paused"], "--paused is for twins at khep://"),
         (["/dev/ttyUSB0", "--speed=2"], "--speed is for twins at khep://"),
+        (["khep://default", "--paused", "--speed=2"], "--speed: has no effect with --paused"),
         (["khep://default", "--speed=0"], "--speed 0: expected a number from 0.001 to 1000, or max"),
         (["khep://default", "--domain=233"], "Invalid value for '--domain'"),
     ],
