@@ -5,17 +5,20 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin.log.cdr import encode
-from khep_twin.log.channels import MAP, STRING, TRANSFORMS, TransformFrame, text_message
+from khep_twin.log.channels import BASE_FRAME, MAP, STRING, TRANSFORMS, TransformFrame, text_message
 from khep_twin.log.output import split_rows
 from khep_twin.log.qos import LATCHED, qos_of
 from khep_twin.playpen import parse
 from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.robots.body import Body
 from khep_twin.robots.model import RobotModel, robot_name
+from khep_twin.ros.distances import Floats
 from khep_twin.ros.graph import Node, Publisher
 from khep_twin.ros.robot_description import robot_description
-from khep_twin.ros.standard import ODOM_FRAME, StandardMessages
+from khep_twin.ros.standard import JOINTS, ODOM_FRAME, StandardMessages
 from khep_twin.sensing.calibration import Calibration
 
 _ARENA = """
@@ -65,6 +68,8 @@ class StandardOutput:
         self._publishers: dict[str, Publisher] = {}
         self._time_ns, self._pose = 0, (0.0, 0.0, 0.0)
         self._odometry_in_map = TransformFrame([(MAP, ODOM_FRAME.format(name))])
+        base, self._body = BASE_FRAME.format(name), model.body
+        self._wheels = TransformFrame([(base, f"{name}/{side}_wheel") for side in ("left", "right")])
         static = {"transforms": [*map(_transform, self._messages.static_transforms())]}
         node.publisher("/tf_static", TRANSFORMS, LATCHED).put(encode(TRANSFORMS, static))
         description = text_message(_describe(model, name))
@@ -81,29 +86,45 @@ class StandardOutput:
         times_ns = np.array([self._time_ns])
         arrays = {name: np.array([values]) for name, values in channels.items()}
         for rows in self._messages.messages(times_ns, arrays):
-            if rows.topic not in self._publishers:
-                publisher = self._node.publisher(rows.topic, rows.type_name, qos_of(rows.topic))
-                self._publishers[rows.topic] = publisher
-            publisher = self._publishers[rows.topic]
             if rows.type_name == TRANSFORMS and self._find_pose is not None:
                 (odometry,) = rows.messages["transforms.0.transform"]
                 pose = _odometry_in_map(self._pose, odometry)
-                publisher.put(self._odometry_in_map.messages(times_ns, pose[None, None]).tobytes())
-            for message in split_rows(rows.messages):
-                publisher.put(message)
+                self._put_transforms(self._odometry_in_map.messages(times_ns, pose[None, None]))
+            elif rows.type_name == JOINTS:
+                poses = _wheel_poses(self._body, rows.messages["position"])
+                self._put_transforms(self._wheels.messages(times_ns, poses))
+            self._put(rows.topic, rows.type_name, rows.messages)
 
     def restart(self) -> None:
         """Begin the odometry anew."""
         self._messages = self._make()
 
+    def _put_transforms(self, messages: NDArray[np.void]) -> None:
+        self._put("/tf", TRANSFORMS, messages)
 
-def _odometry_in_map(pose: Pose, odometry: Sequence[float]) -> "np.ndarray[Any, np.dtype[np.float64]]":
+    def _put(self, topic: str, type_name: str, messages: NDArray[np.void]) -> None:
+        if topic not in self._publishers:
+            self._publishers[topic] = self._node.publisher(topic, type_name, qos_of(topic))
+        for message in split_rows(messages):
+            self._publishers[topic].put(message)
+
+
+def _odometry_in_map(pose: Pose, odometry: Sequence[float]) -> Floats:
     """Return the odometry's frame in the map, position and quaternion (7,), by two poses of the base."""
     x, y, _, _, _, qz, qw = odometry
     heading = pose[2] - 2 * math.atan2(qz, qw)
     cos, sin = math.cos(heading), math.sin(heading)
     offset = pose[0] - (cos * x - sin * y), pose[1] - (sin * x + cos * y)
     return np.array([*offset, 0, 0, 0, math.sin(heading / 2), math.cos(heading / 2)])
+
+
+def _wheel_poses(body: Body, angles: Floats) -> Floats:
+    """Return poses of the wheels in the base, position and quaternion (n, 2, 7), by their angles (n, 2)."""
+    poses = np.zeros((*angles.shape, 7))
+    poses[..., 1] = np.array([0.5, -0.5]) * body.wheel_base
+    poses[..., 2] = body.wheel_radius
+    poses[..., 4], poses[..., 6] = np.sin(angles / 2), np.cos(angles / 2)
+    return poses
 
 
 def _describe(model: RobotModel, name: str) -> str:

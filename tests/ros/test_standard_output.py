@@ -98,6 +98,20 @@ def test_the_base_of_a_twin_has_its_true_pose_in_the_map() -> None:
         assert math.atan2(position[1, 0], position[0, 0]) == pytest.approx(pose[2], abs=1e-6)
 
 
+def test_the_wheels_turn_forward_with_their_counters() -> None:
+    cycles = Cycles("khepera1")
+    cycles.publish(0, 0)
+    cycles.publish(100, -50)
+    wheels = cycles.messages["/tf"][-3]["transforms"]
+    names = [transform["child_frame_id"] for transform in wheels]
+    assert names == ["lab/khepera0/left_wheel", "lab/khepera0/right_wheel"]
+    for transform, pulses, side in zip(wheels, (100, -50), (1, -1), strict=True):
+        angle = pulses * 2 * math.pi / 600  # about the axis to the left
+        rotation = transform["transform"]["rotation"]
+        assert 2 * math.atan2(rotation["y"], rotation["w"]) == pytest.approx(angle, abs=1e-6)
+        assert transform["transform"]["translation"]["y"] == pytest.approx(side * 0.0265, abs=1e-3)
+
+
 def test_the_odometry_begins_anew_after_a_reset() -> None:
     cycles = Cycles("khepera1")
     cycles.publish(0, 0)
