@@ -39,7 +39,7 @@ def ros(
     A robot stops without commands, at errors and at the end. Standard output has one line per node.
 
     Args:
-        router: Router of the Zenoh network; by default localhost:7447, as of ROS.
+        router: Router of the Zenoh network; by default localhost:7447, that of ROS.
         be_router: Be the router, at 127.0.0.1:7447 or at the address of --router.
         peer: Join like a node of ROS, which starts without a router, and listens on the loopback interface.
         domain: Domain of ROS; by default ROS_DOMAIN_ID, or 0.
@@ -51,9 +51,9 @@ def ros(
         paused: Let time at khep:// pass in steps of one cycle only, by the service step.
     """
     from khep_twin.robots.model import robot_name
-    from khep_twin.ros.fleet import Fleet, Settings
+    from khep_twin.ros.fleet import Fleet, NodeSettings
     from khep_twin.ros.graph import Graph
-    from khep_twin.ros.session import Mode
+    from khep_twin.ros.session import SessionMode
     from khep_twin.ros.wire import NodeName
 
     names = [str(NodeName.of(name)) for name in namespace or map(robot_name, range(len(ports)))]
@@ -66,8 +66,8 @@ def ros(
         raise usage(f"--{'paused' if paused else 'speed'} is for twins at khep://; expected such a port")
     if paused and speed != "1":
         raise usage("--speed: has no effect with --paused; expected one of them")
-    settings = Settings(rate, timeout, speed_factor(speed), paused)
-    mode = Mode.ROUTER if be_router else Mode.PEER if peer else Mode.CLIENT
+    settings = NodeSettings(rate, timeout, speed_factor(speed), paused)
+    mode = SessionMode.ROUTER if be_router else SessionMode.PEER if peer else SessionMode.CLIENT
     with (
         stopping() as stop,
         Graph(router, domain, mode=mode, report=notify) as graph,

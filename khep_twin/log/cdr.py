@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.log.message_types import Field, fields_of
+from khep_twin.log.message_types import Field, Message, fields_of
 
 CDR_HEADER = b"\x00\x01\x00\x00"
 
@@ -61,7 +61,7 @@ class Encoder:
         return CDR_HEADER + bytes(self._data)
 
 
-def encode(type_name: str, message: Mapping[str, Any]) -> bytes:
+def encode(type_name: str, message: Message) -> bytes:
     """Return a message of a type in CDR.
 
     Raises:
@@ -73,12 +73,12 @@ def encode(type_name: str, message: Mapping[str, Any]) -> bytes:
 class _FieldEncoder:
     """Encoder of one message by its fields; `offsets` are those of its numbers, by path."""
 
-    def __init__(self, type_name: str, message: Mapping[str, Any]) -> None:
+    def __init__(self, type_name: str, message: Message) -> None:
         self.encoder = Encoder()
         self.offsets: dict[str, tuple[str, int, int]] = {}
         self._add_fields("", type_name, message)
 
-    def _add_fields(self, prefix: str, type_name: str, message: Mapping[str, Any]) -> None:
+    def _add_fields(self, prefix: str, type_name: str, message: Message) -> None:
         fields = fields_of(type_name)
         if unknown := message.keys() - {field.name for field in fields}:
             raise ValueError(f"{type_name} has no field {min(unknown)!r}")
@@ -128,7 +128,7 @@ class Frame:
             numbers of a path are consecutive and of one kind; those of a time are seconds and nanoseconds.
     """
 
-    def __init__(self, type_name: str, message: Mapping[str, Any], variables: Sequence[str]) -> None:
+    def __init__(self, type_name: str, message: Message, variables: Sequence[str]) -> None:
         fields = _FieldEncoder(type_name, message)
         self._frame = fields.encoder.message()
         formats: list[tuple[str, tuple[int, ...]]] = []

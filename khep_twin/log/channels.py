@@ -34,13 +34,13 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.cdr import CDR_HEADER, Encoder, Frame, encode
+from khep_twin.log.message_types import MessageFields
 
 FLOATS = "std_msgs/msg/Float64MultiArray"
 INTEGERS = "std_msgs/msg/Int64MultiArray"
@@ -92,7 +92,7 @@ class ArrayFrame:
         message = {"layout": _layout(length, label), "data": np.zeros(length, kind)}
         self._frame = Frame(FLOATS if kind == "f8" else INTEGERS, message, ["data"])
 
-    def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
+    def messages(self, values: NDArray[np.generic]) -> NDArray[np.void]:
         """Return one message for each row of values (n, length), as rows of bytes (n,)."""
         return self._frame.messages({"data": values})
 
@@ -104,12 +104,12 @@ class ImageFrame:
         message = {"header": {"frame_id": name}, "height": 1, "width": width, "encoding": "mono8"}
         self._frame = Frame(IMAGE, {**message, "step": width, "data": bytes(width)}, ["header.stamp", "data"])
 
-    def messages(self, times_ns: NDArray[np.int64], images: NDArray[Any]) -> NDArray[np.void]:
+    def messages(self, times_ns: NDArray[np.int64], images: NDArray[np.generic]) -> NDArray[np.void]:
         """Return one message for each time (n,) [ns] and image: greys from the left, 0 to 255 (n, width)."""
         return self._frame.messages({"header.stamp": times_ns, "data": images})
 
 
-def array_message(values: NDArray[Any], label: str) -> bytes:
+def array_message(values: NDArray[np.generic], label: str) -> bytes:
     """Return one std_msgs/Int64MultiArray of any length."""
     return ArrayFrame(len(values), "i8", label).messages(values[None]).tobytes()
 
@@ -119,7 +119,7 @@ def bytes_message(data: bytes, label: str) -> bytes:
     return encode(BYTES, {"layout": _layout(len(data), label), "data": data})
 
 
-def _layout(length: int, label: str) -> dict[str, Any]:
+def _layout(length: int, label: str) -> MessageFields:
     """Return the layout of an array with one dimension."""
     return {"dim": [{"label": label, "size": length, "stride": length}]}
 
@@ -145,7 +145,7 @@ class TransformFrame:
 
         The poses are position [m] and quaternion x, y, z, w of each body (n, bodies, 7).
         """
-        values: dict[str, NDArray[Any]] = {}
+        values: MessageFields = {}
         for index in range(self._n_bodies):
             values[f"transforms.{index}.header.stamp"] = times_ns
             values[f"transforms.{index}.transform"] = poses[:, index]

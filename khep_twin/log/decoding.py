@@ -18,7 +18,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.log.cdr import CDR_HEADER, CODES
 from khep_twin.log.channels import TextLine
-from khep_twin.log.message_types import Field, fields_of
+from khep_twin.log.message_types import Field, MessageFields, fields_of
 from khep_twin.process.invocation import command
 
 LATEST_NS = 2**63 - 1
@@ -152,7 +152,7 @@ class Decoder:
             raise DecodeError(f"{count} values of {size} bytes", f"at most the {n_left} bytes that are there")
 
 
-def decode(type_name: str, message: bytes) -> dict[str, Any]:
+def decode(type_name: str, message: bytes) -> MessageFields:
     """Return the fields of a message of a type of `message_types` by name; a time is an integer [ns]."""
     decoder = Decoder(message)
     fields = _read_fields(decoder, type_name)
@@ -160,11 +160,11 @@ def decode(type_name: str, message: bytes) -> dict[str, Any]:
     return fields
 
 
-def _read_fields(decoder: Decoder, type_name: str) -> dict[str, Any]:
+def _read_fields(decoder: Decoder, type_name: str) -> MessageFields:
     return {field.name: _read_field(decoder, field) for field in fields_of(type_name)}
 
 
-def _read_field(decoder: Decoder, field: Field) -> Any:
+def _read_field(decoder: Decoder, field: Field) -> object:
     name = field.type_name
     if field.length is None and name in CODES:
         return decoder.numbers(CODES[name])[0]

@@ -4,8 +4,6 @@ One message contains all shapes. Each shape of a fixed body is an entity in the 
 an entity locked to its frame of /tf.
 """
 
-from typing import Any
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +12,19 @@ from khep_twin.log.cdr import encode
 from khep_twin.log.channels import MAP, SCENE
 from khep_twin.log.description import Shape, shapes
 from khep_twin.log.frames import frame_name
+from khep_twin.log.message_types import MessageFields
 
 _IDENTITY = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])  # position, quaternion w, x, y, z
 
 
 def scene_update(model: mujoco.MjModel) -> bytes:
     """Return the scene as one message; lengths in m."""
-    entities: list[dict[str, Any]] = []
+    entities: list[MessageFields] = []
     for body in range(model.nbody):
         is_moving = bool(model.body_weldid[body])
         frame = frame_name(model, body) if is_moving else MAP
         pose = _IDENTITY if is_moving else _world_pose(model, body)
-        primitives: dict[str, list[dict[str, Any]]] | None = None
+        primitives: dict[str, list[MessageFields]] | None = None
         for shape in shapes(model, body):
             # Fixed bodies are not in /tf: each of their shapes is a separate entity, posed in the map.
             if primitives is None or not is_moving:
@@ -59,7 +58,7 @@ def _compose(
 
 
 def _add(
-    primitives: dict[str, list[dict[str, Any]]],
+    primitives: dict[str, list[MessageFields]],
     shape: Shape,
     position: NDArray[np.float64],
     quaternion: NDArray[np.float64],
@@ -85,5 +84,5 @@ def _add(
             add("spheres", end_centre, (width, width, width))
 
 
-def _components(names: str, values: NDArray[Any]) -> dict[str, float]:
+def _components(names: str, values: NDArray[np.floating]) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))

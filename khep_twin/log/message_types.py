@@ -7,8 +7,15 @@ their comments. A name without "/" is a basic type. `SCHEMAS` are complete texts
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+Message = Mapping[str, Any]
+"""Fields of a message by name; a nested message is a mapping, and a time an integer [ns]."""
+
+MessageFields = dict[str, Any]
+"""Fields of a message that is being made."""
 
 _ARRAY = "std_msgs/MultiArrayLayout layout\n{}[] data"
 _XYZ = "float64 x\nfloat64 y\nfloat64 z"
@@ -146,7 +153,7 @@ def fields_of(type_name: str) -> tuple[Field, ...]:
 
 @cache
 def type_hash(type_name: str) -> str:
-    """Return the hash of a message type, or of a service such as "std_srvs/srv/Trigger" (REP 2016)."""
+    """Return the hash of a message type, or of a service like "std_srvs/srv/Trigger" (REP 2016)."""
     described: dict[str, dict[str, object]] = {}
 
     def describe(name: str, fields: tuple[Field, ...]) -> None:
@@ -157,8 +164,9 @@ def type_hash(type_name: str) -> str:
 
     name = _full_name(type_name)
     describe(name, _service_fields(name) or fields_of(type_name))
-    others = [described[other] for other in sorted(described) if other != name]
-    text = json.dumps({"type_description": described[name], "referenced_type_descriptions": others})
+    description = described.pop(name)
+    references = [described[reference] for reference in sorted(described)]
+    text = json.dumps({"type_description": description, "referenced_type_descriptions": references})
     return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
 
 
@@ -218,8 +226,8 @@ def _definition(type_name: str) -> str:
                     add(field.type_name)
 
     add(type_name)
-    first, *others = names
-    return "\n".join([_FIELDS[first], *(f"{'=' * 80}\nMSG: {name}\n{_FIELDS[name]}" for name in others)])
+    first, *nested = names
+    return "\n".join([_FIELDS[first], *(f"{'=' * 80}\nMSG: {name}\n{_FIELDS[name]}" for name in nested)])
 
 
 SCHEMAS = {_full_name(name): _definition(name) for name in _FIELDS if "/srv/" not in name}

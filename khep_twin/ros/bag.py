@@ -1,15 +1,14 @@
 """Export of a log as a bag of rosbag2: a folder with a file of MCAP and its metadata.yaml.
 
-It has the log's messages but those that only a repetition needs (`log.messages.REPEAT_CHANNELS`), standard
+It has the log's messages except those that only a repetition needs (`log.messages.REPEAT_CHANNELS`), standard
 messages of each robot (`ros.standard`), /clock, one tree of frames (`ros.transforms`) and a description with
-joints. Odometry, joints and images have the log's rate, other standard messages a lower one, as they repeat
-what the raw channels have.
+joints. Odometry, joints and images have the log's rate. Other standard messages repeat raw channels, and have
+a lower rate.
 """
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ from khep_twin.log.decoding import DecodeError, decode
 from khep_twin.log.entries import Entry, Label
 from khep_twin.log.foxglove_scene import scene_update
 from khep_twin.log.frames import MovingBodies
-from khep_twin.log.message_types import SCHEMAS, type_hash
+from khep_twin.log.message_types import SCHEMAS, MessageFields, type_hash
 from khep_twin.log.messages import TimeSeries, is_repeat_channel
 from khep_twin.log.qos import qos_of
 from khep_twin.log.reader import Recording, read_label, read_message_batches
@@ -189,7 +188,7 @@ class _Bag:
             self._robots[robot] = StandardMessages(model, usual, robot)
 
     def _description(self) -> Iterator[Part]:
-        """Yield what is known from the start: frames of what is fixed on robots, and the scene."""
+        """Yield the messages at the start: frames of the bodies fixed on robots, and the scene."""
         static = b"" if self._scene is None else MovingBodies(self._scene).static_message
         yield _one("/tf_static", TRANSFORMS, 0, self._static_message(static))
         if self._scene is not None:
@@ -200,7 +199,7 @@ class _Bag:
 
     def _static_message(self, message: bytes) -> bytes:
         """Return a message of /tf_static with the frames of sensors: late subscribers receive one only."""
-        transforms: list[dict[str, Any]] = decode(TRANSFORMS, message)["transforms"] if message else []
+        transforms: list[MessageFields] = decode(TRANSFORMS, message)["transforms"] if message else []
         for transform in transforms:
             transform["header"]["stamp"] = 0
         for robot in self._robots.values():

@@ -4,7 +4,7 @@ An infrared sensor reads, before a wide white wall that faces it at a distance d
 
     counts = gain / (d + offset)^2 - threshold
 
-so its inverse is a distance for such a wall alone. Too near is minus infinity, nothing in range infinity.
+so its inverse is a distance for this wall alone. A nearer one is minus infinity, nothing in range infinity.
 """
 
 import math

@@ -32,7 +32,7 @@ _WATCH_INTERVAL = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class NodeSettings:
     """Settings of all robots.
 
     Attributes:
@@ -66,7 +66,9 @@ class Fleet:
         KhepTwinError: A port cannot be opened, a name cannot be used, or there are two worlds.
     """
 
-    def __init__(self, graph: Graph, ports: Sequence[str], names: Sequence[str], settings: Settings) -> None:
+    def __init__(
+        self, graph: Graph, ports: Sequence[str], names: Sequence[str], settings: NodeSettings
+    ) -> None:
         self._graph, self._settings = graph, settings
         self._n_failures = 0
         self._is_stopping = False

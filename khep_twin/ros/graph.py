@@ -8,7 +8,7 @@ threads of Zenoh. Publishing never waits: messages for a slow subscriber are dro
 # pyright: reportUnknownMemberType=false
 
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from itertools import count
 from threading import Lock
 from typing import Any, Self
@@ -16,11 +16,11 @@ from typing import Any, Self
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.log.cdr import encode
 from khep_twin.log.decoding import DecodeError, decode
-from khep_twin.log.message_types import type_hash
+from khep_twin.log.message_types import Message, type_hash
 from khep_twin.log.qos import DEFAULT, Qos
 from khep_twin.ros import wire
-from khep_twin.ros.session import Mode, domain_of_environment, open_session
-from khep_twin.ros.wire import Attachment, Entity, Kind, NodeName
+from khep_twin.ros.session import SessionMode, domain_of_environment, open_session
+from khep_twin.ros.wire import Attachment, Entity, EntityKind, NodeName
 
 try:
     import zenoh
@@ -34,9 +34,6 @@ _QUERY_TIMEOUT = 3.0
 _HEARTBEAT = 0.5
 """Interval at which a latched publisher repeats its last number [s], as in rmw_zenoh."""
 
-
-Message = Mapping[str, Any]
-"""Fields of a message by name, as in `khep_twin.log.cdr`."""
 
 _NO_ATTACHMENT = "without the attachment of ROS; expected 33 bytes with its number, time and sender"
 
@@ -69,7 +66,7 @@ class Graph:
         router: str | None = None,
         domain: int | None = None,
         *,
-        mode: Mode = Mode.CLIENT,
+        mode: SessionMode = SessionMode.CLIENT,
         report: Callable[[str], None] = print,
     ) -> None:
         self.report = report
@@ -104,7 +101,7 @@ class Graph:
 
     def watch(self) -> None:
         """Report a router that has gone or come back since the last call."""
-        if self._mode is Mode.ROUTER or (routers := self._find_routers()) == self._router_ids:
+        if self._mode is SessionMode.ROUTER or (routers := self._find_routers()) == self._router_ids:
             return
         self._router_ids = routers
         state = "is connected" if routers else "is gone; waiting for it, the robots stop without commands"
@@ -129,7 +126,7 @@ class Node:
 
     Args:
         graph: Graph of the node.
-        name: Full name, such as "khepera0" or "/lab/khepera0".
+        name: Full name, e.g. "khepera0" or "/lab/khepera0".
 
     Attributes:
         name: Name of the node.
@@ -145,7 +142,7 @@ class Node:
         if graph.has_node(self.name):
             graph.report(f"{self.name}: another node has this name; expected another --namespace")
         self._id = graph.next_number()
-        token = self._entity(Kind.NODE, self._id).token
+        token = self._entity(EntityKind.NODE, self._id).token
         self._entities: list[Any] = [session.liveliness().declare_token(token)]
 
     def __enter__(self) -> Self:
@@ -180,7 +177,7 @@ class Node:
         else:
             publisher = self._graph.session.declare_publisher(key, **options)
         self._entities.append(publisher)
-        return Publisher(publisher, self._declare(Kind.PUBLISHER, name, type_name, qos))
+        return Publisher(publisher, self._declare(EntityKind.PUBLISHER, name, type_name, qos))
 
     def subscribe(
         self, topic: str, types: Sequence[str], callback: Callable[[str, Message], None], qos: Qos = DEFAULT
@@ -210,7 +207,7 @@ class Node:
         pattern = wire.topic_pattern(graph.domain, name)
         self._entities.append(graph.session.declare_subscriber(pattern, receive))
         for type_name in types:
-            self._declare(Kind.SUBSCRIPTION, name, type_name, qos)
+            self._declare(EntityKind.SUBSCRIPTION, name, type_name, qos)
 
     def serve(self, service: str, type_name: str, callback: Callable[[Message], Message]) -> None:
         """Serve a service: the function returns the response to a request, in a thread of Zenoh.
@@ -237,16 +234,16 @@ class Node:
                 query.reply(key, encode(f"{type_name}_Response", response), attachment=attachment)
 
         self._entities.append(graph.session.declare_queryable(key, answer, complete=True))
-        self._declare(Kind.SERVICE, name, type_name, DEFAULT)
+        self._declare(EntityKind.SERVICE, name, type_name, DEFAULT)
 
     def report_once(self, cause: Hashable, text: str) -> None:
         """Report a line that starts with the node's name, once per cause."""
         self._graph.report_once((self.name, cause), f"{self.name}: {text}")
 
-    def _entity(self, kind: Kind, number: int) -> Entity:
+    def _entity(self, kind: EntityKind, number: int) -> Entity:
         return Entity(self._graph.domain, self._graph.session_id, self._id, number, kind, self.name)
 
-    def _declare(self, kind: Kind, name: str, type_name: str, qos: Qos) -> str:
+    def _declare(self, kind: EntityKind, name: str, type_name: str, qos: Qos) -> str:
         """Declare the liveliness token of an endpoint; return its key."""
         entity = self._entity(kind, self._graph.next_number())
         token = entity.endpoint_token(name, type_name, type_hash(type_name), qos)
@@ -267,7 +264,7 @@ class Publisher:
         self._gid = wire.gid(token)
         self._numbers = count(1)
 
-    def put(self, message: bytes) -> None:
+    def send(self, message: bytes) -> None:
         """Send a message; it does not wait for subscribers."""
         attachment = Attachment(next(self._numbers), time.time_ns(), self._gid)
         self._publisher.put(message, attachment=attachment.to_bytes())

@@ -1,8 +1,8 @@
 """URDF with real joints, for tools that move a robot by its joints, like RViz and robot_state_publisher.
 
 Links are the frames of /tf, and a link's joint has its name with "_joint": wheels turn without limits, parts
-of turrets have limits, sensors are fixed. What moves freely has a floating joint; that of a robot is with the
-frame of its odometry. A robot alone has no map, and its link base_link is the root.
+of turrets have limits, sensors are fixed. Bodies that move freely have floating joints; a robot's joint is
+with the frame of its odometry. A robot alone has no map, and its link base_link is the root.
 """
 
 # MuJoCo's types are partly unknown.

@@ -11,8 +11,9 @@ from typing import Protocol
 
 from khep_twin.errors import KhepTwinError, PortTimeout, ProtocolError
 from khep_twin.host.host_robot import HostRobot
+from khep_twin.log.message_types import Message
 from khep_twin.robots.model import Dialect
-from khep_twin.ros.graph import Message, Node
+from khep_twin.ros.graph import Node
 from khep_twin.ros.velocity import STOP, TWIST, TWIST_STAMPED, Velocity, setpoints_of
 
 _POLL_INTERVAL = 0.01
@@ -27,7 +28,7 @@ ANSWER_LIMIT = 5.0
 TRIGGER, BOOL = "std_srvs/srv/Trigger", "std_msgs/msg/Bool"
 
 
-class Output(Protocol):
+class ReadingsOutput(Protocol):
     """Receiver of a robot's readings."""
 
     def begin(self) -> None:
@@ -37,14 +38,14 @@ class Output(Protocol):
         """Publish the readings of the cycle by channel."""
 
     def restart(self) -> None:
-        """Begin odometry anew: the position counters are 0."""
+        """Restart the odometry: the position counters are 0."""
 
 
 class RobotNode:
     """Node of a robot.
 
     The node subscribes `cmd_vel`, of both types of velocities, and `led0`, `led1` and so on, and serves
-    `reset_position`, all below the node's own name.
+    `reset_position`, all below the name of the node.
 
     Args:
         robot: Robot, used only by the thread that calls `run`.
@@ -55,7 +56,7 @@ class RobotNode:
     """
 
     def __init__(
-        self, robot: HostRobot, node: Node, output: Output, *, interval: float, timeout: float
+        self, robot: HostRobot, node: Node, output: ReadingsOutput, *, interval: float, timeout: float
     ) -> None:
         self._robot, self._node, self._output = robot, node, output
         self._interval, self._timeout = interval, timeout

@@ -24,10 +24,10 @@ _MAX_DOMAIN = 232
 """Largest domain of ROS."""
 
 
-class Mode(StrEnum):
+class SessionMode(StrEnum):
     """Part of a session in the Zenoh network.
 
-    A client only connects to a router. A peer has the settings of ROS's own nodes: it also listens on the
+    A client only connects to a router. A peer has the settings of the nodes of ROS: it also listens on the
     loopback interface, and waits for the router. Other nodes connect to a router.
     """
 
@@ -36,15 +36,15 @@ class Mode(StrEnum):
     ROUTER = "router"
 
 
-def open_session(mode: Mode, router: str | None) -> tuple[zenoh.Session, str]:
+def open_session(mode: SessionMode, router: str | None) -> tuple[zenoh.Session, str]:
     """Return a session, and the address "host:port" of its router, by default with ROS's port.
 
     Raises:
         PortError: No router replies, or the address cannot be used.
         KhepTwinError: A variable of the environment cannot be used.
     """
-    address = router or f"{'127.0.0.1' if mode is Mode.ROUTER else 'localhost'}:7447"
-    variable = f"ZENOH_{'ROUTER' if mode is Mode.ROUTER else 'SESSION'}_CONFIG_URI"
+    address = router or f"{'127.0.0.1' if mode is SessionMode.ROUTER else 'localhost'}:7447"
+    variable = f"ZENOH_{'ROUTER' if mode is SessionMode.ROUTER else 'SESSION'}_CONFIG_URI"
     path = os.environ.get(variable, "")
     config = _read_config(variable, path) if path and router is None else _make_config(mode, address)
     config.insert_json5("timestamping/enabled", "true")  # which latched topics need
@@ -56,7 +56,7 @@ def domain_of_environment() -> int:
     """Return the domain of `ROS_DOMAIN_ID`, by default 0.
 
     Raises:
-        KhepTwinError: The variable has no such number.
+        KhepTwinError: The variable is no number of a domain.
     """
     text = os.environ.get("ROS_DOMAIN_ID", "") or "0"
     if not (text.isascii() and text.isdigit() and int(text) <= _MAX_DOMAIN):
@@ -72,12 +72,12 @@ def _read_config(variable: str, path: str) -> zenoh.Config:
         raise KhepTwinError(text) from None
 
 
-def _make_config(mode: Mode, address: str) -> zenoh.Config:
+def _make_config(mode: SessionMode, address: str) -> zenoh.Config:
     endpoint = json.dumps([_endpoint(address)])
     connections = {
-        Mode.CLIENT: {"connect/endpoints": endpoint, "listen/endpoints": "[]"},
-        Mode.PEER: {"connect/endpoints": endpoint, "listen/endpoints": '["tcp/localhost:0"]'},
-        Mode.ROUTER: {"connect/endpoints": "[]", "listen/endpoints": endpoint, "scouting/delay": "0"},
+        SessionMode.CLIENT: {"connect/endpoints": endpoint, "listen/endpoints": "[]"},
+        SessionMode.PEER: {"connect/endpoints": endpoint, "listen/endpoints": '["tcp/localhost:0"]'},
+        SessionMode.ROUTER: {"connect/endpoints": "[]", "listen/endpoints": endpoint, "scouting/delay": "0"},
     }
     values = {
         "mode": json.dumps(mode),
@@ -117,14 +117,14 @@ def _endpoint(address: str) -> str:
     return f"tcp/{address}"
 
 
-def _open(config: zenoh.Config, mode: Mode, router: str) -> zenoh.Session:
+def _open(config: zenoh.Config, mode: SessionMode, router: str) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         if "Address already in use" in str(error):
             text = f"{router}: in use; expected a free address"
             raise PortError(text, ", or no --be-router if that is the router") from None
-        if mode is Mode.CLIENT and "Unable to connect" in str(error):
+        if mode is SessionMode.CLIENT and "Unable to connect" in str(error):
             text = f"{router}: no Zenoh router; expected one, started by 'ros2 run rmw_zenoh_cpp rmw_zenohd'"
             raise PortError(text, " or --be-router") from None
         raise PortError(f"{router}: Zenoh cannot be opened: {_reason(error)}") from None

@@ -6,7 +6,7 @@
     gs0 ...         sensor_msgs/Range           sensors of the ground: minus infinity over a light floor
     us0 ...         sensor_msgs/Range           ultrasonic sensors
     scan            sensor_msgs/LaserScan       both rings, from the robot's centre
-    ls0 ...         sensor_msgs/Illuminance     ambient light, as of an incandescent lamp
+    ls0 ...         sensor_msgs/Illuminance     ambient light, in lux of an incandescent lamp
     imu             sensor_msgs/Imu             accelerometer and gyroscope
     battery_state   sensor_msgs/BatteryState
     vision/image_raw  sensor_msgs/Image         line camera
@@ -18,7 +18,7 @@ has not started, and a transform of time 0 is the latest one.
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from khep_twin.log.cdr import Frame
 from khep_twin.log.channels import BASE_FRAME, IMAGE, PLANAR_ROWS, TRANSFORMS, TransformFrame
+from khep_twin.log.message_types import Message, MessageFields
 from khep_twin.robots.model import RobotModel
 from khep_twin.robots.to_mjcf import ASSETS
 from khep_twin.ros.distances import Beam, Floats, GroundLaw, InfraredLaw, SonarLaw
@@ -223,9 +224,9 @@ class StandardMessages:
         force = columns_of(self._model, "accelerometer", channels)
         rate = columns_of(self._model, "gyroscope", channels)
         if len(force) == 3 or len(rate) == 3:
-            message: dict[str, Any] = {**self._header(), "orientation": {"w": 1}}
+            message: MessageFields = {**self._header(), "orientation": {"w": 1}}
             message["orientation_covariance"] = [-1, *np.zeros(8)]
-            values: dict[str, Any] = {"header.stamp": times_ns}
+            values: MessageFields = {"header.stamp": times_ns}
             for field, axes, signs in (
                 ("linear_acceleration", force, self._model.accelerometer_signs),
                 ("angular_velocity", rate, (1, 1, 1)),
@@ -250,11 +251,11 @@ class StandardMessages:
             yield self._rows("vision/image_raw", IMAGE, times_ns, frame, values)
 
     def _rows(
-        self, topic: str, type_name: str, times_ns: Times, frame: Frame, values: Mapping[str, Any]
+        self, topic: str, type_name: str, times_ns: Times, frame: Frame, values: Message
     ) -> StandardRows:
         return StandardRows(f"/{self._name}/{topic}", type_name, times_ns, frame.messages(values))
 
-    def _header(self) -> dict[str, Any]:
+    def _header(self) -> MessageFields:
         return {"header": {"frame_id": self._base}}
 
 

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.cdr import encode
 from khep_twin.log.channels import BASE_FRAME, MAP, STRING, TRANSFORMS, TransformFrame, text_message
+from khep_twin.log.message_types import MessageFields
 from khep_twin.log.output import split_rows
 from khep_twin.log.qos import LATCHED, qos_of
 from khep_twin.playpen import parse
@@ -71,9 +71,9 @@ class StandardOutput:
         base, self._body = BASE_FRAME.format(name), model.body
         self._wheels = TransformFrame([(base, f"{name}/{side}_wheel") for side in ("left", "right")])
         static = {"transforms": [*map(_transform, self._messages.static_transforms())]}
-        node.publisher("/tf_static", TRANSFORMS, LATCHED).put(encode(TRANSFORMS, static))
+        node.publisher("/tf_static", TRANSFORMS, LATCHED).send(encode(TRANSFORMS, static))
         description = text_message(_describe(model, name))
-        node.publisher("~/robot_description", STRING, LATCHED).put(description)
+        node.publisher("~/robot_description", STRING, LATCHED).send(description)
 
     def begin(self) -> None:
         """Take the time of a cycle, and the true pose."""
@@ -89,24 +89,24 @@ class StandardOutput:
             if rows.type_name == TRANSFORMS and self._find_pose is not None:
                 (odometry,) = rows.messages["transforms.0.transform"]
                 pose = _odometry_in_map(self._pose, odometry)
-                self._put_transforms(self._odometry_in_map.messages(times_ns, pose[None, None]))
+                self._send_transforms(self._odometry_in_map.messages(times_ns, pose[None, None]))
             elif rows.type_name == JOINTS:
                 poses = _wheel_poses(self._body, rows.messages["position"])
-                self._put_transforms(self._wheels.messages(times_ns, poses))
-            self._put(rows.topic, rows.type_name, rows.messages)
+                self._send_transforms(self._wheels.messages(times_ns, poses))
+            self._send(rows.topic, rows.type_name, rows.messages)
 
     def restart(self) -> None:
-        """Begin the odometry anew."""
+        """Restart the odometry."""
         self._messages = self._make()
 
-    def _put_transforms(self, messages: NDArray[np.void]) -> None:
-        self._put("/tf", TRANSFORMS, messages)
+    def _send_transforms(self, messages: NDArray[np.void]) -> None:
+        self._send("/tf", TRANSFORMS, messages)
 
-    def _put(self, topic: str, type_name: str, messages: NDArray[np.void]) -> None:
+    def _send(self, topic: str, type_name: str, messages: NDArray[np.void]) -> None:
         if topic not in self._publishers:
             self._publishers[topic] = self._node.publisher(topic, type_name, qos_of(topic))
         for message in split_rows(messages):
-            self._publishers[topic].put(message)
+            self._publishers[topic].send(message)
 
 
 def _odometry_in_map(pose: Pose, odometry: Sequence[float]) -> Floats:
@@ -133,7 +133,7 @@ def _describe(model: RobotModel, name: str) -> str:
     return robot_description(scene, [], robot_name(0)).replace(f'"{robot_name(0)}/', f'"{name}/')
 
 
-def _transform(frame: tuple[str, str, tuple[float, ...]]) -> dict[str, Any]:
+def _transform(frame: tuple[str, str, tuple[float, ...]]) -> MessageFields:
     """Return a transform as fields of a message: parent, name, position and quaternion of a frame."""
     parent, name, (*position, qx, qy, qz, qw) = frame
     translation, rotation = dict(zip("xyz", position, strict=True)), {"x": qx, "y": qy, "z": qz, "w": qw}

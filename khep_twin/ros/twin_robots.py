@@ -31,7 +31,7 @@ class TwinRobots:
         urls: URL khep:// of each robot by the name of its node.
         nodes: Nodes by name.
         speed: Simulated seconds per second; inf without pacing.
-        step: Time of a step of a paused twin [s]; None if time passes by itself.
+        step: Time of a step of a paused twin [s]; None if time is not paused.
 
     Attributes:
         titles: Titles of the robots' models by the names of their nodes.
@@ -61,7 +61,7 @@ class TwinRobots:
             self.world,
             speed,
             None if step is None else to_ns(step),
-            lambda time_ns: clock.put(encode(_CLOCK, {"clock": time_ns})),
+            lambda time_ns: clock.send(encode(_CLOCK, {"clock": time_ns})),
         )
 
     def __enter__(self) -> Self:

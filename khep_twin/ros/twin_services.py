@@ -1,4 +1,4 @@
-"""What a node offers of a twin in this process: pose, lamps, steps."""
+"""Services of a node for a twin in this process: pose, lamps, steps."""
 
 import math
 
@@ -6,7 +6,8 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.interventions.move_robot import place_robot
 from khep_twin.interventions.switching import switch
 from khep_twin.log.channels import MAP
-from khep_twin.ros.graph import Message, Node
+from khep_twin.log.message_types import Message
+from khep_twin.ros.graph import Node
 from khep_twin.ros.robot_node import ANSWER_LIMIT, TRIGGER, await_outcome
 from khep_twin.ros.twin_time import TwinTime
 from khep_twin.world import World

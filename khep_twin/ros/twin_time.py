@@ -23,7 +23,7 @@ class TwinTime:
     Args:
         world: World of the twin.
         speed: Simulated seconds per second; inf without pacing.
-        step_ns: Time of a step [ns]; None if time passes by itself.
+        step_ns: Time of a step [ns]; None if time is not paused.
         publish: Function that publishes the time [ns], never 0.
     """
 
@@ -40,7 +40,7 @@ class TwinTime:
         self._steps: list[Future[None]] = []
         self._is_ended = False
 
-    # Any thread ----------------------------------------------------------------------------------------
+    # From threads --------------------------------------------------------------------------------------
 
     def request(self, action: Callable[[], object]) -> Future[None]:
         """Have the world's thread do something between two steps."""

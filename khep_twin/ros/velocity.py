@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 from khep_twin.errors import KhepTwinError
+from khep_twin.log.message_types import Message
 from khep_twin.robots.model import RobotModel
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -22,7 +23,7 @@ class Velocity:
     turn: float = 0.0
 
     @classmethod
-    def of_message(cls, type_name: str, message: Any) -> Self:
+    def of_message(cls, type_name: str, message: Message) -> Self:
         """Return the velocity of a message of a type above.
 
         Raises:

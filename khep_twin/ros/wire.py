@@ -26,7 +26,7 @@ _NAME = re.compile(r"/([A-Za-z_][A-Za-z0-9_]*/)*[A-Za-z_][A-Za-z0-9_]*")
 _DDS_TYPE = re.compile(r"(\w+)::(msg|srv)::dds_::(\w+)_")
 
 
-class Kind(StrEnum):
+class EntityKind(StrEnum):
     """Kind of an entity in the graph."""
 
     NODE = "NN"
@@ -52,7 +52,7 @@ class NodeName:
         """Return the name of a node by its full name, with or without a first slash.
 
         Raises:
-            KhepTwinError: ROS has no such names.
+            KhepTwinError: ROS does not allow the name.
         """
         text = f"/{full_name.removeprefix('/')}"
         if not _NAME.fullmatch(text) or "__" in text:
@@ -92,7 +92,7 @@ class Entity:
     session_id: str
     node_id: int
     id: int
-    kind: Kind
+    kind: EntityKind
     node: NodeName
 
     @property
@@ -108,7 +108,7 @@ class Entity:
 
 def node_pattern(domain: int, node: NodeName) -> str:
     """Return a pattern for the tokens of all nodes of this name."""
-    return f"{GRAPH}/{domain}/*/*/*/{Kind.NODE}/*/{_mangle(node.namespace)}/{node.name}"
+    return f"{GRAPH}/{domain}/*/*/*/{EntityKind.NODE}/*/{_mangle(node.namespace)}/{node.name}"
 
 
 def dds_type(type_name: str) -> str:

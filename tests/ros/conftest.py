@@ -6,7 +6,7 @@ import pytest
 from ros_network import DOMAIN, ForeignNode, Lines, free_port
 
 from khep_twin.ros.graph import Graph
-from khep_twin.ros.session import Mode
+from khep_twin.ros.session import SessionMode
 
 
 @pytest.fixture(autouse=True)
@@ -19,7 +19,7 @@ def no_settings_of_ros(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def router() -> Iterator[Graph]:
-    with Graph(f"127.0.0.1:{free_port()}", DOMAIN, mode=Mode.ROUTER) as graph:
+    with Graph(f"127.0.0.1:{free_port()}", DOMAIN, mode=SessionMode.ROUTER) as graph:
         yield graph
 
 

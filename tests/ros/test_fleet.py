@@ -18,7 +18,7 @@ from khep_twin.errors import PortError
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.serve import serve
 from khep_twin.ports.twin import open_twin
-from khep_twin.ros.fleet import Fleet, Settings
+from khep_twin.ros.fleet import Fleet, NodeSettings
 from khep_twin.ros.graph import Graph
 from khep_twin.ros.wire import NodeName
 from stand_ins.fake_robot import TerminalRobot
@@ -26,13 +26,13 @@ from stand_ins.fake_robot import TerminalRobot
 TWIST, BOOL, TRIGGER = "geometry_msgs/msg/Twist", "std_msgs/msg/Bool", "std_srvs/srv/Trigger"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 NO_FIELDS = {"structure_needs_at_least_one_member": 0}
-QUICK = Settings(rate=100.0, timeout=0.2)
+QUICK = NodeSettings(rate=100.0, timeout=0.2)
 
 
 class Drive:
     """Robots that are driven in another thread, until `end`."""
 
-    def __init__(self, graph: Graph, ports: Sequence[str], settings: Settings) -> None:
+    def __init__(self, graph: Graph, ports: Sequence[str], settings: NodeSettings) -> None:
         names = [f"khepera{number}" for number in range(len(ports))]
         self.fleet = Fleet(graph, ports, names, settings)
         self._stop = threading.Event()
@@ -59,7 +59,7 @@ class Drive:
 
 
 @contextmanager
-def driven(graph: Graph, *ports: str, settings: Settings = QUICK) -> Iterator[Drive]:
+def driven(graph: Graph, *ports: str, settings: NodeSettings = QUICK) -> Iterator[Drive]:
     drive = Drive(graph, ports, settings)
     try:
         yield drive
@@ -146,7 +146,7 @@ def test_a_robot_that_is_lost_leaves_the_graph_and_the_others_stay(
 def test_a_paused_twin_advances_in_steps_and_publishes_its_time(
     graph: Graph, foreign: ForeignNode, lines: Lines
 ) -> None:
-    settings = Settings(rate=10.0, is_paused=True)
+    settings = NodeSettings(rate=10.0, is_paused=True)
     with driven(graph, "khep://default?unpaced=on", settings=settings) as drive:
         assert drive.fleet.twin is not None
         world = drive.fleet.twin.world
@@ -178,7 +178,7 @@ def test_a_paused_twin_advances_in_steps_and_publishes_its_time(
 
 
 def test_a_twin_is_moved_and_its_lamps_are_switched(graph: Graph, foreign: ForeignNode, lines: Lines) -> None:
-    with driven(graph, "khep://two-lamps", settings=Settings(is_paused=True)) as drive:
+    with driven(graph, "khep://two-lamps", settings=NodeSettings(is_paused=True)) as drive:
         assert drive.fleet.twin is not None
         world = drive.fleet.twin.world
         drive.wait_until(lambda: "/khepera0/lamps" in foreign.services())
@@ -202,7 +202,7 @@ def test_a_twin_is_moved_and_its_lamps_are_switched(graph: Graph, foreign: Forei
 
 
 def test_robots_of_one_playpen_share_a_world(graph: Graph, foreign: ForeignNode) -> None:
-    settings = Settings(speed=math.inf)
+    settings = NodeSettings(speed=math.inf)
     with driven(graph, "khep://arena4-two?robot=1", "khep://arena4-two", settings=settings) as drive:
         assert drive.fleet.twin is not None
         robots = drive.fleet.twin.world.robots

@@ -13,7 +13,7 @@ from khep_twin.log.message_types import type_hash
 from khep_twin.log.qos import LATCHED
 from khep_twin.ros import wire
 from khep_twin.ros.graph import Graph, Message, Node
-from khep_twin.ros.session import Mode
+from khep_twin.ros.session import SessionMode
 from khep_twin.ros.wire import Attachment
 
 STRING, TRIGGER = "std_msgs/msg/String", "std_srvs/srv/Trigger"
@@ -45,7 +45,7 @@ def test_another_library_hears_a_topic(graph: Graph, foreign: ForeignNode) -> No
         foreign.subscribe(topic="/talker/chatter", type=STRING)
         heard = foreign.begin_to_hear("/talker/chatter")
         while (message := heard()) is None:
-            publisher.put(text_of("hello"))
+            publisher.send(text_of("hello"))
         assert "data='hello'" in message
 
 
@@ -53,7 +53,7 @@ def test_a_late_subscriber_of_another_library_receives_a_latched_message(
     graph: Graph, foreign: ForeignNode
 ) -> None:
     with Node(graph, "talker") as node:
-        node.publisher("/description", STRING, LATCHED).put(text_of("a robot"))
+        node.publisher("/description", STRING, LATCHED).send(text_of("a robot"))
         assert_soon(foreign.topics, {"/description": [STRING]})
         foreign.subscribe(topic="/description", type=STRING, latched=True)
         assert "data='a robot'" in foreign.hear(topic="/description")
@@ -126,19 +126,19 @@ def test_two_nodes_of_one_name_are_reported(router: Graph, graph: Graph, lines: 
 
 def test_a_node_returns_with_a_router_that_comes_back(lines: Lines) -> None:
     address = f"127.0.0.1:{free_port()}"
-    first_router = Graph(address, DOMAIN, mode=Mode.ROUTER)
+    first_router = Graph(address, DOMAIN, mode=SessionMode.ROUTER)
     with Graph(address, DOMAIN, report=lines.put) as graph, Node(graph, "khepera0") as node:
         publisher = node.publisher("~/chatter", STRING)
         first_router.close()
         watch_until(graph, lines, "is gone; waiting for it, the robots stop without commands")
-        publisher.put(text_of("nobody"))
-        with Graph(address, DOMAIN, mode=Mode.ROUTER) as second_router:
+        publisher.send(text_of("nobody"))
+        with Graph(address, DOMAIN, mode=SessionMode.ROUTER) as second_router:
             watch_until(graph, lines, "is connected")
             received = threading.Event()
             with Node(second_router, "listener") as listener:
                 listener.subscribe("/khepera0/chatter", [STRING], lambda *_: received.set())
                 while not received.wait(0.01):
-                    publisher.put(text_of("hello"))
+                    publisher.send(text_of("hello"))
             assert second_router.has_node(node.name)
     assert lines.all() == []
 
@@ -163,7 +163,7 @@ def test_a_missing_router_is_named_with_what_to_start() -> None:
 
 def test_a_second_router_at_an_address_is_refused(router: Graph) -> None:
     with pytest.raises(PortError, match=f"{router.address}: in use; expected a free address"):
-        Graph(router.address, mode=Mode.ROUTER)
+        Graph(router.address, mode=SessionMode.ROUTER)
 
 
 @pytest.mark.parametrize("address", ["localhost", "localhost:", ":7447", "localhost:99999", "localhost:x"])

@@ -22,7 +22,7 @@ class Publisher:
     def __init__(self, messages: list[dict[str, Any]], type_name: str) -> None:
         self._messages, self._type_name = messages, type_name
 
-    def put(self, message: bytes) -> None:
+    def send(self, message: bytes) -> None:
         self._messages.append(decode(self._type_name, message))
 
 

@@ -8,16 +8,18 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.log import qos
 from khep_twin.log.qos import Qos
 from khep_twin.ros import wire
-from khep_twin.ros.wire import Attachment, Entity, Kind, NodeName
+from khep_twin.ros.wire import Attachment, Entity, EntityKind, NodeName
 
 STRING = "std_msgs/msg/String"
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
 def test_tokens_and_keys_are_those_of_the_design_document() -> None:
-    listener = Entity(2, "aac3178e146ba6f1fc6e6a4085e77f21", 0, 0, Kind.NODE, NodeName.of("/listener"))
+    listener = Entity(2, "aac3178e146ba6f1fc6e6a4085e77f21", 0, 0, EntityKind.NODE, NodeName.of("/listener"))
     assert listener.token == "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
-    talker = Entity(2, "8b20917502ee955ac4476e0266340d5c", 0, 10, Kind.PUBLISHER, NodeName.of("/talker"))
+    talker = Entity(
+        2, "8b20917502ee955ac4476e0266340d5c", 0, 10, EntityKind.PUBLISHER, NodeName.of("/talker")
+    )
     assert talker.endpoint_token("/chatter", STRING, HASH, Qos(7)) == (
         "@ros2_lv/2/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/"
         f"%chatter/std_msgs::msg::dds_::String_/{HASH}/::,7:,:,:,,"
@@ -33,7 +35,7 @@ def test_names_below_a_namespace_keep_their_slashes_in_keys_but_not_in_tokens() 
         "/lab/khepera0/odom",
         "/lab/map",
     ]
-    token = Entity(0, "f", 1, 2, Kind.SERVICE, node).endpoint_token(
+    token = Entity(0, "f", 1, 2, EntityKind.SERVICE, node).endpoint_token(
         "/lab/khepera0/step", "std_srvs/srv/Trigger", HASH, qos.DEFAULT
     )
     assert token == (
