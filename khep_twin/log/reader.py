@@ -233,10 +233,18 @@ def read_message_batches(
     path: Path, progress: Callable[[float], None] | None = None
 ) -> Iterator[tuple[Recording, list[Entry]]]:
     """Yield batches as `read_batches` does, with their messages."""
+    for label, messages in read_entry_batches(path, progress):
+        yield _make_recording(path, label, messages), messages
+
+
+def read_entry_batches(
+    path: Path, progress: Callable[[float], None] | None = None
+) -> Iterator[tuple[Label, list[Entry]]]:
+    """Yield batches as `read_batches` does, as messages that are not decoded."""
     with _open_log(path) as content:
         label = _read_label(path, content)
         for fraction, messages in content.batches(BATCH_BYTES):
-            yield _make_recording(path, label, messages), messages
+            yield label, messages
             if progress is not None:
                 progress(fraction)
 
