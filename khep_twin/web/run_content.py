@@ -278,10 +278,10 @@ class RunContent:
         return {**robot, "leds_mm": leds, "turrets": entries[name].turrets if name in entries else ()}
 
     def _turrets(self) -> dict[str, object]:
-        names = {turret for robot in self._playpen.robots for turret in robot.turrets} if self._playpen else ()
-        return {
-            name: {"parts": start_parts(name)} for name in sorted(names) if name in installed_turrets()
-        }
+        names = (
+            {turret for robot in self._playpen.robots for turret in robot.turrets} if self._playpen else ()
+        )
+        return {name: {"parts": start_parts(name)} for name in sorted(names) if name in installed_turrets()}
 
     def _contacts(self) -> list[list[object]]:
         """Return robot, start and end [s] of each contact with walls and fixed objects, in order of time."""
@@ -333,7 +333,9 @@ def _describe(model: mujoco.MjModel, frames: Collection[str]) -> dict[str, Any]:
     scene["bodies"] = moving
     bases = [f"{name.partition('/')[0]}/base" for name in moving]
     is_part = zip(moving, bases, strict=True)
-    scene["parents"] = [moving.index(base) if base in moving and base != name else None for name, base in is_part]
+    scene["parents"] = [
+        moving.index(base) if base in moving and base != name else None for name, base in is_part
+    ]
     return scene
 
 
