@@ -38,10 +38,10 @@ from khep_twin.playpen import Playpen
 from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.sensing import colours
 from khep_twin.web import drafts
+from khep_twin.web.messages import EXTRA_CHANNELS
 from khep_twin.web.packing import Series, pack, thin
 from khep_twin.web.robot_shape import robot_shape
 from khep_twin.web.scene import DrawnScene, start_parts
-from khep_twin.web.twin_session import EXTRA_CHANNELS
 
 _SAMPLE_NS = 20_000_000
 """Interval of a run's samples in its log [ns]."""

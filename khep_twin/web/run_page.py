@@ -16,7 +16,7 @@ from string import Template
 
 from khep_twin import __version__
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import is_same, part_file
+from khep_twin.files.atomic import part_file
 from khep_twin.files.paths import StrPath
 from khep_twin.log.decoding import read_errors
 from khep_twin.log.mcap_recovery import Progress
@@ -26,7 +26,7 @@ from khep_twin.web.run_content import RunContent
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
 
 _IMPORT = re.compile(r'^import (\* as \w+|\{[^}]*\}) from "\./([\w.]+)";\n', re.MULTILINE)
-_EXPORT = re.compile(r"^export (?:async )?(?:class|function|const) (\w+)", re.MULTILINE)
+_EXPORT = re.compile(r"^export (?:async )?(?:class|function|const) ([\w$]+)", re.MULTILINE)
 _EXPORT_LIST = re.compile(r"\bexport\{([^}]*)\};")
 
 
@@ -88,25 +88,6 @@ class RunPage:
         sandbox = "allow-scripts allow-downloads"
         style = "width: 100%; height: 640px; border: 0"
         return f'<iframe sandbox="{sandbox}" style="{style}" srcdoc="{escape(self.html)}"></iframe>'
-
-
-def write_page(
-    logs: Sequence[Path],
-    target: Path,
-    *,
-    with_log: bool = False,
-    replace: bool = True,
-    progress: Progress = None,
-) -> None:
-    """Write the page of logs to a file, which may not be one of them.
-
-    Raises:
-        LogError: A log cannot be read or has nothing to show, or the file cannot be written.
-    """
-    if target.is_dir() or any(is_same(target, log) for log in logs):
-        kind = "a directory" if target.is_dir() else "the log itself"
-        raise LogError(f"{target}: this is {kind}; expected the name of a file, such as {logs[0].stem}.html")
-    RunPage(logs, with_log=with_log, progress=progress).save(target, replace)
 
 
 def _part(progress: Progress, index: int, count: int) -> Progress:

@@ -29,7 +29,6 @@ class Player {
   constructor(replays) {
     this.end = Math.max(...replays.map(({ end }) => end), 1e-3);
     this.marks = [...new Set(replays.flatMap(({ marks }) => marks))].sort((a, b) => a - b);
-    $("#title").textContent = document.title;
     $("#runs").classList.toggle("several", replays.length > 1);
     this.views = replays.map((replay, index) => new RunView(replay, document.querySelectorAll("script.log")[index], { seek: (time) => this.pauseAt(time), showDialog, onRobot: () => this.#show(true) }));
     $("#runs").append(...this.views.map(({ root }) => root));
@@ -54,7 +53,7 @@ class Player {
   }
 
   pauseAt(time) {
-    this.isPlaying ? this.setPlaying(false) : null;
+    if (this.isPlaying) this.setPlaying(false);
     this.#seek(time);
     this.#report();
   }

@@ -29,7 +29,7 @@ export class RunView {
     find("h2 span").textContent = replay.name;
     find(".about").addEventListener("click", () => showDialog(`About ${replay.name}`, ...this.#about(logNode)));
     root.classList.toggle("real", !replay.draft);
-    find(".which").replaceChildren(...replay.robots.map(({ name, title }, index) => new Option(`${name} (${title})`, index)));
+    find(".which").replaceChildren(...replay.robots.map(({ name }, index) => new Option(name, index)));
     find(".which").addEventListener("change", () => this.#select(+find(".which").value));
     this.panel = new Panel(find(".panel"), find(".readings"), find(".bars"));
     this.strip = new Strip(find(".vision"));
