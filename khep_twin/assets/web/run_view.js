@@ -70,7 +70,7 @@ export class RunView {
         this.#solid?.showPaths(paths);
       }
       this.plan.showPicture(picture, undefined, this.#isSolid);
-      if (this.#isSolid) this.#solid.showPicture(picture);
+      if (this.#isSolid) this.#solid.showPicture(picture, true);
       this.#showRegion(time);
     }
     const transcript = this.find(".transcript");

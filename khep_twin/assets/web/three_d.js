@@ -103,12 +103,12 @@ export class ThreeD {
     this.requestFrame();
   }
 
-  // Shows the state of a running twin; bodies move to their new poses until the next state is expected.
-  showPicture({ bodies, robots, lamps }) {
+  // Shows the state of a running twin; bodies move to their new poses until the next state is expected, or at once.
+  showPicture({ bodies, robots, lamps }, isAtOnce = false) {
     if (bodies.length !== this.#bodies.length) return; // its scene is not loaded yet
     const now = performance.now();
     this.#pictureInterval = Math.min(Math.max(now - this.#pictureTime, 20), 100);
-    this.#pictureTime = now;
+    this.#pictureTime = isAtOnce ? 0 : now;
     this.#previousPoses = this.#bodies.map(({ position, quaternion }) => [position.clone(), quaternion.clone()]);
     this.#poses = bodies;
     robots.forEach(({ proximity, x_mm, y_mm, more }, index) => {
