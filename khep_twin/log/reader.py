@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.writer import MCAP0_MAGIC
@@ -31,6 +32,9 @@ from khep_twin.process.invocation import command
 from khep_twin.renamed import renamed_attribute
 from khep_twin.robots.model import Feature, RobotModel
 from khep_twin.robots.registry import default_model
+
+if TYPE_CHECKING:
+    import khep_twin
 
 BATCH_BYTES = 32 << 20
 """Messages that `read_batches` reads at a time, besides a chunk [bytes]."""
@@ -103,6 +107,16 @@ class LoggedRun:
             for name, track in self.robots.items()
             if len(track.pose)
         )
+
+    def html(self) -> "khep_twin.RunPage":
+        """Return the page that plays the run in any browser; a notebook shows it below its cell.
+
+        Raises:
+            LogError: The log cannot be read, or has nothing to show.
+        """
+        import khep_twin  # by its public names, as the page is above logs in the order of packages
+
+        return khep_twin.RunPage([self.source])
 
     def table(self) -> dict[str, NDArray[np.generic]]:
         """Return the samples of all robots as columns (n,) by name, for `pandas.DataFrame`.

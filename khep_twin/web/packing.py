@@ -1,9 +1,9 @@
 """Samples in packed form for a page: differences of integers, byte by byte, deflated.
 
-A package has the length of its header (uint32, little-endian), the header as JSON, and the series in the order
-of "series" there. A series has its times as unsigned differences of 4 bytes, then each column as differences
-of 1, 2 or 4 bytes that wrap around. The first bytes of all numbers come first, then all second bytes, as these
-compress to a third less. `replay.js` unpacks it.
+A package has the length of its header (uint32, little-endian), the header as JSON, and the series in the
+order of "series" there. A series has its times as unsigned differences of 4 bytes, then each column as
+differences of 1, 2 or 4 bytes that wrap around. The first bytes of all numbers come first, then all second
+bytes, which compresses better. `replay.js` unpacks it.
 """
 
 import json
@@ -19,7 +19,7 @@ TIME_UNIT_NS = 10_000
 """Unit of packed times [ns]."""
 
 _LEVEL = 5
-"""Level of compression: higher ones take twice the time for 3 %."""
+"""Level of compression by zlib."""
 
 _LIMIT = 2**31 - 1
 

@@ -25,7 +25,7 @@ from khep_twin.errors import LogError
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.log.attached import calibration_of, compile_shapes, playpen_of
 from khep_twin.log.channels import LINES, TRANSFORMS, TextLine
-from khep_twin.log.decoding import DecodeError
+from khep_twin.log.decoding import DecodeError, body_of
 from khep_twin.log.entries import Entry, Label
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.messages import NUMERIC_DECODERS, Messages
@@ -294,11 +294,6 @@ class RunContent:
         return [[robot, start, end] for start, end, robot in sorted(contacts)]
 
 
-def body_of(frame: str) -> str:
-    """Return the name in the scene of the body with a frame."""
-    return frame
-
-
 def origin(label: Label, path: Path) -> dict[str, str]:
     """Return what made a log: playpen, controller, seed and versions, and the command that repeats it."""
     facts = {key.replace("_", " "): text for key, text in label.metadata.items() if text not in _UNSET}
@@ -308,7 +303,7 @@ def origin(label: Label, path: Path) -> dict[str, str]:
 
 
 def _describe(model: mujoco.MjModel, frames: Collection[str]) -> dict[str, Any]:
-    """Return the scene as the page draws it; bodies without a frame, and wheels, are fixed to their parents."""
+    """Return the scene for the page; bodies without a frame, and wheels, are fixed to their parents."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
