@@ -139,7 +139,7 @@ class Player {
       if (this.isPlaying) this.setPlaying(false);
       this.#seek(Math.abs(nearest - time) <= SNAP * perPixel ? nearest : time);
     });
-    $("#slider").addEventListener("change", () => this.#report());
+    for (const kind of ["change", "pointerup"]) $("#slider").addEventListener(kind, () => this.#report());
     document.addEventListener("keydown", (event) => {
       const { key, target, shiftKey } = event;
       if ($("#dialog").open || event.ctrlKey || event.metaKey || event.altKey) return;
