@@ -129,7 +129,7 @@ def _functions(name: str, included: set[str]) -> Iterator[str]:
     for _, imported in _IMPORT.findall(text):
         yield from _functions(imported, included)
 
-    def bind(match: re.Match[str]) -> str:
+    def declare(match: re.Match[str]) -> str:
         names = match[1].removeprefix("* as ").replace(" as ", ": ")
         return f'const {names} = modules["{match[2]}"];\n'
 
@@ -137,6 +137,6 @@ def _functions(name: str, included: set[str]) -> Iterator[str]:
     for names in _EXPORT_LIST.findall(text):
         pairs = (item.split(" as ") for item in names.split(","))
         exports |= {pair[-1].strip(): pair[0].strip() for pair in pairs}
-    body = re.sub(r"^export (?=\w)", "", _EXPORT_LIST.sub("", _IMPORT.sub(bind, text)), flags=re.MULTILINE)
+    body = re.sub(r"^export (?=\w)", "", _EXPORT_LIST.sub("", _IMPORT.sub(declare, text)), flags=re.MULTILINE)
     returned = ", ".join(f"{exported}: {local}" for exported, local in exports.items())
     yield f'modules["{name}"] = (() => {{\n{body}\nreturn {{ {returned} }};\n}})();'
