@@ -252,10 +252,12 @@ def read_message_batches(
 
 
 def read_entry_batches(
-    path: Path, progress: Callable[[float], None] | None = None
+    path: Path,
+    progress: Callable[[float], None] | None = None,
+    topic_filter: Callable[[str], bool] | None = None,
 ) -> Iterator[tuple[Label, list[Entry]]]:
-    """Yield batches as `read_batches` does, as messages that are not decoded."""
-    with _open_log(path) as content:
+    """Yield batches as `read_batches` does, as messages that are not decoded, of all topics or of some."""
+    with _open_log(path, topic_filter) as content:
         label = _read_label(path, content)
         for fraction, messages in content.batches(BATCH_BYTES):
             yield label, messages
@@ -318,11 +320,13 @@ def read_until(path: Path, last_entry: Entry) -> Generator[list[Entry]]:
 
 
 @contextmanager
-def _open_log(path: Path) -> Generator[Content, None, None]:
+def _open_log(
+    path: Path, topic_filter: Callable[[str], bool] | None = None
+) -> Generator[Content, None, None]:
     """Open a log; convert errors of its file and its content to a `LogError` of one line."""
     with read_errors(path), open_regular(path) as file:
         try:
-            yield Content(file)
+            yield Content(file, topic_filter)
         except DecodeError as error:
             # A file that starts like a log is truncated or damaged, and can be recovered.
             file.seek(0)

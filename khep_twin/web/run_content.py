@@ -8,6 +8,7 @@ show the exact values. A log without poses, of a real robot, has curves and its 
 # pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
 # pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
 
+import gc
 import math
 import shlex
 from collections.abc import Collection, Iterable, Mapping
@@ -49,7 +50,7 @@ _SAMPLE_NS = 20_000_000
 _MAX_SAMPLES = 400_000
 """Maximum number of samples of a page, over all robots."""
 
-_MAX_LINES = 150_000
+_MAX_LINES = 80_000
 """Maximum number of lines of the transcripts of a page; of more, one exchange per interval is shown."""
 
 _ROW_NS = 100_000_000
@@ -99,8 +100,15 @@ class RunContent:
         # A robot that is polled as fast as the line allows has a hundred lines per second.
         line_ns = 2 * duration_ns // _MAX_LINES
         self._line_ns = line_ns if line_ns > _SAMPLE_NS else 0
-        for _, entries in read_entry_batches(path, progress):
-            self._add(entries)
+        # Searches for unreachable objects among millions of messages would take half of the time.
+        is_collecting = gc.isenabled()
+        gc.disable()
+        try:
+            for _, entries in read_entry_batches(path, progress, self._shows):
+                self._add(entries)
+        finally:
+            if is_collecting:
+                gc.enable()
         if self._is_shadow:
             self._add_shadow()
         if not self._rows and not any(self._texts.values()):
@@ -143,6 +151,11 @@ class RunContent:
             },
         }
         return pack(header, series)
+
+    def _shows(self, topic: str) -> bool:
+        """Return whether a topic is read."""
+        channel = topic.rpartition("/")[2]
+        return channel in (*_CHANNELS, "serial") or topic in ("/tf", "/lamps", "/events", ALARMS, STATE)
 
     def _add(self, entries: Iterable[Entry]) -> None:
         """Add a batch of messages."""
