@@ -90,8 +90,9 @@ class EntryReader:
         if channel is None:
             actual = f"message of channel {channel_id} at byte {offset}"
             raise DecodeError(actual, "a channel that is defined")
+        content = *channel, time_ns, records[start + MESSAGE.size : end]
         # Faster than Entry(...), which matters for millions of messages.
-        return tuple.__new__(Entry, (*channel, time_ns, records[start + MESSAGE.size : end]))
+        return tuple.__new__(Entry, content)  # pyright: ignore[reportUnknownMemberType]
 
     def parse_entries(self, records: bytes, offset: int, start_ns: int = 0) -> Iterator[Entry]:
         """Yield the messages of a chunk; none may be earlier than `start_ns`, its start in the index."""

@@ -11,12 +11,11 @@ show the exact values. A log without poses, of a real robot, has curves and its 
 import gc
 import math
 import shlex
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,7 +41,8 @@ from khep_twin.web import drafts
 from khep_twin.web.messages import EXTRA_CHANNELS
 from khep_twin.web.packing import Series, pack, thin
 from khep_twin.web.robot_shape import robot_shape
-from khep_twin.web.scene import DrawnScene, start_parts
+from khep_twin.web.run_scene import describe_replay
+from khep_twin.web.scene import start_parts
 
 _SAMPLE_NS = 20_000_000
 """Interval of a run's samples in its log [ns]."""
@@ -224,7 +224,7 @@ class RunContent:
             raise error.to_log_error(self._path, "/tf", int(times_ns[error.row])) from None
         poses = {body_of(frame): pose for frame, pose in frames.items()}
         if self._scene is None:
-            self._scene = _describe(self._model, poses.keys())
+            self._scene = describe_replay(self._model, poses.keys())
         contacts_ns: dict[str, list[int]] = {}
         for robot, model in self._models.items():
             base = poses.get(f"{robot}/base")
@@ -313,48 +313,3 @@ def origin(label: Label, path: Path) -> dict[str, str]:
     if not {"relay", "shadow", "line"} & label.metadata.keys():
         facts["repeat it"] = f"khep-twin repeat {shlex.quote(path.name)}"
     return facts
-
-
-def _describe(model: mujoco.MjModel, frames: Collection[str]) -> dict[str, Any]:
-    """Return the scene for the page; bodies without a frame, and wheels, are fixed to their parents."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_camlight(model, data)
-    scene: dict[str, Any] = DrawnScene(model, data).describe()
-    names: list[str] = scene["bodies"]
-    moving = [name for name in names if name in frames and not _is_wheel(model, model.body(name).id)]
-    for shape in scene["shapes"]:
-        if shape["body"] is None or names[shape["body"]] in moving:
-            continue
-        body = parent = model.body(names[shape["body"]]).id
-        while parent and model.body(parent).name not in moving:
-            parent = model.body_parentid[parent]
-        pose = np.array(shape["pose"])
-        pose = _multiply((data.xpos[body], data.xquat[body]), (pose[:3], pose[3:]))
-        inverse = np.zeros(3), np.zeros(4)
-        mujoco.mju_negPose(*inverse, data.xpos[parent], data.xquat[parent])
-        shape["pose"] = np.concatenate(_multiply(inverse, pose)).round(5).tolist()
-        shape["body"] = names.index(model.body(parent).name) if parent else None
-    for shape in scene["shapes"]:
-        shape["body"] = None if shape["body"] is None else moving.index(names[shape["body"]])
-    scene["poses"] = [scene["poses"][names.index(name)] for name in moving]
-    scene["bodies"] = moving
-    bases = [f"{name.partition('/')[0]}/base" for name in moving]
-    is_part = zip(moving, bases, strict=True)
-    scene["parents"] = [
-        moving.index(base) if base in moving and base != name else None for name, base in is_part
-    ]
-    return scene
-
-
-def _is_wheel(model: mujoco.MjModel, body: int) -> bool:
-    """Return whether a body turns without limits about one axis."""
-    joint = model.body_jntadr[body]
-    is_hinge = model.body_jntnum[body] == 1 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-    return bool(is_hinge and not model.jnt_limited[joint])
-
-
-def _multiply(outer: tuple[Floats, Floats], inner: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-    result = np.zeros(3), np.zeros(4)
-    mujoco.mju_mulPose(*result, *outer, *inner)
-    return result
