@@ -34,6 +34,7 @@ class Player {
     $("#runs").append(...this.views.map(({ root }) => root));
     for (const view of this.views) view.fit();
     $("#slider").max = this.end;
+    if (!replays.some(({ scene }) => scene)) for (const id of ["zoom-out-button", "fit", "zoom-in-button", "solids"]) $(`#${id}`).hidden = true;
     this.#connect();
     new ResizeObserver(() => this.#drawMarks(replays)).observe($("#marks"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (this.#drawMarks(replays), this.views.forEach((view) => view.reload())));
