@@ -50,7 +50,9 @@ class Player {
     $("#play").setAttribute("aria-pressed", isPlaying);
     setText($("#play span"), isPlaying ? "Pause" : "Play");
     $("#play use").setAttribute("href", isPlaying ? "#pause" : "#run");
-    if (!isPlaying) this.#report();
+    if (isPlaying) return;
+    this.#show(true);
+    this.#report();
   }
 
   pauseAt(time) {

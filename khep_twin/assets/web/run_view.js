@@ -13,11 +13,13 @@ const POINTS = 40_000; // of the paths of all robots
 const SPAN = 20; // of the curves [s]
 const LINES = 200; // of a transcript
 const EVENTS = 1000; // listed
+const TEXT_INTERVAL = 90; // of numbers and lines while a run plays [ms]
 const CHANNELS = { proximity: "proximity", light: "ambient", speed: "speed" }; // by the plot of their curves
 
 export class RunView {
   #index = 0;
   #lastTime = -1;
+  #textTime = 0; // of the last numbers and lines [ms]
   #solid = null;
   #isSolid = false;
   #pointers = new Map(); // positions in the window of pressed pointers
@@ -57,8 +59,6 @@ export class RunView {
     const { replay, robot } = this;
     const picture = replay.picture(time);
     const readings = picture.robots[this.#index];
-    const pose = readings.x_mm === undefined ? {} : { "x, y [mm], heading [°]": [readings.x_mm.toFixed(1), readings.y_mm.toFixed(1), readings.heading_deg.toFixed(1)] };
-    this.panel.showReadings({ ...readings, more: { ...pose, ...readings.more } });
     if (isJump) this.curves.clear([robot]);
     for (const sample of replay.samples(robot, isJump ? time - SPAN : this.#lastTime, time)) this.curves.add(sample);
     if (isJump && replay.has(robot, "vision")) for (let row = 99; row > 0; row--) this.strip.add(replay.readings(robot, time - row / 10), time - row / 10);
@@ -73,14 +73,22 @@ export class RunView {
       if (this.#isSolid) this.#solid.showPicture(picture, true);
       this.#showRegion(time);
     }
+    this.#lastTime = time;
+    if (isJump || performance.now() - this.#textTime > TEXT_INTERVAL) this.#showTexts(time, readings);
+  }
+
+  // Shows bars, numbers, lines and the present event, whose layout takes longer than the pictures.
+  #showTexts(time, readings) {
+    this.#textTime = performance.now();
+    const pose = readings.x_mm === undefined ? {} : { "x, y [mm], heading [°]": [readings.x_mm.toFixed(1), readings.y_mm.toFixed(1), readings.heading_deg.toFixed(1)] };
+    this.panel.showReadings({ ...readings, more: { ...pose, ...readings.more } });
     const transcript = this.find(".transcript");
-    const lines = replay.lines(robot, time, LINES).join("\n");
+    const lines = this.replay.lines(this.robot, time, LINES).join("\n");
     if (transcript.textContent !== lines) {
       transcript.textContent = lines;
       transcript.scrollTop = transcript.scrollHeight;
     }
     this.#markEvent(time);
-    this.#lastTime = time;
   }
 
   // Returns the state of the chosen robot in words.
