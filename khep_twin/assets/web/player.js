@@ -182,6 +182,7 @@ function showDialog(title, ...body) {
   $("#dialog h2").textContent = title;
   $("#dialog .body").replaceChildren(...body);
   $("#dialog").showModal();
+  $("#dialog h2").focus(); // from there the text is read, and scrolled
 }
 
 async function start() {
