@@ -144,3 +144,17 @@ def test_a_notebook_shows_the_page_in_a_frame_of_its_own(log: Path) -> None:
     shown = page._repr_html_()
     assert shown.startswith('<iframe sandbox="allow-scripts allow-downloads"')
     assert "<script>" not in shown
+
+
+def test_a_run_writes_its_page_and_replaces_none_without_being_told(tmp_path: Path) -> None:
+    words = ("run", "braitenberg", "--playpen", "obstacles", "--seconds", "0.2", "--log", "a.mcap")
+    done = run_command(*words, "--html", "a.html", folder=tmp_path)
+    assert done.returncode == 0
+    assert "page     a.html: 0.9 MB, opens in any browser" in done.stdout
+    (run,) = headers((tmp_path / "a.html").read_text())
+    assert run["origin"]["controller"] == "braitenberg"
+    assert run["sources"]
+    (tmp_path / "a.mcap").unlink()
+    again = run_command(*words, "--html", "a.html", folder=tmp_path)
+    assert again.returncode == 2
+    assert "a.html: is there already; expected another name, or --force to replace it" in again.stderr

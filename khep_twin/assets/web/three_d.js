@@ -140,7 +140,8 @@ export class ThreeD {
     this.#frame ||= requestAnimationFrame((now) => {
       this.#frame = 0;
       if (!this.canvas.clientWidth) return;
-      const fraction = Math.min((now - this.#pictureTime) / this.#pictureInterval, 1);
+      // On a slow machine, the time of the frame may be before that of the picture.
+      const fraction = Math.min((performance.now() - this.#pictureTime) / this.#pictureInterval, 1);
       this.#interpolate(fraction);
       this.renderer.render(this.#scene, this.camera);
       requestAnimationFrame((nextTime) => this.#shading.measureFrame(nextTime - now));
