@@ -58,7 +58,7 @@ class RunPage:
                     nodes.append(_data_node("log", path.read_bytes(), path))
         script, style = _bundle(), _asset("designer.css") + _asset("player.css")
         policy = (
-            f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src blob:; "
+            f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; "
             "base-uri 'none'; form-action 'none'"
         )
         self.html = Template(_asset("player.html")).substitute(
