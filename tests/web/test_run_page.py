@@ -115,8 +115,8 @@ def test_a_log_with_nothing_to_show_or_without_its_playpen_is_refused_in_one_lin
 
 def test_the_command_writes_logs_side_by_side_with_the_logs_in_it(log: Path, tmp_path: Path) -> None:
     page = tmp_path / "pair.html"
-    done = run_command("view", str(log), str(log), "--html", str(page), "--with-log")
-    assert (done.returncode, done.stderr) == (0, "")
+    result = run_command("view", str(log), str(log), "--html", str(page), "--with-log")
+    assert (result.returncode, result.stderr) == (0, "")
     html = page.read_text()
     assert [run["name"] for run in headers(html)] == [f"{log.parent.name}/run {number}" for number in (1, 2)]
     kept = re.findall(r'class="log" data-name="run.mcap">([^<]*)<', html)
@@ -134,23 +134,23 @@ def test_the_command_writes_logs_side_by_side_with_the_logs_in_it(log: Path, tmp
     ],
 )
 def test_impossible_options_are_refused(words: Sequence[str], reason: str) -> None:
-    done = run_command(*words)
-    assert done.returncode == 2
-    assert reason in done.stderr
+    result = run_command(*words)
+    assert result.returncode == 2
+    assert reason in result.stderr
 
 
 def test_a_notebook_shows_the_page_in_a_frame_of_its_own(log: Path) -> None:
     page = khep_twin.read_log(log).html()
-    shown = page._repr_html_()
-    assert shown.startswith('<iframe sandbox="allow-scripts allow-downloads"')
-    assert "<script>" not in shown
+    frame = page._repr_html_()
+    assert frame.startswith('<iframe sandbox="allow-scripts allow-downloads"')
+    assert "<script>" not in frame
 
 
 def test_a_run_writes_its_page_and_replaces_none_without_being_told(tmp_path: Path) -> None:
     words = ("run", "braitenberg", "--playpen", "obstacles", "--seconds", "0.2", "--log", "a.mcap")
-    done = run_command(*words, "--html", "a.html", folder=tmp_path)
-    assert done.returncode == 0
-    assert "page     a.html: 0.9 MB, opens in any browser" in done.stdout
+    result = run_command(*words, "--html", "a.html", folder=tmp_path)
+    assert result.returncode == 0
+    assert "page     a.html: 0.9 MB, opens in any browser" in result.stdout
     (run,) = headers((tmp_path / "a.html").read_text())
     assert run["origin"]["controller"] == "braitenberg"
     assert run["sources"]
