@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from khep_twin.robots.khepera4.host import Khepera4 as Khepera4
     from khep_twin.shadow.shadow import Shadow as Shadow
     from khep_twin.units import Sensor as Sensor
+    from khep_twin.web.run_page import RunPage as RunPage
     from khep_twin.world import World as World
 else:
     from khep_twin import lazy

@@ -20,7 +20,7 @@ NAMES = {
     *("Twin", "TwinOptions", "open_twin", "serve", "Shadow"),
     *("rollout", "RolloutResult", "Episode", "EpisodeOptions", "EpisodeSetup", "MeasuredCycle"),
     *("Braitenberg", "ConstantSpeed", "Function", "Network", "Policy"),
-    *("draw", "make", "make_vec", "read_log", "LoggedRun"),
+    *("draw", "make", "make_vec", "read_log", "LoggedRun", "RunPage"),
     *("KhepTwinError", "MoveError", "PlaypenError", "PortError", "PortTimeout"),
     *("board", "drawing", "envs", "episodes", "errors", "host", "lab", "log", "playpen", "ports"),
     *("sensing", "shadow", "sweep", "toolbox", "units"),

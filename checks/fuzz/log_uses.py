@@ -1,4 +1,4 @@
-"""A fuzz target: changed logs that are viewed, reported on, repeated, branched, checked and followed.
+"""A fuzz target: changed logs that are viewed, played, reported on, repeated, branched, checked and followed.
 
     python -m checks fuzz-log-uses -runs=5000         with atheris (libFuzzer)
 
@@ -39,6 +39,8 @@ MODULES = (
     "khep_twin.lab.experiment.branch",
     "khep_twin.lab.report.report",
     "khep_twin.shadow.recording",
+    "khep_twin.log.transforms",
+    "khep_twin.web.run_content",
     "khep_twin.robots.khepera4",
     "khep_twin.simulation.number_reader",
     "khep_twin.simulation.snapshot_format",
@@ -140,6 +142,13 @@ def report(path: Path) -> None:
     report_on(recording, str(path), read_shadow(path) if is_shadow(recording.label) else None)
 
 
+def page(path: Path) -> None:
+    """Make the page that plays a log; none of its texts is a script there."""
+    from khep_twin.web.run_page import RunPage
+
+    assert RunPage([path]).html.count("<script>") == 1
+
+
 def repeat(path: Path) -> None:
     """Repeat a log's run."""
     from khep_twin.lab.experiment.repeat import repeat as run_again
@@ -186,7 +195,9 @@ def follow(path: Path) -> None:
     read_recording(path)
 
 
-USES: list[Callable[[Path], None]] = [view, repeat, branch_same, branch_changed, conform, report, follow]
+USES: list[Callable[[Path], None]] = [
+    *(view, repeat, branch_same, branch_changed, conform, report, follow, page)
+]
 """Uses of a log, chosen by the first byte."""
 
 

@@ -46,6 +46,7 @@ ACTIONS: dict[str, dict[str, Any]] = {
     "start": {"draft": DRAFT, "file": "a.toml", "seed": 1, "noise": True, "speed": 0, "paused": True},
     "log": {"file": "run.mcap"},
     "report": {"file": "run.mcap"},
+    "page": {"file": "run.mcap"},
     "connect": {"port": "socket://127.0.0.1:9"},
     "program": {"file": "prog.py", "model": "khepera1"},
     "save-program": {"file": "new.py", "text": "def controller(robot): ...", "overwrite": True},

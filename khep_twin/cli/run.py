@@ -35,6 +35,7 @@ from khep_twin.cli.options import (
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.run_logs import RunLogs
 from khep_twin.cli.streams import has_no_reader
+from khep_twin.cli.view import check_html
 from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.files.atomic import resolve
 from khep_twin.process.invocation import command
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
     from khep_twin.ports.twin import Twin, TwinOptions
 
 _TWIN_OPTIONS = option_names(RobotOptions, SceneOptions, LiveViewOptions) | {
-    *("robot", "fault", "log", "ignore_log_errors", "picture", "start", "viewer")
+    *("robot", "fault", "log", "ignore_log_errors", "picture", "html", "start", "viewer")
 }
 """Options of a twin in this process, by their parameters' names."""
 
@@ -118,6 +119,7 @@ def run(
     fault: Faults = None,
     logging: LogOptions,
     picture: Path | None = None,
+    html: Path | None = None,
     live_view: LiveViewOptions,
     viewer: Viewer = False,
 ) -> None:
@@ -127,6 +129,7 @@ def run(
         controller: A built-in controller (braitenberg), FILE.py[:NAME], or a network's FILE.npz.
         robot: Number of the robot in the playpen, counted from 0.
         picture: Draw playpen and path in this PNG, SVG or PDF file; needs --log.
+        html: Write one HTML file that plays the run in any browser; needs --log.
     """
     from khep_twin.host.connection import connect
     from khep_twin.host.opening import PORT_IDS
@@ -139,7 +142,7 @@ def run(
 
     typed_names, port = typed_options(context), line.port
     line.check(context)
-    _check_outputs(scene.playpen, logging.log, picture)
+    _check_outputs(scene.playpen, logging.log, picture, html)
     series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
     program = find_controller(controller, as_toolbox_form)
@@ -151,7 +154,7 @@ def run(
         program.port_id = int(port) if port in {*map(str, PORT_IDS)} else None
         controller_playpen = None if "playpen" in typed_names else program.playpen
     source = source_of(program)
-    logs = RunLogs(logging, picture, source)
+    logs = RunLogs(logging, picture, html, source)
     logs.check_new(plan.runs if series.start else None, logging.force, series.resume)
     with ExitStack() as stack:
         # Release the robot and complete its log before the remaining cleanup.
@@ -202,12 +205,16 @@ def _print_series_end(folder: "SeriesFolder | None", plan: "Plan", *, is_stopped
         raise typer.Exit(130)
 
 
-def _check_outputs(playpen: str, log: Path | None, picture: Path | None) -> None:
-    """Refuse a picture without a log, and output files that cannot be written."""
+def _check_outputs(playpen: str, log: Path | None, picture: Path | None, html: Path | None) -> None:
+    """Refuse a picture or page without a log, and output files that cannot be written."""
+    if html is not None:
+        if log is None:
+            raise usage("--html plays the log; expected --log FILE.mcap with it")
+        check_html(html, [log])
     if picture is not None and log is None:
         raise usage("--picture draws the path from the log; expected --log FILE.mcap with it")
     check_picture(picture, log)
-    check_inputs([playpen], picture)
+    check_inputs([playpen], picture, html)
 
 
 def _run_series(

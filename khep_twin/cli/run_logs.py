@@ -1,4 +1,4 @@
-"""Logs of `khep-twin run`, one in all or one per new twin, and the picture drawn from them."""
+"""Logs of `khep-twin run`, one in all or one per new twin, and the picture and page made from them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +8,8 @@ import typer
 
 from khep_twin import drawing
 from khep_twin.cli.option_groups import LogOptions
-from khep_twin.cli.options import check_new, print_files, print_kept_log
+from khep_twin.cli.options import check_new, print_files, print_kept_log, usage
+from khep_twin.cli.view import MAX_LOGS, write_html
 from khep_twin.errors import LogError
 
 if TYPE_CHECKING:
@@ -18,12 +19,15 @@ if TYPE_CHECKING:
 
 
 class RunLogs:
-    """Logs of a run, or of a series, from which a picture may be drawn at the end."""
+    """Logs of a run, or of a series, from which a picture and a page may be made at the end."""
 
-    def __init__(self, options: LogOptions, picture: Path | None, source: "Source") -> None:
+    def __init__(
+        self, options: LogOptions, picture: Path | None, html: Path | None, source: "Source"
+    ) -> None:
         self._options = options
         self._path = options.log
         self._picture = picture
+        self._html = html
         self._source = source
         self._recorders: list[Recorder] = []
 
@@ -52,7 +56,9 @@ class RunLogs:
         """
         from khep_twin.lab.experiment.series_run import numbered_path
 
-        check_new(force, self._picture)
+        check_new(force, self._picture, self._html)
+        if self._html is not None and runs is not None and runs > MAX_LOGS:
+            raise usage(f"--html: {runs} runs; expected at most {MAX_LOGS}, side by side")
         if self._path is not None:
             paths = [self._path] if runs is None else [numbered_path(self._path, i + 1) for i in range(runs)]
             check_new(force, *(path for path in paths if not (resume and self._has_same_controller(path))))
@@ -88,4 +94,6 @@ class RunLogs:
             figure = drawing.draw(runs[0].playpen, runs[0].paths if len(runs) == 1 else tracks)
             drawing.save(figure, self._picture, self._options.force)
             typer.echo(f"picture  {self._picture}")
+        if self._html is not None:
+            write_html(paths, self._html, False, self._options.force)
         print_files("log", paths)

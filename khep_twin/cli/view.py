@@ -1,6 +1,7 @@
-"""`khep-twin view`: logs shown in rerun."""
+"""`khep-twin view`: logs shown in rerun, or written as a page."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,9 @@ from khep_twin.files.atomic import is_same, unusable
 from khep_twin.process.invocation import command
 from khep_twin.process.signals import stopping
 
+MAX_LOGS = 8
+"""Maximum number of logs on a page, side by side."""
+
 
 @with_help
 def view(
@@ -26,6 +30,8 @@ def view(
     live: bool = False,
     web: bool = False,
     no_browser: bool = False,
+    html: Path | None = None,
+    with_log: bool = False,
     force: Force = False,
 ) -> None:
     """Show a log in rerun, or several side by side.
@@ -40,9 +46,14 @@ def view(
         live: Follow the log of a running `run` or `serve` while it is written.
         web: Show it in a browser on this machine instead of a window.
         no_browser: With --web: only print the page's address.
+        html: Write one HTML file that plays the logs in any browser, without rerun or a network.
+        with_log: With --html: keep the logs in the file, to be saved from there.
     """
-    _check_options(logs, save, png, live, web, no_browser)
-    check_new(force, save, png)
+    _check_options(logs, save, png, live, web, no_browser, html, with_log)
+    check_new(force, save, png, html)
+    if html is not None:
+        write_html(logs, html, with_log, force)
+        return
     if live:
         # Hides rerun's error when the window is closed and its connection breaks; rerun reads this once.
         os.environ.setdefault("RUST_LOG", "off")
@@ -72,6 +83,25 @@ def view(
             view_logs(logs, web=page, stop=stop, bar=progress)
 
 
+def write_html(logs: Sequence[Path], target: Path, with_log: bool, force: bool) -> None:
+    """Write a page that plays logs, and print its name and size."""
+    from khep_twin.web.run_page import RunPage
+
+    with progress() as show:
+        RunPage(logs, with_log=with_log, progress=show).save(target, force)
+    typer.echo(f"page     {target}: {target.stat().st_size / 1e6:.1f} MB, opens in any browser")
+
+
+def check_html(target: Path, logs: Sequence[Path] = ()) -> None:
+    """Refuse the file of a page that cannot be written."""
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise usage(f"--html {target}: expected a name that ends in .html")
+    if any(is_same(target, log) for log in logs):
+        raise LogError(f"{target}: this is the log itself; expected a separate file")
+    if reason := unusable(target):
+        raise usage(f"--html {target}: cannot be written: {reason}")
+
+
 def _note_thinning(log: Path) -> None:
     """Print a note if a long log is shown with fewer samples."""
     from khep_twin.log.reader import read_end_ns
@@ -84,15 +114,29 @@ def _note_thinning(log: Path) -> None:
 
 
 def _check_options(
-    logs: list[Path], save: Path | None, png: Path | None, live: bool, web: bool, no_browser: bool
+    logs: list[Path],
+    save: Path | None,
+    png: Path | None,
+    live: bool,
+    web: bool,
+    no_browser: bool,
+    html: Path | None,
+    with_log: bool,
 ) -> None:
     """Refuse incompatible options, and output files that cannot be written."""
-    mode_options = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
+    files = {"--save": save, "--png": png, "--html": html}
+    mode_options = {name: path is not None for name, path in files.items()} | {"--web": web, "--live": live}
     options = [name for name, is_set in mode_options.items() if is_set]
     if len(options) > 1 and options != ["--web", "--live"]:
         raise usage(f"{' and '.join(options)} cannot be combined; expected one of them, or --web and --live")
     if no_browser and not web:
         raise usage("--no-browser is for --web")
+    if with_log and html is None:
+        raise usage("--with-log keeps the logs in a page; expected --html FILE.html with it")
+    if html is not None:
+        check_html(html, logs)
+        if len(logs) > MAX_LOGS:
+            raise usage(f"--html: {len(logs)} logs; expected at most {MAX_LOGS}, side by side")
     if save is not None and save.suffix.lower() != ".rrd":
         raise usage(f"--save {save}: expected a name that ends in .rrd, a recording for rerun")
     if live and len(logs) > 1:

@@ -26,6 +26,9 @@ from khep_twin.sensing.calibration import Calibration
 MAX_DEPTH = 64
 """Maximum depth of nested elements in a scene."""
 
+SCENE_LIMIT = 4 << 20
+"""Largest scene, that of some 300 robots [characters]."""
+
 _SHAPE_PARTS = {"compiler", "default", "worldbody"}
 """Parts of a scene that define its shapes."""
 
@@ -53,7 +56,7 @@ def compile_shapes(attachments: Mapping[str, str], robots: Sequence[str], source
     """Compile the scene of a log, reduced to its shapes, and check that it contains these robots."""
     models = models_of(attachments, robots)
     with _attachment_errors(source, "scene.xml"):
-        model = _compile_mjcf(_attachment_text(attachments, "scene.xml"))
+        model = _compile_mjcf(_attachment_text(attachments, "scene.xml", SCENE_LIMIT))
         names = {model.body(index).name for index in range(model.nbody)}
         names |= {model.cam(index).name for index in range(model.ncam)}
         for robot, robot_model in models.items():
@@ -74,12 +77,12 @@ def _attachment_errors(source: object, name: str) -> Generator[None]:
         raise LogError(f"{source}: {first_line(error)}") from None
 
 
-def _attachment_text(attachments: Mapping[str, str], name: str) -> str:
+def _attachment_text(attachments: Mapping[str, str], name: str, limit: int = SIZE_LIMIT) -> str:
     text = attachments.get(name)
     if text is None:
         raise DecodeError("missing", "it among the attachments")
-    if len(text) > SIZE_LIMIT:
-        raise DecodeError(f"{len(text)} characters", f"at most {SIZE_LIMIT}")
+    if len(text) > limit:
+        raise DecodeError(f"{len(text)} characters", f"at most {limit}")
     return text
 
 

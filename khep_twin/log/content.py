@@ -7,7 +7,7 @@ records named by the index are in the file and do not overlap, so that no byte i
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import BinaryIO
 
@@ -47,16 +47,17 @@ class Content:
 
     Args:
         file: Open file.
+        topic_filter: Function that returns whether to yield the messages of a topic; None for all.
 
     Raises:
         DecodeError: Here and in each method: the file is no complete MCAP file, or exceeds a limit.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, topic_filter: Callable[[str], bool] | None = None) -> None:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
         self._unpacked_size = 0
-        self._reader = EntryReader()
+        self._reader = EntryReader(topic_filter)
         self._end_ns = 0
         self._n_messages: int | None = None
         self._chunks: list[tuple[int, int, int]] = []  # start [ns], offset and length in the file [bytes]
@@ -123,6 +124,7 @@ class Content:
                 n_bytes += MESSAGE.size + len(entry.data)
                 n_messages += 1
                 batch.append(entry)
+        n_messages += self._reader.n_skipped
         if self._n_messages is not None and n_messages != self._n_messages:
             raise DecodeError(f"{n_messages} messages", f"{self._n_messages}, as its statistics say")
         yield 1.0, batch

@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.writer import MCAP0_MAGIC
@@ -31,6 +32,9 @@ from khep_twin.process.invocation import command
 from khep_twin.renamed import renamed_attribute
 from khep_twin.robots.model import Feature, RobotModel
 from khep_twin.robots.registry import default_model
+
+if TYPE_CHECKING:
+    import khep_twin
 
 BATCH_BYTES = 32 << 20
 """Messages that `read_batches` reads at a time, besides a chunk [bytes]."""
@@ -103,6 +107,16 @@ class LoggedRun:
             for name, track in self.robots.items()
             if len(track.pose)
         )
+
+    def html(self) -> "khep_twin.RunPage":
+        """Return the page that plays the run in any browser; a notebook shows it below its cell.
+
+        Raises:
+            LogError: The log cannot be read, or has nothing to show.
+        """
+        import khep_twin  # by its public names, as the page is above logs in the order of packages
+
+        return khep_twin.RunPage([self.source])
 
     def table(self) -> dict[str, NDArray[np.generic]]:
         """Return the samples of all robots as columns (n,) by name, for `pandas.DataFrame`.
@@ -233,10 +247,20 @@ def read_message_batches(
     path: Path, progress: Callable[[float], None] | None = None
 ) -> Iterator[tuple[Recording, list[Entry]]]:
     """Yield batches as `read_batches` does, with their messages."""
-    with _open_log(path) as content:
+    for label, messages in read_entry_batches(path, progress):
+        yield _make_recording(path, label, messages), messages
+
+
+def read_entry_batches(
+    path: Path,
+    progress: Callable[[float], None] | None = None,
+    topic_filter: Callable[[str], bool] | None = None,
+) -> Iterator[tuple[Label, list[Entry]]]:
+    """Yield batches as `read_batches` does, as messages that are not decoded, of all topics or of some."""
+    with _open_log(path, topic_filter) as content:
         label = _read_label(path, content)
         for fraction, messages in content.batches(BATCH_BYTES):
-            yield _make_recording(path, label, messages), messages
+            yield label, messages
             if progress is not None:
                 progress(fraction)
 
@@ -296,11 +320,13 @@ def read_until(path: Path, last_entry: Entry) -> Generator[list[Entry]]:
 
 
 @contextmanager
-def _open_log(path: Path) -> Generator[Content, None, None]:
+def _open_log(
+    path: Path, topic_filter: Callable[[str], bool] | None = None
+) -> Generator[Content, None, None]:
     """Open a log; convert errors of its file and its content to a `LogError` of one line."""
     with read_errors(path), open_regular(path) as file:
         try:
-            yield Content(file)
+            yield Content(file, topic_filter)
         except DecodeError as error:
             # A file that starts like a log is truncated or damaged, and can be recovered.
             file.seek(0)

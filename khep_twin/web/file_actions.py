@@ -26,6 +26,7 @@ from khep_twin.web.answers import Actions, action
 from khep_twin.web.documents import PROGRAM_SUFFIXES, ConflictError, Documents, OutsideError, version_of
 from khep_twin.web.messages import Publish
 from khep_twin.web.requests import PROGRAM_LIMIT
+from khep_twin.web.run_page import RunPage
 
 _DOWNLOAD = "application/octet-stream"
 """Type of a file that a browser saves instead of showing it."""
@@ -111,6 +112,7 @@ class FileActions:
             "preview": action(requests.DraftRequest, self._preview),
             "log": action(requests.FileRequest, self._log),
             "report": action(requests.FileRequest, self._report),
+            "page": action(requests.FileRequest, self._page),
             "program": action(
                 requests.ProgramRequest, lambda request: programs.open(request.file, request.model)
             ),
@@ -168,6 +170,10 @@ class FileActions:
 
     def _log(self, request: requests.FileRequest) -> Response:
         return FileResponse(self._documents.log(request.file), media_type=_DOWNLOAD)
+
+    def _page(self, request: requests.FileRequest) -> Response:
+        """Return the page that plays a log, as a file."""
+        return Response(RunPage([self._documents.log(request.file)]).html, media_type=_DOWNLOAD)
 
     def _report(self, request: requests.FileRequest) -> Response:
         """Return the report on a log, as a file."""

@@ -7,6 +7,9 @@ test compares both lists of kinds. A message with a `tab` is for this page only;
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NotRequired, TypedDict
 
+EXTRA_CHANNELS = ("ultrasonic", "position", "accelerometer", "gyroscope", "battery")
+"""Further channels that the page shows, of the models that have them."""
+
 
 class RobotShape(TypedDict):
     """Radius of a robot [mm], and position [mm] and heading [deg] of each proximity sensor.

@@ -1,6 +1,7 @@
 """Shape of a robot as the page draws it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from khep_twin.lab.experiment.controllers import BUILT_IN
@@ -9,10 +10,13 @@ from khep_twin.sensing import calibration
 from khep_twin.web.messages import RobotShape
 
 
-def robot_shape(model: RobotModel, calibration_name: str) -> RobotShape:
-    """Return a robot's shape for drawing: [mm] and [deg]."""
+def robot_shape(
+    model: RobotModel, calibration_name: str, heading_deg: Sequence[float] | None = None
+) -> RobotShape:
+    """Return a robot's shape for drawing: [mm] and [deg]; by default with the headings of its calibration."""
     body = model.body
-    poses = zip(body.sensor_positions, calibration.read(calibration_name)[0].heading_deg, strict=True)
+    headings = calibration.read(calibration_name)[0].heading_deg if heading_deg is None else heading_deg
+    poses = zip(body.sensor_positions, headings, strict=True)
     sonar = body.sonar.places if body.sonar else []
     wheels = (body.wheel_base, body.wheel_radius, body.wheel_width)
     return {

@@ -28,9 +28,6 @@ from khep_twin.web.robot_shape import robot_shape
 from khep_twin.web.scene import DrawnScene, TurretParts
 from khep_twin.web.session import SessionActor
 
-_EXTRA_CHANNELS = ("ultrasonic", "position", "accelerometer", "gyroscope", "battery")
-"""Further channels that the page shows, of the models that have them."""
-
 _NOT_STARTED = "the twin is not there yet; expected a started twin"
 
 
@@ -194,7 +191,7 @@ class TwinActor(SessionActor):
                     "vision": None if image is None else image.tolist(),
                     "turrets": self._turrets[index].corners(),
                     "leds": readings.get("leds", []),
-                    "more": {name: readings[name] for name in _EXTRA_CHANNELS if name in readings},
+                    "more": {name: readings[name] for name in messages.EXTRA_CHANNELS if name in readings},
                     "host": host.port.occupied,
                     "host_commands": host.commands,
                 }

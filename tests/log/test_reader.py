@@ -17,7 +17,15 @@ from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import read_line
 from khep_twin.log.log_file import LogFile
-from khep_twin.log.reader import read_first_messages, read_label, read_log, read_raw, read_series, read_since
+from khep_twin.log.reader import (
+    read_entry_batches,
+    read_first_messages,
+    read_label,
+    read_log,
+    read_raw,
+    read_series,
+    read_since,
+)
 from khep_twin.log.recover import recover
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -209,3 +217,14 @@ def test_the_first_messages_unpack_each_chunk_once(log: Path, monkeypatch: pytes
     monkeypatch.setattr(Content, "_read_chunk", noted)
     assert "/khepera0/proximity" in read_first_messages(log).series
     assert len(places) == len(set(places))
+
+
+def test_batches_of_some_topics_have_all_their_messages_and_no_others(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
+        twin.advance_to(200_000_000)
+    _, by_topic, _ = read_raw(path, lambda topic: topic.endswith("/speed"))
+    batches = read_entry_batches(path, topic_filter=lambda topic: topic.endswith("/speed"))
+    entries = [entry for _, batch in batches for entry in batch]
+    assert {entry.topic for entry in entries} == {"/khepera0/speed"}
+    assert [(entry.time_ns, entry.data) for entry in entries] == by_topic["/khepera0/speed"]

@@ -19,9 +19,10 @@ from typer.testing import CliRunner
 from khep_twin.cli.app import app
 from khep_twin.errors import LogError
 from khep_twin.log.reader import read_end_ns
+from khep_twin.log.run_names import distinct_names
 from khep_twin.log.viewer import replay, robot_panel
 from khep_twin.log.viewer.arena import RAY_LIMIT
-from khep_twin.log.viewer.replay import distinct_names, view, view_still
+from khep_twin.log.viewer.replay import view, view_still
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 

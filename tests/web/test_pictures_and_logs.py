@@ -25,7 +25,7 @@ def test_each_playpen_of_the_library_has_a_line_and_a_small_map(client: Client) 
     assert client.do("thumbnail", name="nowhere")[0] == 400
 
 
-def test_a_log_and_its_report_are_there_after_the_run(client: Client, tmp_path: Path) -> None:
+def test_a_log_its_report_and_its_page_are_there_after_the_run(client: Client, tmp_path: Path) -> None:
     status, started = client.do("start", draft=DRAFT, log="run.mcap", speed=0)
     assert status == 200
     assert started["log"] == "run.mcap"
@@ -40,7 +40,10 @@ def test_a_log_and_its_report_are_there_after_the_run(client: Client, tmp_path: 
     status, report = client.do("report", file="run.mcap")
     assert status == 200
     assert b"<html" in report[:200]
-    for action in ("log", "report"):
+    status, page = client.do("page", file="run.mcap")
+    assert status == 200
+    assert b"<html" in page[:200]
+    for action in ("log", "report", "page"):
         assert client.do(action, file="none.mcap")[0] == 400
         assert client.do(action, file="../run.mcap")[0] == 403
         assert client.do(action, file="mine.toml")[0] == 400

@@ -233,7 +233,7 @@ export class Drawing {
     const lines = [...multiples(step, width).map((x) => `M${x} 0V${height}`), ...multiples(step, height).map((y) => `M0 ${y}H${width}`)].join("");
     this.ground.replaceChildren(
       ...walls,
-      createSvg("path", { d: path, class: "floor", ...(arena.table && { style: "stroke: var(--edge); stroke-dasharray: 12 6" }) }), // a table has an edge instead of walls
+      createSvg("path", { d: path, class: arena.table ? "floor table" : "floor" }), // a table has an edge instead of walls
       ...this.#createStripes(arena, [...corners].every((corner) => corner.length === 2) ? innerSides(corners) : []),
       createSvg("path", { d: lines, class: "grid" }),
     );

@@ -7,18 +7,26 @@ export class LivePlan {
   #trails = [];
   #nodes = null; // of the robots; null while no twin runs
 
-  constructor(drawing) {
-    this.drawing = drawing;
+  // `limit` is the number of points of a path, the newest ones.
+  constructor(drawing, limit = 1500) {
+    Object.assign(this, { drawing, limit });
   }
 
   // Clears the paths for another twin with this number of robots.
   clear(count) {
-    this.#trails = Array.from({ length: count }, () => new Trail());
+    this.#trails = Array.from({ length: count }, () => new Trail(this.limit));
   }
 
   // Adds the points of each robot's path before this page was opened.
   addPaths(paths) {
     paths.forEach((points, index) => points.forEach(([x, y]) => this.#trails[index]?.add(x, y)));
+  }
+
+  // Replaces the paths.
+  showPaths(paths) {
+    this.clear(paths.length);
+    this.addPaths(paths);
+    this.#showNodes();
   }
 
   end() {
@@ -50,7 +58,11 @@ export class LivePlan {
       if (lastPicture) setPose(node, lastPicture.robots[index]);
       return { node, rays, beams, leds, robot, turrets: node.querySelectorAll(".turret") };
     });
-    drawing.liveGroup.replaceChildren(...this.#trails.map(({ node }) => node), ...this.#nodes.map(({ node }) => node));
+    this.#showNodes();
+  }
+
+  #showNodes() {
+    this.drawing.liveGroup.replaceChildren(...this.#trails.map(({ node }) => node), ...this.#nodes.map(({ node }) => node));
   }
 
   // Shows a picture; a lifted robot is where the user holds it, and in a hidden plan only the paths are updated.
@@ -82,22 +94,29 @@ class Trail {
   points = []; // the newest positions
   #last = null;
   #path = null;
-  #pathPoints = []; // of the last SVG path
+  #text = ""; // of the last SVG path
+  #pathCount = 0; // points of the last SVG path
+
+  constructor(limit) {
+    this.limit = limit;
+  }
 
   add(x, y) {
     const distance = this.#last ? Math.hypot(this.#last[0] - x, this.#last[1] - y) : Infinity;
     if (distance <= 3) return;
     // A jump, when the user has moved the robot, starts a new path.
-    if (distance > 150 || this.#pathPoints.length >= 60) {
-      this.#pathPoints = distance > 150 ? [] : [this.#last];
+    if (distance > 150 || this.#pathCount >= 60) {
+      this.#text = distance > 150 ? "" : `M${this.#last.join(" ")}`;
+      this.#pathCount = 0;
       this.#path = createSvg("path", { class: "trail" });
       this.node.append(this.#path);
-      if (this.node.childElementCount > 25) this.node.firstChild.remove();
+      if (this.node.childElementCount > this.limit / 60) this.node.firstChild.remove();
     }
     this.#last = [x, y];
-    this.#pathPoints.push(this.#last);
-    if (this.points.push(this.#last) > 1500) this.points.shift();
-    this.#path.setAttribute("d", `M${this.#pathPoints.map((point) => point.join(" ")).join("L")}`);
+    this.#pathCount++;
+    this.#text += `${this.#text ? "L" : "M"}${x} ${y}`;
+    if (this.points.push(this.#last) > this.limit) this.points.shift();
+    this.#path.setAttribute("d", this.#text);
   }
 }
 

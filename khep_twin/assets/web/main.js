@@ -1,7 +1,9 @@
 // The page: banners, dialogs, buttons, keys, and the connections between its parts.
 
 import { listen, post, tab } from "./api.js";
+import { attempt, banner, settle } from "./banners.js";
 import { Challenges } from "./challenges.js";
+import { ask, chooseFile, chooseFromLibrary, showKeys, showPreview } from "./dialogs.js";
 import { Drafts } from "./drafts.js";
 import { Drawing, readStripes } from "./drawing.js";
 import { Editor } from "./editor.js";
@@ -18,7 +20,7 @@ const running = new Running(drawing, model, banner, attempt);
 const program = new Program(running, banner, attempt);
 const drafts = new Drafts({ model, running, attempt, banner, settle, ask, send: (message) => send(message) });
 const challenges = new Challenges({ attempt, program, openFromLibrary: (name) => drafts.openFromLibrary(name) });
-const stage = new Stage(model, running, attempt, showPreview);
+const stage = new Stage(model, running, attempt, () => showPreview(model.draft));
 const editor = new Editor(drawing, model, {
   readSnap: () => ({ grid: +$("#grid").value, angle: +$("#angle").value }),
   running,
@@ -34,118 +36,6 @@ let hello; // reply to the first request
 let send = () => {}; // sends a message to the other pages
 let isOffline = false;
 let offlineReason = "";
-
-// Banners ------------------------------------------------------------------------------------------------
-
-// A banner replaces the previous one about the same subject. An error stays until its action has succeeded.
-function banner(text, kind = "", choices = {}, about = text) {
-  [...$("#banners").children].find((other) => other.dataset.about === about)?.remove();
-  const box = create("div", { className: `banner ${kind}` }, create("span", {}, text));
-  box.dataset.about = about;
-  const close = () => box.remove();
-  for (const [name, act] of Object.entries(choices)) {
-    const button = create("button", {}, name);
-    button.addEventListener("click", () => {
-      close();
-      attempt(act, about);
-    });
-    box.append(button);
-  }
-  const closeButton = create("button", { title: "Close" }, "×");
-  closeButton.addEventListener("click", close);
-  box.append(closeButton);
-  $("#banners").append(box);
-  // Banners that offer a choice are not removed.
-  if ($("#banners").children.length > 4) [...$("#banners").children].find((other) => other.childElementCount === 2)?.remove();
-  if (!Object.keys(choices).length && (kind !== "error" || about === "hand")) setTimeout(close, 8000);
-  return close;
-}
-
-// Removes the errors about a subject.
-function settle(about) {
-  for (const error of findErrors(about)) error.remove();
-}
-
-function findErrors(about) {
-  return [...document.querySelectorAll(".banner.error")].filter((error) => error.dataset.about === about);
-}
-
-// Runs an action and shows its error; its success removes earlier errors about the same subject.
-async function attempt(act, about) {
-  // Errors shown meanwhile, for example of a twin that does not start, stay.
-  const previousErrors = findErrors(about);
-  try {
-    const result = await act();
-    for (const error of previousErrors) error.remove();
-    return result;
-  } catch (error) {
-    // The loss of the designer is reported once, elsewhere.
-    if (!error.isUnreachable) banner(error.message, "error", {}, about);
-    if (about === "run") program.markErrorLine(error.message); // a file may fail when it is read
-    return undefined;
-  }
-}
-
-// Dialogs ------------------------------------------------------------------------------------------------
-
-function ask(title, body, ok = "OK") {
-  const dialog = $("#dialog");
-  dialog.querySelector("h2").textContent = title;
-  dialog.querySelector(".body").replaceChildren(body);
-  dialog.querySelector("button.main").textContent = ok;
-  dialog.querySelector("[value=cancel]").hidden = ok === "Close";
-  dialog.returnValue = "";
-  dialog.showModal();
-  body.querySelector?.("select, input")?.focus();
-  if (body.matches?.("select, input")) body.focus();
-  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "ok"), { once: true }));
-}
-
-async function chooseFile() {
-  const { files } = await post("list");
-  if (!files.length) return banner("There are no playpens below this folder yet."), null;
-  const list = create("select", { size: 12 }, ...files.map((name) => new Option(name, name)));
-  list.selectedIndex = 0;
-  list.addEventListener("dblclick", () => $("#dialog").close("ok"));
-  return (await ask("Open", list)) ? list.value : null;
-}
-
-const thumbnails = new Map();
-
-// Asks for a playpen of the library, by its picture and a line of description.
-async function chooseFromLibrary() {
-  const cards = create("div", { className: "cards" });
-  for (const [name, description] of Object.entries(hello.library)) {
-    const choice = create("input", { type: "radio", name: "library", value: name, checked: !cards.childElementCount });
-    const picture = create("img", { alt: "", src: thumbnails.get(name) ?? "static/icon.svg" });
-    const card = create("label", {}, choice, picture, create("strong", {}, name), create("span", {}, description));
-    card.addEventListener("dblclick", () => $("#dialog").close("ok"));
-    cards.append(card);
-  }
-  const answer = ask("New from the library", cards);
-  // One at a time: the server draws each at its first request.
-  attempt(async () => {
-    for (const [index, name] of Object.keys(hello.library).entries()) {
-      if (!thumbnails.has(name)) thumbnails.set(name, URL.createObjectURL(await post("thumbnail", { name })));
-      cards.children[index].querySelector("img").src = thumbnails.get(name);
-      if (!cards.isConnected || !$("#dialog").open) return;
-    }
-  }, "thumbnails");
-  return (await answer) ? cards.querySelector(":checked").value : null;
-}
-
-async function showPreview() {
-  const closeBanner = banner("The scene is being compiled and drawn.");
-  const blob = await post("preview", { draft: model.draft }).finally(closeBanner);
-  const picture = create("img", { src: URL.createObjectURL(blob), alt: "The compiled scene in perspective" });
-  await ask("The compiled scene", picture, "Close");
-  URL.revokeObjectURL(picture.src);
-}
-
-async function showKeys() {
-  const rows = KEYS.map(([keys, text]) => create("tr", {}, create("th", {}, keys), create("td", {}, text)));
-  await ask("Keys", create("table", {}, ...rows), "Close");
-}
 
 // Changes of the drawing ---------------------------------------------------------------------------------
 
@@ -223,22 +113,6 @@ model.addEventListener("moved", () => check());
 
 // Keys, buttons, drops -----------------------------------------------------------------------------------
 
-const KEYS = [
-  ["V B C W L R P S", "select, block, cylinder, wall, lamp, robot, patch, spot; twice, or a double click on the tool: kept for several objects"],
-  ["Enter", "put the tool's object into the middle; end a wall"],
-  ["Tab, Shift+Tab", "go to the next or previous object"],
-  ["arrows", "move by the grid, with Shift ten times, with Alt 1 mm; with nothing selected, move the view"],
-  ["[ ]", "turn by the angle, with Alt 1°"],
-  ["Delete, right button", "remove"],
-  ["Ctrl+D, Ctrl+A, Ctrl+Z, Ctrl+Y, Ctrl+S", "copy, select all, undo, redo, save; during a run, undo and redo are about lifted robots and switched lamps"],
-  ["Shift+click, drag on the floor", "select several"],
-  ["Alt while dragging", "ignore the grid"],
-  ["two fingers", "zoom, move the view, turn a lifted robot"],
-  ["wheel, + − 0", "zoom; middle button or Ctrl+drag moves the view"],
-  ["3, F", "plan or 3-D; in 3-D, follow the robot: drag, or the arrows, to orbit, with Shift or the right button to move"],
-  ["Space . Esc", "during a run: pause, step, stop; the wheel turns a lifted robot"],
-];
-
 const FILES = ["new", "open", "save", "save-as"];
 
 function press(id, act) {
@@ -247,7 +121,7 @@ function press(id, act) {
 
 const withoutTwin = (act) => () => (running.hasTwin ? banner("A twin runs in this drawing: end it first.") : act());
 press("new", async () => {
-  const name = await chooseFromLibrary();
+  const name = await chooseFromLibrary(hello.library);
   if (name) await drafts.openFromLibrary(name);
 });
 press("open", async () => drafts.open(await chooseFile()));
@@ -306,6 +180,8 @@ document.addEventListener("keydown", (event) => {
 document.addEventListener("beforeinput", (event) => {
   if (event.inputType.startsWith("history") && (event.target !== document.activeElement || event.target.closest("#tab-object, #tab-playpen"))) event.preventDefault();
 });
+// A program may fail when its file is read.
+document.addEventListener("failed", ({ detail }) => detail.about === "run" && program.markErrorLine(detail.text));
 addEventListener("pagehide", () => drafts.store({ keepalive: true }));
 addEventListener("beforeunload", (event) => {
   // Without the designer, no draft is stored; programs have no drafts.

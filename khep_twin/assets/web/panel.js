@@ -60,14 +60,14 @@ export class Panel {
     proximity.forEach((count, index) => {
       setBar(...this.proximityBars[index], fraction("proximity", count));
       setBar(...this.lightBars[index], fraction("light", ambient[index]));
-      setText(this.rows[index].children[1], count);
-      setText(this.rows[index].children[2], ambient[index]);
+      setText(this.rows[index].children[1], count ?? "–");
+      setText(this.rows[index].children[2], ambient[index] ?? "–");
     });
     speed.slice(0, 2).forEach((pulses, side) => {
       const height = fraction("speed", pulses) * BAR;
       this.motors[side].setAttribute("y", pulses > 0 ? -height : 0);
       this.motors[side].setAttribute("height", height);
-      setText(this.rows.at(-1).children[side + 1], pulses);
+      setText(this.rows.at(-1).children[side + 1], pulses ?? "–");
     });
     for (const [name, values] of Object.entries(channels)) {
       if (!this.channelRows[name]) {

@@ -43,6 +43,7 @@ export class Running {
     const logStem = () => this.startReply.log.replace(/^.*\//, "").replace(/\.mcap$/, "");
     press("#keep-log", async () => download(await post("log", { file: this.startReply.log }), `${logStem()}.mcap`));
     press("#keep-report", async () => download(await post("report", { file: this.startReply.log }), `${logStem()}.html`));
+    press("#keep-page", async () => download(await post("page", { file: this.startReply.log }), `${logStem()}.html`));
     press("#copy-view", () => navigator.clipboard.writeText($("#view-command").textContent));
     press("#copy-port", () => navigator.clipboard.writeText($("#port").textContent));
     $("#speed").addEventListener("change", () => attempt(() => this.#setPace(), "pace"));

@@ -7,7 +7,6 @@ import { mergeShapes } from "./solids.js";
 import * as THREE from "./three.min.js";
 import { OrbitControls } from "./three.min.js";
 
-const TRAIL_LIMIT = 1500; // line segments of a path
 const GRID = 0.1; // distance of the grid lines [m]
 const FAN_LENGTH = 0.042; // length of a field of view [m], as in the plan
 const JUMP = 0.15; // a longer step is not interpolated [m]
@@ -30,14 +29,14 @@ export class ThreeD {
   #pictureInterval = 40;
   #extent = new THREE.Box3();
 
-  // Throws an error where the browser has no WebGL.
-  constructor(canvas) {
+  // `limit` is the number of line segments of a path. Throws an error where the browser has no WebGL.
+  constructor(canvas, limit = 1500) {
     const probe = new OffscreenCanvas(1, 1).getContext("webgl2");
     if (!probe) throw new Error("no WebGL");
     const debugInfo = probe.getExtension("WEBGL_debug_renderer_info");
     const isSoftware = new RegExp(SOFTWARE_RENDERERS).test(debugInfo ? probe.getParameter(debugInfo.UNMASKED_RENDERER_WEBGL) : "");
     probe.getExtension("WEBGL_lose_context")?.loseContext();
-    this.canvas = canvas;
+    Object.assign(this, { canvas, limit });
     // Antialiasing takes too long without a GPU.
     const context = canvas.getContext("webgl2", { alpha: false, antialias: !isSoftware, stencil: false });
     this.renderer = new THREE.WebGLRenderer({ canvas, context });
@@ -86,8 +85,8 @@ export class ThreeD {
     this.#robots = robots.map((robot) => {
       const body = this.#bodies[scene.bodies.indexOf(`${robot.name}/base`)];
       const fan = createFans(robot, this.material.fans);
-      const trail = new Trail(this.material.trail);
-      for (const [x, y] of robot.path) trail.add(x / 1e3, y / 1e3);
+      const trail = new Trail(this.material.trail, this.limit);
+      trail.show(robot.path);
       const beams = createBeams(robot, this.material.beams);
       body.add(fan, ...beams);
       this.#scene.add(trail.node);
@@ -104,12 +103,12 @@ export class ThreeD {
     this.requestFrame();
   }
 
-  // Shows the state of a running twin; bodies move to their new poses until the next state is expected.
-  showPicture({ bodies, robots, lamps }) {
+  // Shows the state of a running twin; bodies move to their new poses until the next state is expected, or at once.
+  showPicture({ bodies, robots, lamps }, isAtOnce = false) {
     if (bodies.length !== this.#bodies.length) return; // its scene is not loaded yet
     const now = performance.now();
     this.#pictureInterval = Math.min(Math.max(now - this.#pictureTime, 20), 100);
-    this.#pictureTime = now;
+    this.#pictureTime = isAtOnce ? 0 : now;
     this.#previousPoses = this.#bodies.map(({ position, quaternion }) => [position.clone(), quaternion.clone()]);
     this.#poses = bodies;
     robots.forEach(({ proximity, x_mm, y_mm, more }, index) => {
@@ -130,12 +129,19 @@ export class ThreeD {
     this.requestFrame();
   }
 
+  // Replaces the paths.
+  showPaths(paths) {
+    this.#robots.forEach(({ trail }, index) => trail.show(paths[index]));
+    this.requestFrame();
+  }
+
   // Requests the next frame; several requests draw it once.
   requestFrame() {
     this.#frame ||= requestAnimationFrame((now) => {
       this.#frame = 0;
       if (!this.canvas.clientWidth) return;
-      const fraction = Math.min((now - this.#pictureTime) / this.#pictureInterval, 1);
+      // On a slow machine, the time of the frame may be before that of the picture.
+      const fraction = Math.min((performance.now() - this.#pictureTime) / this.#pictureInterval, 1);
       this.#interpolate(fraction);
       this.renderer.render(this.#scene, this.camera);
       requestAnimationFrame((nextTime) => this.#shading.measureFrame(nextTime - now));
@@ -247,22 +253,31 @@ class Trail {
   #count = 0;
   #last = null;
 
-  constructor(material) {
+  constructor(material, limit) {
     const geometry = new THREE.BufferGeometry();
-    this.positions = new THREE.BufferAttribute(new Float32Array(6 * TRAIL_LIMIT), 3).setUsage(THREE.DynamicDrawUsage);
+    this.limit = limit;
+    this.positions = new THREE.BufferAttribute(new Float32Array(6 * limit), 3).setUsage(THREE.DynamicDrawUsage);
     geometry.setAttribute("position", this.positions).setDrawRange(0, 0);
     this.node = Object.assign(new THREE.LineSegments(geometry, material), { frustumCulled: false });
+  }
+
+  // Shows a path of points in mm instead.
+  show(points) {
+    this.#count = 0;
+    this.#last = null;
+    this.node.geometry.setDrawRange(0, 0);
+    for (const [x, y] of points) this.add(x / 1e3, y / 1e3);
   }
 
   add(x, y) {
     const distance = this.#last ? Math.hypot(x - this.#last[0], y - this.#last[1]) : 0;
     if (this.#last && distance < 0.003) return;
     if (this.#last && distance < JUMP) {
-      const slot = this.#count++ % TRAIL_LIMIT;
+      const slot = this.#count++ % this.limit;
       this.positions.array.set([...this.#last, LINE_Z, x, y, LINE_Z], 6 * slot);
       this.positions.addUpdateRange(6 * slot, 6);
       this.positions.needsUpdate = true;
-      this.node.geometry.setDrawRange(0, 2 * Math.min(this.#count, TRAIL_LIMIT));
+      this.node.geometry.setDrawRange(0, 2 * Math.min(this.#count, this.limit));
     }
     this.#last = [x, y];
   }

@@ -9,7 +9,6 @@ instead of dates in 1970; both are part of a rerun recording, which is saved or 
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
@@ -21,13 +20,14 @@ from rerun.chunk import Chunk
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import is_same, part_file, resolve
+from khep_twin.files.atomic import is_same, part_file
 from khep_twin.files.text import escape_surrogates
 from khep_twin.log.attached import compile_shapes, playpen_of
 from khep_twin.log.channels import MAP
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.reader import Label, read_end_ns, read_message_batches
 from khep_twin.log.robot_models import models_of
+from khep_twin.log.run_names import distinct_names
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import (
     TRAIL_COLOUR,
@@ -116,21 +116,6 @@ def static_chunks(label: Label) -> list[Chunk]:
     panels = "playpen.toml" in label.attachments and not is_shadow(label)
     models = models_of(label.attachments, label.robots) if panels else {}
     return [chunk for robot, model in models.items() for chunk in outline_chunks(robot, model)]
-
-
-def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """Return the file names without suffix; equal names with their folders, or with numbers."""
-    stems = [escape_surrogates(path.stem) for path in paths]
-    names = [
-        stem if stems.count(stem) == 1 else f"{escape_surrogates(resolve(path).parent.name)}/{stem}"
-        for path, stem in zip(paths, stems, strict=True)
-    ]
-    counts: Counter[str] = Counter()
-    distinct: list[str] = []
-    for name in names:
-        counts[name] += 1
-        distinct.append(name if names.count(name) == 1 else f"{name} {counts[name]}")
-    return distinct
 
 
 def _check_and_copy(path: Path, copy_path: Path, progress: Progress) -> Label:

@@ -1,0 +1,211 @@
+"""A run as one HTML file, opened from the disk in a real browser."""
+
+import random
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow.csv
+import pytest
+from command_line import good
+from relay_logs import in_turn, relayed
+
+from khep_twin.web.run_page import RunPage
+from tests.web.run_pages import headers, record, with_hostile_texts
+from tests.web.visit import BROWSED, PICTURES, need_a_browser
+
+need_a_browser()
+pytestmark = BROWSED
+
+SIZES = {"desk": (1280, 720), "tablet": (820, 1180), "phone": (390, 844)}
+
+
+class Player:
+    """A page that plays runs.
+
+    Attributes:
+        page: Page of Playwright.
+        errors: Errors and warnings in its console.
+        requests: Addresses that it has requested.
+    """
+
+    def __init__(self, page: Any) -> None:
+        self.page = page
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        page.on(
+            "console", lambda entry: entry.type in ("error", "warning") and self.errors.append(entry.text)
+        )
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("dialog", lambda dialog: self.errors.append(dialog.message) or dialog.dismiss())
+        page.on("request", lambda request: self.requests.append(request.url))
+
+    def open(self, file: Path, moment: str = "") -> None:
+        self.page.goto(f"{file.as_uri()}{moment}")
+        self.page.wait_for_selector("html[data-ready]")
+
+    def wait(self, expression: str) -> None:
+        """Poll an expression: the page's content security policy forbids `wait_for_function`."""
+        end = time.monotonic() + 60
+        while not self.page.evaluate(expression):
+            assert time.monotonic() < end, expression
+            self.page.wait_for_timeout(50)
+
+    def clock(self) -> float:
+        return float(self.page.inner_text("#clock").split(" ")[0])
+
+    def readings(self) -> list[int]:
+        """Return the displayed proximity, in the order of the sensors."""
+        rows = self.page.locator(".readings tr").all_inner_texts()
+        return [int(row.split("\t")[1]) for row in rows[1:9]]
+
+    def picture(self, name: str) -> None:
+        PICTURES.mkdir(parents=True, exist_ok=True)
+        self.page.screenshot(path=PICTURES / f"{name}.png")
+
+
+@pytest.fixture
+def player(browser: Any) -> Iterator[Player]:
+    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    player = Player(context.new_page())
+    yield player
+    context.close()
+    assert player.errors == []
+    assert all(url.startswith(("file:", "blob:")) for url in player.requests)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    commands = (b"N\n", b"O\n", b"E\n", b"L,0,1\n")
+    return record(tmp_path_factory.mktemp("player") / "run.mcap", 5.0, commands=commands)
+
+
+@pytest.fixture(scope="module")
+def file(log: Path) -> Path:
+    target = log.with_suffix(".html")
+    RunPage([log], with_log=True).save(target)
+    return target
+
+
+def test_a_page_plays_by_itself_and_stops_at_the_end(player: Player, file: Path) -> None:
+    player.open(file)
+    player.page.select_option("#speed", "10")
+    player.wait("document.querySelector('#clock').textContent === '5.00 s'")
+    assert player.page.inner_text("#play") == "Play"
+    player.page.click("#loop")
+    player.page.click("#play")
+    player.wait("parseFloat(document.querySelector('#clock').textContent) < 3")
+    assert player.page.inner_text("#play") == "Pause"
+    assert player.page.get_attribute(".trail", "d")
+
+
+def test_dragging_shows_the_numbers_of_export_at_contacts_and_random_times(
+    player: Player, file: Path, log: Path, tmp_path: Path
+) -> None:
+    good("export", log, "-o", tmp_path / "run.csv", "--channels", "proximity")
+    table = pyarrow.csv.read_csv(tmp_path / "run.csv").to_pydict()
+    columns = [name for name in table if name.startswith("proximity")]
+    (times,) = (table[name] for name in table if name.startswith("time"))
+    player.open(file, "#t=0")
+    box = player.page.locator("#slider").bounding_box()
+    (run,) = headers(file.read_text())
+    player.page.mouse.move(box["x"] + 8, box["y"] + box["height"] / 2)
+    player.page.mouse.down()
+    rng = random.Random(4)
+    moments = [rng.uniform(0, run["end"]) for _ in range(10)] + [start for _, start, _ in run["contacts"]]
+    for moment in moments:
+        x = box["x"] + 8 + moment / run["end"] * (box["width"] - 16)
+        player.page.mouse.move(x, box["y"] + box["height"] / 2)
+        time_s = player.page.evaluate("player.time")
+        row = max(index for index, time_of_row in enumerate(times) if time_of_row <= time_s + 1e-9)
+        assert player.readings() == [table[name][row] for name in columns]
+    assert [start for _, start, _ in run["contacts"]][-1] == pytest.approx(time_s)
+    player.page.mouse.up()
+    player.wait(f"location.hash === '#t={time_s:g}&robot=khepera0'")
+
+
+def test_keys_step_and_jump_and_a_link_opens_its_moment(player: Player, file: Path) -> None:
+    player.open(file, "#t=2.5&robot=khepera0")
+    assert player.clock() == 2.5
+    keys = player.page.keyboard
+    for key, moment in (
+        (".", 2.52),
+        (",", 2.5),
+        ("ArrowRight", 3.5),
+        ("ArrowLeft", 2.5),
+        ("End", 5.0),
+        ("Home", 0.0),
+    ):
+        keys.press(key)
+        assert player.clock() == pytest.approx(moment), key
+    keys.press("]")
+    first = player.clock()
+    assert first > 0
+    assert player.page.get_attribute(".events [aria-current]", "class") in ("event", "contact")
+    keys.press("[")
+    assert player.clock() < first
+    assert "khepera0, at 1" in player.page.inner_text("#status")
+    keys.press("?")
+    assert "one sample back or ahead" in player.page.inner_text("#dialog")
+    keys.press("Escape")
+    player.page.focus("#slider")
+    keys.press("PageUp")
+    assert player.page.get_attribute("#slider", "aria-valuetext") == "5.00 of 5.00 s"
+    player.page.evaluate("location.hash = '#t=1'")
+    player.wait("document.querySelector('#clock').textContent === '1.00 s'")
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_plan_and_3d_are_shown_at_each_size(player: Player, file: Path, size: str) -> None:
+    width, height = SIZES[size]
+    player.page.set_viewport_size({"width": width, "height": height})
+    player.open(file, "#t=3")
+    assert player.page.evaluate("document.documentElement.scrollWidth") <= width
+    player.picture(f"player-{size}")
+    player.page.keyboard.press("3")
+    player.page.wait_for_selector(".solid[data-shapes]")
+    player.page.keyboard.press("f")
+    assert player.page.get_attribute("#follow-button", "aria-pressed") == "true"
+    player.page.wait_for_timeout(300)
+    player.picture(f"player-{size}-3d")
+
+
+def test_the_origin_and_the_log_are_kept(player: Player, file: Path, log: Path) -> None:
+    player.open(file, "#t=0")
+    player.page.click(".about")
+    assert "khep-twin repeat run.mcap" in player.page.inner_text("#dialog")
+    player.picture("player-about")
+    with player.page.expect_download() as download:
+        player.page.click("#dialog a")
+    assert Path(download.value.path()).read_bytes() == log.read_bytes()
+
+
+def test_logs_side_by_side_and_a_real_robots_log_play_together(
+    player: Player, log: Path, tmp_path: Path
+) -> None:
+    lines = in_turn(*[b"N\n", b"n,0,0,500,0,0,0,0,7\r\n"] * 20)
+    RunPage([log, relayed(tmp_path / "real.mcap", lines)]).save(tmp_path / "pair.html")
+    player.open(tmp_path / "pair.html", "#t=3")
+    assert player.page.locator(".run").count() == 2
+    assert player.page.locator(".arena:visible").count() == 1
+    assert "n,0,0,500,0,0,0,0,7" in player.page.locator(".transcript").nth(1).inner_text()
+    player.picture("player-pair")
+
+
+def test_hostile_texts_are_shown_and_run_no_script(player: Player, log: Path, tmp_path: Path) -> None:
+    hostile = with_hostile_texts(log, tmp_path / "<img src=x onerror=alert(3)>.mcap")
+    RunPage([hostile], with_log=True).save(tmp_path / "hostile.html")
+    player.open(tmp_path / "hostile.html", "#t=4")
+    player.page.click(".about")
+    assert "onerror=alert(1)" in player.page.inner_text("#dialog")
+    assert "onerror=alert(1)" in player.page.inner_text(".transcript")
+    assert "onerror=alert(3)" in player.page.inner_text(".run h2")
+    assert player.page.locator("img").count() == 0
+    player.page.evaluate(
+        "document.body.insertAdjacentHTML('beforeend', '<img src=x onerror=\"window.ran = 1\">')"
+    )
+    player.page.wait_for_timeout(200)
+    assert player.page.evaluate("window.ran") is None
+    assert any("Content Security Policy" in text for text in player.errors)
+    player.errors.clear()
