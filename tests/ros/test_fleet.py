@@ -14,14 +14,15 @@ from command_line import complaint
 from ros_network import DOMAIN, LIMIT, ForeignNode, Lines, assert_soon
 from served_twin import served, stop
 
-from khep_twin.errors import PortError
+from khep_twin.errors import PortError, ProtocolError
+from khep_twin.host.khepera import Khepera
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.serve import serve
 from khep_twin.ports.twin import open_twin
 from khep_twin.ros.fleet import Fleet, NodeSettings
 from khep_twin.ros.graph import Graph, Node
 from khep_twin.ros.wire import NodeName
-from stand_ins.fake_robot import FakeRobot, TerminalRobot
+from stand_ins.fake_robot import TerminalRobot
 
 TWIST, BOOL, TRIGGER = "geometry_msgs/msg/Twist", "std_msgs/msg/Bool", "std_srvs/srv/Trigger"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -149,14 +150,18 @@ def test_a_robot_that_is_lost_leaves_the_graph_and_the_others_stay(
     assert lines.all() == []
 
 
-def test_a_robot_that_refuses_the_voltage_is_driven_without(graph: Graph, lines: Lines) -> None:
-    with FakeRobot() as fake:
-        fake.answers["I"] = "z,protocol error"
-        with driven(graph, fake.url) as drive:
-            assert lines.next().startswith(f"/khepera0: no battery_state: {fake.url}: 'I,0' was answered 'z,")
-            n_requests = len(fake.requests)
-            drive.wait_until(lambda: len(fake.requests) > n_requests + 10)
-            assert drive.end() == 0
+def test_a_robot_that_refuses_the_voltage_is_driven_without(
+    graph: Graph, fake: TerminalRobot, lines: Lines, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: Khepera) -> float:
+        raise ProtocolError("'I,0' was answered 'z'")
+
+    monkeypatch.setattr(Khepera, "supply_voltage", refuse)
+    with driven(graph, fake.url) as drive:
+        assert lines.next() == "/khepera0: no battery_state: 'I,0' was answered 'z'"
+        n_requests = len(fake.requests)
+        drive.wait_until(lambda: len(fake.requests) > n_requests + 10)
+        assert drive.end() == 0
     assert lines.all() == []
 
 
