@@ -37,6 +37,8 @@ PRELOADED = (
     "khep_twin.ports.serve",
     "khep_twin.ports.twin",
     "khep_twin.robots.khepera.robot",
+    "khep_twin.ros.fleet",
+    "khep_twin.ros.twin_robots",
     "khep_twin.cli.exec",
     "khep_twin.vision.k213_body",
     "serial.rfc2217",

@@ -88,6 +88,8 @@ class Fleet:
                 text = "robots have the time of the wall clock, twins at khep:// simulated time"
                 graph.report(f"{text}; expected one kind, unless all listeners ignore stamps")
             if simulated:
+                if graph.has_publisher("/clock"):
+                    graph.report("/clock: another node publishes simulated time; expected one in a domain")
                 self.twin = stack.enter_context(self._open_twin(simulated))
                 titles |= self.twin.titles
                 self._jobs.append(partial(self._drive_twin, self.twin))

@@ -96,8 +96,11 @@ class Graph:
 
     def has_node(self, name: NodeName) -> bool:
         """Return whether the graph has a node of this name."""
-        pattern = wire.node_pattern(self.domain, name)
-        return any(reply.ok for reply in self.session.liveliness().get(pattern, timeout=_QUERY_TIMEOUT))
+        return self._has_token(wire.node_pattern(self.domain, name))
+
+    def has_publisher(self, topic: str) -> bool:
+        """Return whether a node of the graph publishes a topic, by its full name."""
+        return self._has_token(wire.publisher_pattern(self.domain, topic))
 
     def watch(self) -> None:
         """Report a router that has gone or come back since the last call."""
@@ -114,6 +117,9 @@ class Graph:
                 return
             self._causes.add(cause)
         self.report(text)
+
+    def _has_token(self, pattern: str) -> bool:
+        return any(reply.ok for reply in self.session.liveliness().get(pattern, timeout=_QUERY_TIMEOUT))
 
     def _find_routers(self) -> set[str]:
         return set(map(str, self.session.info.routers_zid()))

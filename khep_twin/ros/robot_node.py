@@ -4,6 +4,7 @@ The robot's thread does all exchanges on the line, one request at a time. Callba
 only store the latest command. It is sent between two requests, so that it waits for one exchange at most.
 """
 
+import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -14,10 +15,14 @@ from khep_twin.host.host_robot import HostRobot
 from khep_twin.log.message_types import Message
 from khep_twin.robots.model import Dialect
 from khep_twin.ros.graph import Node
-from khep_twin.ros.velocity import STOP, TWIST, TWIST_STAMPED, Velocity, setpoints_of
+from khep_twin.ros.standard import SUPPLY_VOLTAGE
+from khep_twin.ros.velocity import STOP, TWIST, TWIST_STAMPED, Velocity, setpoint_limit, setpoints_of
 
 _POLL_INTERVAL = 0.01
 """Interval at which a robot that waits for its next cycle looks for commands [s of the robot's time]."""
+
+_VOLTAGE_INTERVAL = 1.0
+"""Interval of the voltage of the supply [s]."""
 
 _RESOLUTION = 1e-6
 """Shortest wait [s]; simulated time has whole nanoseconds."""
@@ -34,7 +39,7 @@ class ReadingsOutput(Protocol):
     def begin(self) -> None:
         """Take the time of a cycle, immediately before its first reading."""
 
-    def publish(self, channels: Mapping[str, Sequence[int]]) -> None:
+    def publish(self, channels: Mapping[str, Sequence[float]]) -> None:
         """Publish the readings of the cycle by channel."""
 
     def restart(self) -> None:
@@ -61,7 +66,8 @@ class RobotNode:
         self._robot, self._node, self._output = robot, node, output
         self._interval, self._timeout = interval, timeout
         self._is_simulated = hasattr(robot.port, "time_ns")
-        self._requests = _requests_of(robot.dialect)
+        self._requests, self._limit = _requests_of(robot.dialect), setpoint_limit(robot.model)
+        self._voltage_time = robot.time
         self._wake, self._lock = threading.Event(), threading.Lock()
         self._command = STOP, robot.time
         self._leds: tuple[bool, ...] | None = None
@@ -124,13 +130,16 @@ class RobotNode:
 
     def _cycle(self, stop: Callable[[], bool]) -> None:
         end = self._robot.time + self._interval
-        channels: dict[str, list[int]] = {}
+        channels: dict[str, list[float]] = {}
         for number, names in enumerate(self._requests):
             self._send_commands()
             if not number:
                 self._output.begin()
             for name, values in self._robot.read_channels(*names).items():
                 channels.setdefault(_channel_of(name), []).extend(values)
+        if self._robot.time >= self._voltage_time:
+            self._send_commands()
+            channels |= self._read_voltage()
         self._output.publish(channels)
         while (rest := end - self._robot.time) > _RESOLUTION and not stop():
             self._send_commands()
@@ -139,12 +148,23 @@ class RobotNode:
             elif self._wake.wait(min(rest, _POLL_INTERVAL)):
                 self._wake.clear()
 
+    def _read_voltage(self) -> dict[str, list[float]]:
+        """Return the voltage of the supply as a channel, if the robot reports it."""
+        self._voltage_time = self._robot.time + _VOLTAGE_INTERVAL
+        try:
+            voltage = self._robot.supply_voltage()
+        except ProtocolError as error:
+            self._voltage_time = math.inf
+            self._node.report_once("voltage", f"no battery_state: {error}")
+            return {}
+        return {} if voltage is None else {SUPPLY_VOLTAGE: [voltage]}
+
     def _send_commands(self) -> None:
         """Send commands that have changed."""
         velocity, time = self._command
         if self._robot.time - time > self._timeout:
             velocity = STOP
-        setpoints = setpoints_of(self._robot.model, velocity)
+        setpoints = setpoints_of(self._robot.model, velocity, self._limit)
         if setpoints.is_clamped:
             text = f"linear.x = {velocity.forward:g}, angular.z = {velocity.turn:g}: beyond the motors' limit"
             self._node.report_once("limit", f"{text}; clamped, with the same curvature")

@@ -42,6 +42,9 @@ ILLUMINANCE = "sensor_msgs/msg/Illuminance"
 IMU = "sensor_msgs/msg/Imu"
 BATTERY = "sensor_msgs/msg/BatteryState"
 
+SUPPLY_VOLTAGE = "supply_voltage"
+"""Channel of the voltage of the supply [V], which nodes read and logs lack."""
+
 ODOM_FRAME = "{}/odom"
 """Frame of a robot's odometry by the robot's name, as REP 105 names it."""
 
@@ -236,7 +239,10 @@ class StandardMessages:
                 else:
                     message[f"{field}_covariance"] = [-1, *np.zeros(8)]
             yield self._rows("imu", IMU, times_ns, Frame(IMU, message, [*values]), values)
-        if battery := columns_of(self._model, "battery", channels):
+        battery = columns_of(self._model, "battery", channels)
+        if (supply := channels.get(SUPPLY_VOLTAGE)) is not None:
+            battery = {"voltage": supply[:, 0].astype(np.float64)}
+        if battery:
             fields = "voltage", "current", "charge", "temperature"
             values = {"header.stamp": times_ns, **{name: battery[name] for name in fields if name in battery}}
             unknown = dict.fromkeys((*fields, "capacity", "design_capacity", "percentage"), math.nan)

@@ -81,7 +81,7 @@ class StandardOutput:
         if self._find_pose is not None:
             self._pose = self._find_pose()
 
-    def publish(self, channels: Mapping[str, Sequence[int]]) -> None:
+    def publish(self, channels: Mapping[str, Sequence[float]]) -> None:
         """Publish the readings of the cycle by channel."""
         times_ns = np.array([self._time_ns])
         arrays = {name: np.array([values]) for name, values in channels.items()}

@@ -7,6 +7,7 @@ from typing import Self
 from khep_twin.errors import KhepTwinError
 from khep_twin.log.message_types import Message
 from khep_twin.robots.model import RobotModel
+from khep_twin.sensing.calibration import read_for
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 """Types of velocity commands: that of ROS 2 Jazzy and earlier, and that of Kilted and later."""
@@ -42,27 +43,42 @@ STOP = Velocity()
 
 @dataclass(frozen=True, slots=True)
 class Setpoints:
-    """Speed setpoints of the wheels [register]; `is_clamped` if the velocity is beyond the model's limit."""
+    """Speed setpoints of the wheels [register]; `is_clamped` if the velocity is beyond the limit."""
 
     left: int
     right: int
     is_clamped: bool
 
 
-def setpoints_of(model: RobotModel, velocity: Velocity) -> Setpoints:
-    """Return the setpoints for a velocity; beyond the model's limit they are reduced with the same curvature.
+def setpoint_limit(model: RobotModel) -> float:
+    """Return the largest setpoint that a wheel can follow: that of its unloaded motor, or the protocol's.
 
     Raises:
         RobotModelError: The model gives no interface.
     """
-    interface = model.episode_interface
-    unit = _CONTROL_PERIOD * interface.speed_per_pulse / model.body.pulse_length
+    motors = read_for(model.calibration, model).motors
+    no_load = motors.no_load_speed_rad_s * model.body.wheel_radius * _unit(model)
+    return min(model.episode_interface.speed_limit, no_load)
+
+
+def setpoints_of(model: RobotModel, velocity: Velocity, limit: float) -> Setpoints:
+    """Return the setpoints for a velocity; beyond a limit they are reduced with the same curvature.
+
+    Raises:
+        RobotModelError: The model gives no interface.
+    """
+    unit = _unit(model)
     # Halves, as the sum of two finite numbers may be infinite.
     half_forward, half_turn = velocity.forward / 2, velocity.turn * model.body.wheel_base / 4
     halves = half_forward - half_turn, half_forward + half_turn
     largest = max(map(abs, halves))
-    limit = interface.speed_limit / unit / 2
-    is_clamped = largest > limit
-    scale = (limit / largest if is_clamped else 1.0) * 2 * unit
+    half_limit = limit / unit / 2
+    is_clamped = largest > half_limit
+    scale = (half_limit / largest if is_clamped else 1.0) * 2 * unit
     left, right = (round(half * scale) for half in halves)
     return Setpoints(left, right, is_clamped)
+
+
+def _unit(model: RobotModel) -> float:
+    """Return the setpoint of a speed of 1 m/s."""
+    return _CONTROL_PERIOD * model.episode_interface.speed_per_pulse / model.body.pulse_length

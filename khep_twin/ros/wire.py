@@ -111,6 +111,11 @@ def node_pattern(domain: int, node: NodeName) -> str:
     return f"{GRAPH}/{domain}/*/*/*/{EntityKind.NODE}/*/{_mangle(node.namespace)}/{node.name}"
 
 
+def publisher_pattern(domain: int, topic: str) -> str:
+    """Return a pattern for the tokens of all publishers of a topic, by its full name."""
+    return f"{GRAPH}/{domain}/*/*/*/{EntityKind.PUBLISHER}/*/*/*/{_mangle(topic)}/**"
+
+
 def dds_type(type_name: str) -> str:
     """Return the name in keys of a type like `std_msgs/msg/String`."""
     package, kind, name = type_name.split("/")
@@ -128,10 +133,10 @@ def topic_pattern(domain: int, name: str) -> str:
 
 
 def type_of_key(key: str) -> str:
-    """Return the type of the data with this key; that part of the key, if it is no type of ROS."""
+    """Return the type of the data with this key; that part of the key in quotes, if it is no type of ROS."""
     part = key.rsplit("/", 2)[-2]
     match = _DDS_TYPE.fullmatch(part)
-    return "/".join(match.groups()) if match else part
+    return "/".join(match.groups()) if match else repr(part)
 
 
 def qos_text(qos: Qos) -> str:

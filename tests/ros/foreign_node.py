@@ -38,6 +38,7 @@ class Commands:
         self._heard: dict[str, queue.Queue[Any]] = {}
         self._subscribers: list[Any] = []
         self._publishers: dict[tuple[str, str], Any] = {}
+        self._clients: dict[tuple[str, str], Any] = {}
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -94,11 +95,12 @@ class Commands:
             self._thread.join()
 
     def forget(self) -> None:
-        """Close all publishers and subscribers."""
+        """Close all endpoints."""
         self.stop()
-        for endpoint in (*self._publishers.values(), *self._subscribers):
+        for endpoint in (*self._publishers.values(), *self._subscribers, *self._clients.values()):
             endpoint.close()
         self._publishers.clear()
+        self._clients.clear()
         self._subscribers.clear()
 
     def avoid(self, robot: str, seconds: float, steps: bool = False) -> int:
@@ -152,20 +154,18 @@ class Commands:
 
     def call(self, service: str, type: str, request: dict[str, Any]) -> str | None:
         """Return the response of a service, as its text."""
-        request_lines, response_lines = _DEFINITIONS[type]
-        client = ROS2ServiceClient(
-            service,
-            type,
-            request_definition=request_lines,
-            response_definition=response_lines,
-            timeout=LIMIT,
-            **self._place,
-        )
-        try:
-            response = client.call(**request)
-            return None if response is None else repr(response)
-        finally:
-            client.close()
+        if (service, type) not in self._clients:
+            request_lines, response_lines = _DEFINITIONS[type]
+            self._clients[service, type] = ROS2ServiceClient(
+                service,
+                type,
+                request_definition=request_lines,
+                response_definition=response_lines,
+                timeout=LIMIT,
+                **self._place,
+            )
+        response = self._clients[service, type].call(**request)
+        return None if response is None else repr(response)
 
     def _make(self, type: str, fields: dict[str, Any]) -> Any:
         """Return a message of a type with some of its fields; numbers of the others are 0."""

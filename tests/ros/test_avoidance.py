@@ -37,7 +37,7 @@ def check(log: Path, seconds: float) -> None:
 
 def test_a_twin_is_driven_by_its_scan_in_steps(router: Graph, foreign: ForeignNode, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    drive(router, foreign, f"khep://obstacles?seed=3&unpaced=on&log={log}", SHARE, "--paused")
+    drive(router, foreign, f"khep://obstacles?seed=3&unpaced=on&log={log}", SHARE, "--paused", "--rate=10")
     check(log, SHARE)
 
 

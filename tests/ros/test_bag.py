@@ -4,6 +4,7 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 from relay_logs import in_turn, relayed
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer, storage_mcap
+from rosbags.rosbag2 import reader as bag_reader
 from rosbags.typesys import Stores, get_typestore
 from scenes import arena, robot, table
 
@@ -40,6 +42,15 @@ Topics = dict[str, list[tuple[int, dict[str, Any]]]]
 BLOCK = table("block", x_mm=600, y_mm=350, length_mm=40, width_mm=40, height_mm=40, movable=True)
 ROBOTS = robot(200, 350, 30, model="khepera4"), robot(400, 350, 90, turrets=["gripper", "k213"])
 PLAYPEN = "".join([arena(900, 700), BLOCK, *ROBOTS])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cached_profiles() -> Iterator[None]:
+    """Have rosbags parse each text of a quality of service once, which takes it 6 ms."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (bag_reader, storage_mcap):
+            patch.setattr(module, "parse_qos", cache(module.parse_qos))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,13 @@ from command_line import complaint
 from ros_network import DOMAIN, LIMIT, ForeignNode, Lines, assert_soon
 from served_twin import served, stop
 
-from khep_twin.errors import PortError
+from khep_twin.errors import PortError, ProtocolError
+from khep_twin.host.khepera import Khepera
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.serve import serve
 from khep_twin.ports.twin import open_twin
 from khep_twin.ros.fleet import Fleet, NodeSettings
-from khep_twin.ros.graph import Graph
+from khep_twin.ros.graph import Graph, Node
 from khep_twin.ros.wire import NodeName
 from stand_ins.fake_robot import TerminalRobot
 
@@ -80,6 +81,12 @@ def twin_at_terminal(playpen: str) -> Iterator[str]:
             server.result(LIMIT)
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for the replies of robots in other threads; a late reply warns, which ends the drive in tests."""
+    monkeypatch.setattr("khep_twin.ros.fleet._TIMEOUT", LIMIT)
+
+
 @pytest.fixture
 def fake() -> Iterator[TerminalRobot]:
     with TerminalRobot() as robot:
@@ -130,7 +137,7 @@ def test_a_robot_that_is_lost_leaves_the_graph_and_the_others_stay(
 ) -> None:
     with twin_at_terminal("arena4") as path, driven(graph, fake.url, path) as drive:
         assert [*drive.fleet.titles] == ["Khepera", "Khepera IV"]
-        topics = {"/khepera0/odom", "/khepera1/imu"}
+        topics = {"/khepera0/odom", "/khepera0/battery_state", "/khepera1/imu"}
         drive.wait_until(lambda: foreign.topics().keys() >= topics)
         fake.unplug()
         assert re.match(rf"{fake.url}: the port failed at .*; the motors may still run: ", lines.next())
@@ -141,6 +148,29 @@ def test_a_robot_that_is_lost_leaves_the_graph_and_the_others_stay(
         assert drive.end() == 1
     assert_soon(lambda: any(graph.session_id in token for token in foreign.tokens()), False)
     assert lines.all() == []
+
+
+def test_a_robot_that_refuses_the_voltage_is_driven_without(
+    graph: Graph, fake: TerminalRobot, lines: Lines, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: Khepera) -> float:
+        raise ProtocolError("'I,0' was answered 'z'")
+
+    monkeypatch.setattr(Khepera, "supply_voltage", refuse)
+    with driven(graph, fake.url) as drive:
+        assert lines.next() == "/khepera0: no battery_state: 'I,0' was answered 'z'"
+        n_requests = len(fake.requests)
+        drive.wait_until(lambda: len(fake.requests) > n_requests + 10)
+        assert drive.end() == 0
+    assert lines.all() == []
+
+
+def test_a_second_source_of_simulated_time_is_reported(router: Graph, graph: Graph, lines: Lines) -> None:
+    with Node(router, "simulator") as simulator:
+        simulator.publisher("/clock", "rosgraph_msgs/msg/Clock")
+        with Fleet(graph, ["khep://default"], ["khepera0"], QUICK):
+            text = "another node publishes simulated time; expected one in a domain"
+            assert lines.all() == [f"/clock: {text}"]
 
 
 def test_a_paused_twin_advances_in_steps_and_publishes_its_time(
@@ -234,7 +264,8 @@ def test_a_signal_stops_the_robot(router: Graph, foreign: ForeignNode, fake: Ter
         foreign.publish(topic="/khepera0/cmd_vel", type=TWIST, message={"linear": {"x": 0.08}})
         assert_soon(lambda: "D,10,10" in fake.requests, True)
         foreign.stop()
-        assert stop(process, signal.SIGINT) == (130, "")
+        status, output = stop(process, signal.SIGINT)
+        assert status == 130, output
     assert speeds(fake)[-2:] == ["D,10,10", "D,0,0"]
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from khep_twin.log.channels import MAP
 from khep_twin.log.decoding import decode
 from khep_twin.robots.registry import find_model, installed_models
+from khep_twin.ros.standard import SUPPLY_VOLTAGE
 from khep_twin.ros.standard_output import StandardOutput
 from khep_twin.ros.wire import NodeName
 from khep_twin.sensing.calibration import read_for
@@ -110,6 +111,16 @@ def test_the_wheels_turn_forward_with_their_counters() -> None:
         rotation = transform["transform"]["rotation"]
         assert 2 * math.atan2(rotation["y"], rotation["w"]) == pytest.approx(angle, abs=1e-6)
         assert transform["transform"]["translation"]["y"] == pytest.approx(side * 0.0265, abs=1e-3)
+
+
+def test_the_voltage_of_the_supply_is_that_of_a_battery() -> None:
+    cycles = Cycles("khepera1")
+    cycles.output.begin()
+    cycles.output.publish({SUPPLY_VOLTAGE: [4.9]})
+    [battery] = cycles.messages["/lab/khepera0/battery_state"]
+    assert battery["voltage"] == pytest.approx(4.9)
+    assert math.isnan(battery["current"])
+    assert battery["present"] == 1
 
 
 def test_the_odometry_begins_anew_after_a_reset() -> None:

@@ -56,7 +56,7 @@ def test_a_name_that_ros_refuses_is_refused(name: str) -> None:
 def test_the_type_of_a_message_is_read_from_its_key() -> None:
     for type_name in (STRING, "std_srvs/srv/Trigger"):
         assert wire.type_of_key(wire.data_key(5, "/a/b", type_name, HASH)) == type_name
-    assert wire.type_of_key("5/a/b/text/hash") == "text"
+    assert wire.type_of_key("5/a/b/text\n/hash") == r"'text\n'"
 
 
 @pytest.mark.parametrize(
