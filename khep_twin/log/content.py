@@ -120,10 +120,10 @@ class Content:
                 split_ns, n_bytes = start_ns, 0
                 yield number / len(self._chunks), [message for message in batch if message.time_ns < split_ns]
                 batch = [message for message in batch if message.time_ns >= split_ns]
-            for entry in entries:
-                n_bytes += MESSAGE.size + len(entry.data)
-                n_messages += 1
-                batch.append(entry)
+            messages = [*entries]
+            n_bytes += MESSAGE.size * len(messages) + sum(len(message.data) for message in messages)
+            n_messages += len(messages)
+            batch += messages
         n_messages += self._reader.n_skipped
         if self._n_messages is not None and n_messages != self._n_messages:
             raise DecodeError(f"{n_messages} messages", f"{self._n_messages}, as its statistics say")

@@ -81,33 +81,29 @@ class EntryReader:
         """Return whether a channel of a topic is defined."""
         return any(channel_topic == topic for channel_topic, _, _ in self._channels.values())
 
-    def parse_entry(self, records: bytes, start: int, end: int, offset: int) -> Entry:
-        """Return the message between two offsets of `records`."""
-        if end - start < MESSAGE.size:
-            raise DecodeError(f"message of {end - start} bytes at byte {offset}", f"at least {MESSAGE.size}")
-        channel_id, _, time_ns, _ = MESSAGE.unpack_from(records, start)
-        channel = self._channels.get(channel_id)
-        if channel is None:
-            actual = f"message of channel {channel_id} at byte {offset}"
-            raise DecodeError(actual, "a channel that is defined")
-        content = *channel, time_ns, records[start + MESSAGE.size : end]
-        # Faster than Entry(...), which matters for millions of messages.
-        return tuple.__new__(Entry, content)  # pyright: ignore[reportUnknownMemberType]
-
     def parse_entries(self, records: bytes, offset: int, start_ns: int = 0) -> Iterator[Entry]:
         """Yield the messages of a chunk; none may be earlier than `start_ns`, its start in the index."""
         last_end, message_opcode, skipped = 0, int(Opcode.MESSAGE), self._skipped_channels
+        # Local names are faster, which matters for millions of messages.
+        unpack, size, channels = MESSAGE.unpack_from, MESSAGE.size, self._channels
         for opcode, start, end in iterate_records(records):
             last_end = end
             if opcode == message_opcode:
-                if skipped and int.from_bytes(records[start : start + 2], "little") in skipped:
+                if end - start < size:
+                    raise DecodeError(f"message of {end - start} bytes at byte {offset}", f"at least {size}")
+                channel_id, _, time_ns, _ = unpack(records, start)
+                if channel_id in skipped:
                     self.n_skipped += 1
                     continue
-                entry = self.parse_entry(records, start, end, offset)
-                if entry.time_ns < start_ns:
-                    actual = f"message at {entry.time_ns} ns in the chunk at byte {offset}"
+                if channel_id not in channels:
+                    actual = f"message of channel {channel_id} at byte {offset}"
+                    raise DecodeError(actual, "a channel that is defined")
+                if time_ns < start_ns:
+                    actual = f"message at {time_ns} ns in the chunk at byte {offset}"
                     raise DecodeError(actual, f"none before {start_ns} ns, as the index says")
-                yield entry
+                content = *channels[channel_id], time_ns, records[start + size : end]
+                # Faster than Entry(...).
+                yield tuple.__new__(Entry, content)  # pyright: ignore[reportUnknownMemberType]
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.define(opcode, records[start:end], offset)
             else:

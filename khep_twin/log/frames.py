@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.channels import BASE_FRAME, MAP, TransformFrame
+from khep_twin.log.transforms import relative
 
 _STEPS_PER_UNIT = 2.0**30
 """Resolution of positions [1/m] and of quaternions [1] in a log: about a nanometre.
@@ -46,13 +47,10 @@ class MovingBodies:
             positions: Positions of all bodies in the world (n, bodies, 3) [m].
             quaternions: Rotations of all bodies in the world, w, x, y, z (n, bodies, 4).
         """
-        position, rotation = positions[:, self._bodies], quaternions[:, self._bodies]
-        parents = self._parents[self._is_mounted]
-        inverse = quaternions[:, parents] * [1, -1, -1, -1]
-        offset = position[:, self._is_mounted] - positions[:, parents]
-        position[:, self._is_mounted] = rotate(inverse, offset)
-        rotation[:, self._is_mounted] = multiply(inverse, rotation[:, self._is_mounted])
-        poses = np.concatenate([position, rotation[:, :, [1, 2, 3, 0]]], axis=2)
+        world = np.concatenate([positions, quaternions[:, :, [1, 2, 3, 0]]], axis=2)
+        poses = world[:, self._bodies]
+        parents = world[:, self._parents[self._is_mounted]]
+        poses[:, self._is_mounted] = relative(poses[:, self._is_mounted], parents)
         return self._frame.messages(times_ns, np.rint(poses * _STEPS_PER_UNIT) / _STEPS_PER_UNIT)
 
 
@@ -68,17 +66,3 @@ def parent_frame(model: mujoco.MjModel, body: int) -> str:
     """Return the name of the frame in which a body has its pose: its parent's, or the map's."""
     parent = int(model.body_parentid[body])
     return frame_name(model, parent) if model.body_weldid[parent] else MAP
-
-
-def multiply(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return products of quaternions w, x, y, z (..., 4)."""
-    left_w, left_xyz, right_w, right_xyz = left[..., :1], left[..., 1:], right[..., :1], right[..., 1:]
-    w = left_w * right_w - np.sum(left_xyz * right_xyz, axis=-1, keepdims=True)
-    xyz = left_w * right_xyz + right_w * left_xyz + np.cross(left_xyz, right_xyz)
-    return np.concatenate([w, xyz], axis=-1)
-
-
-def rotate(rotation: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (..., 3) rotated by quaternions w, x, y, z (..., 4)."""
-    w, xyz = rotation[..., :1], rotation[..., 1:]
-    return vectors + 2 * np.cross(xyz, w * vectors + np.cross(xyz, vectors))

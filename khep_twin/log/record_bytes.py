@@ -188,12 +188,12 @@ def parse_record(opcode: int, content: bytes) -> McapRecord | None:
 
 def iterate_records(data: bytes) -> Generator[tuple[int, int, int], None, None]:
     """Yield opcode, start and end of the content of consecutive complete records."""
-    offset = 0
-    while offset + HEAD.size <= len(data):
-        opcode, length = HEAD.unpack_from(data, offset)
-        start = offset + HEAD.size
+    offset, size, unpack, head_size = 0, len(data), HEAD.unpack_from, HEAD.size
+    while offset + head_size <= size:
+        opcode, length = unpack(data, offset)
+        start = offset + head_size
         offset = start + length
-        if offset > len(data):
+        if offset > size:
             return
         yield opcode, start, offset
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.log.channels import BASE_FRAME, MAP, TRANSFORMS, TransformFrame
-from khep_twin.log.decoding import DecodeError, decode
-from khep_twin.log.frames import multiply, rotate
+from khep_twin.log.channels import BASE_FRAME, MAP, TransformFrame
+from khep_twin.log.decoding import DecodeError
+from khep_twin.log.transforms import Floats, Frames, compose, invert, read_frames, relative
 from khep_twin.ros.standard import ODOM_FRAME
 
 _STEPS_PER_UNIT = 2.0**24
@@ -23,9 +23,7 @@ _STEPS_PER_UNIT = 2.0**24
 _OLD_MAP, _OLD_BASE = "world", "/base"
 """Frame of the scene and end of a robot's frame in logs of version 1.0."""
 
-Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
-Frames = list[tuple[str, str]]
 
 
 class Reckoned(NamedTuple):
@@ -65,12 +63,6 @@ def odometry_trees(
         )
 
 
-def read_frames(message: bytes) -> Frames:
-    """Return the frames of a message of /tf: pairs of a parent and the frame itself."""
-    transforms = decode(TRANSFORMS, message)["transforms"]
-    return [(item["header"]["frame_id"], item["child_frame_id"]) for item in transforms]
-
-
 def _renamed(frames: Frames, poses: Floats) -> tuple[Frames, Floats]:
     """Return frames with the present names."""
     names = {_OLD_MAP: MAP} | {
@@ -90,7 +82,7 @@ def _mounted(frames: Frames, poses: Floats) -> tuple[Frames, Floats]:
         if parent == MAP and child != base and base in names:
             base_pose = poses[:, names.index(base)]
             frames[index] = base, child
-            poses[:, index] = _compose(_invert(base_pose), poses[:, index])
+            poses[:, index] = relative(poses[:, index], base_pose)
     return frames, poses
 
 
@@ -101,7 +93,7 @@ def _with_odometry(frames: Frames, poses: Floats, robot: str, reckoned: Floats) 
         return frames, poses
     index = frames.index((MAP, base))
     poses = np.concatenate([poses, reckoned[:, None]], axis=1)
-    poses[:, index] = _compose(poses[:, index], _invert(reckoned))
+    poses[:, index] = compose(poses[:, index], invert(reckoned))
     return [*frames[:index], (MAP, odom), *frames[index + 1 :], (odom, base)], poses
 
 
@@ -109,19 +101,3 @@ def _at(reckoned: Reckoned, times_ns: Times) -> Floats:
     """Return the last poses up to times (n, 7)."""
     rows = np.searchsorted(reckoned.times_ns, times_ns, "right") - 1
     return reckoned.poses[np.maximum(rows, 0)]
-
-
-def _compose(first: Floats, second: Floats) -> Floats:
-    """Return the poses (n, 7) that are `second` in the frame of `first`."""
-    rotation = multiply(_wxyz(first), _wxyz(second))
-    position = first[:, :3] + rotate(_wxyz(first), second[:, :3])
-    return np.column_stack([position, rotation[:, [1, 2, 3, 0]]])
-
-
-def _invert(poses: Floats) -> Floats:
-    conjugate = _wxyz(poses) * [1, -1, -1, -1]
-    return np.column_stack([-rotate(conjugate, poses[:, :3]), conjugate[:, [1, 2, 3, 0]]])
-
-
-def _wxyz(poses: Floats) -> Floats:
-    return poses[:, [6, 3, 4, 5]]

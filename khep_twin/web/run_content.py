@@ -8,7 +8,6 @@ show the exact values. A log without poses, of a real robot, has curves and its 
 # pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
 # pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
 
-import gc
 import math
 import shlex
 from collections.abc import Iterable, Mapping
@@ -33,7 +32,7 @@ from khep_twin.log.reader import read_end_ns, read_entry_batches, read_first_mes
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import ALARMS, REGION_SIGMAS, STATE, STATE_COLOURS, is_shadow
 from khep_twin.log.shadow_track import read_shadow
-from khep_twin.log.transforms import invert, multiply, world_poses
+from khep_twin.log.transforms import read_frames, relative, world_poses
 from khep_twin.playpen import Playpen
 from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.sensing import colours
@@ -100,15 +99,8 @@ class RunContent:
         # A robot that is polled as fast as the line allows has a hundred lines per second.
         line_ns = 2 * duration_ns // _MAX_LINES
         self._line_ns = line_ns if line_ns > _SAMPLE_NS else 0
-        # Searches for unreachable objects among millions of messages would take half of the time.
-        is_collecting = gc.isenabled()
-        gc.disable()
-        try:
-            for _, entries in read_entry_batches(path, progress, self._shows):
-                self._add(entries)
-        finally:
-            if is_collecting:
-                gc.enable()
+        for _, entries in read_entry_batches(path, progress, self._shows):
+            self._add(entries)
         if self._is_shadow:
             self._add_shadow()
         if not self._rows and not any(self._texts.values()):
@@ -218,13 +210,15 @@ class RunContent:
         if self._playpen is None or not entries:
             return {}
         times_ns = np.array([entry.time_ns for entry in entries], np.int64)
+        messages = [entry.data for entry in entries]
         try:
-            frames = world_poses([entry.data for entry in entries])
+            if self._scene is None:
+                bodies = {body_of(frame) for _, frame in read_frames(messages[0])}
+                self._scene = describe_replay(self._model, bodies)
+            names = self._scene["bodies"]
+            poses = world_poses(messages, names)
         except DecodeError as error:
             raise error.to_log_error(self._path, "/tf", int(times_ns[error.row])) from None
-        poses = {body_of(frame): pose for frame, pose in frames.items()}
-        if self._scene is None:
-            self._scene = describe_replay(self._model, poses.keys())
         contacts_ns: dict[str, list[int]] = {}
         for robot, model in self._models.items():
             base = poses.get(f"{robot}/base")
@@ -238,14 +232,13 @@ class RunContent:
                 contacts_ns[robot] = times_ns[starts].tolist()
         marks_ns = {*events_ns, *(mark for marks in contacts_ns.values() for mark in marks)}
         rows = thin(times_ns, self._interval_ns, sorted(marks_ns))
-        names = self._scene["bodies"]
         missing = [name for name in names if name not in poses]
         if missing:
             raise LogError(f"{self._path}: /tf: no pose of {missing[0]}; expected it, as at the start")
         kept = {name: poses[name][rows] for name in names}
         for name, parent in zip(names, self._scene["parents"], strict=True):
             if parent is not None:
-                kept[name] = multiply(invert(poses[names[parent]][rows]), kept[name])
+                kept[name] = relative(kept[name], poses[names[parent]][rows])
         units = np.array([_POSE_SCALE] * 3 + [_TURN_SCALE] * 4)
         columns = [pose[:, [0, 1, 2, 6, 3, 4, 5]] * units for pose in kept.values()]
         self._add_rows("bodies", times_ns[rows], np.hstack(columns))

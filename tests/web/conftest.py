@@ -144,15 +144,21 @@ def inbox() -> Inbox:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """Chromium, if it and Playwright are installed; see `make browser`."""
+def playwright() -> Iterator[Any]:
+    """Playwright, if it is installed; see `make browser`."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        software = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *software])
-        yield opened
-        opened.close()
+        yield playwright
+
+
+@pytest.fixture(scope="session")
+def browser(playwright: Any) -> Iterator[Any]:
+    """Chromium, which has to be installed."""
+    software = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    opened = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *software])
+    yield opened
+    opened.close()
 
 
 @pytest.fixture

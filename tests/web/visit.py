@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FIREFOX = shutil.which("firefox") or shutil.which("firefox-esr")
 PICTURES = Path(os.environ.get("KHEP_SCREENSHOTS", "out/browser"))
 BROWSED = [
     # Playwright's loop leaves a socket to the garbage collector.
