@@ -259,7 +259,7 @@ class KheperaVectorEnvironment(  # pyright: ignore[reportIncompatibleVariableOve
             self._add_info(infos, end_info(batch, row=int(row)), int(row))
         return infos
 
-    def _add(self, infos: Info, arrays: Mapping[str, NDArray[Any]], rows: Slots) -> Info:
+    def _add(self, infos: Info, arrays: Mapping[str, NDArray[np.generic]], rows: Slots) -> Info:
         """Add arrays of some environments, each with its mask; return the infos."""
         mask, has_all_rows = self._row_mask(rows), len(rows) == self.num_envs
         for name, numbers in arrays.items():

@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from types import FunctionType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -219,7 +219,7 @@ def describe_inputs(
     ]
 
 
-def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> NetworkContent:
+def _check_arrays(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> NetworkContent:
     """Return the content of a file's arrays; raise a `ControllerError` for unusable ones."""
 
     def refusal(problem: str, expected: str) -> ControllerError:
@@ -243,7 +243,7 @@ def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> NetworkCont
 
 
 def _content(
-    path: Path, arrays: Mapping[str, NDArray[Any]], refusal: Callable[[str, str], Exception]
+    path: Path, arrays: Mapping[str, NDArray[np.generic]], refusal: Callable[[str, str], Exception]
 ) -> NetworkContent:
     """Return the content of arrays of the right kinds; raise `refusal` for unusable values."""
     hidden, genes = tuple(arrays["hidden"].tolist()), tuple(map(float, arrays["genes"].tolist()))

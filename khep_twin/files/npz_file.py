@@ -11,7 +11,6 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,7 +33,7 @@ _DAMAGE_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSErro
 """Errors of zipfile and zlib at damaged or encrypted content."""
 
 
-def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+def read_arrays(data: bytes) -> dict[str, NDArray[np.generic]]:
     """Return the arrays of an NPZ file, by name.
 
     Raises:
@@ -72,7 +71,7 @@ def npz_bytes(arrays: Mapping[str, ArrayLike]) -> bytes:
     return data.getvalue()
 
 
-def _parse_array(name: str, content: bytes) -> NDArray[Any]:
+def _parse_array(name: str, content: bytes) -> NDArray[np.generic]:
     header = _HEADER.match(content)
     if not header:
         raise ValueError(f"{name}: no array of numpy, of numbers or texts")

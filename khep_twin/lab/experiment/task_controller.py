@@ -165,7 +165,7 @@ class TaskController(PeriodicController):
         terms = ", ".join(self._task.observation_terms)
         return f"of {len(low)} numbers ({terms}) from {low.min():g} to {high.max():g}"
 
-    def _check_space(self, kind: str, low: NDArray[Any], high: NDArray[Any]) -> None:
+    def _check_space(self, kind: str, low: NDArray[np.generic], high: NDArray[np.generic]) -> None:
         """Raise a `ControllerError` if a model declares a different space of observations or actions."""
         space = getattr(self._policy, f"{kind}_space", None)
         if space is None:

@@ -12,7 +12,6 @@ on either side, over the common part of their paths.
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
 import matplotlib.style
 import numpy as np
@@ -109,7 +108,7 @@ def positions(run: SensorRun) -> Floats:
     return abs(run.test.amount) - run.travelled * np.sign(run.test.amount)
 
 
-def draw_strip(axes: Axes, strip: NDArray[Any], ends: tuple[float, float]) -> None:
+def draw_strip(axes: Axes, strip: NDArray[np.generic], ends: tuple[float, float]) -> None:
     """Draw line images side by side, their left pixel at the top.
 
     Args:
