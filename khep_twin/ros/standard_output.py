@@ -1,7 +1,7 @@
 """Readings of a robot as standard messages of its node, with the frames of its sensors."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from khep_twin.robots.body import Body
 from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.ros.distances import Floats
 from khep_twin.ros.graph import Node, Publisher
-from khep_twin.ros.robot_description import robot_description
+from khep_twin.ros.robot_description import StaticTransform, robot_description
 from khep_twin.ros.standard import JOINTS, ODOM_FRAME, StandardMessages
 from khep_twin.sensing.calibration import Calibration
 
@@ -72,7 +72,8 @@ class StandardOutput:
         self._wheels = TransformFrame([(base, f"{name}/{side}_wheel") for side in ("left", "right")])
         static = {"transforms": [*map(_transform, self._messages.static_transforms())]}
         node.publisher("/tf_static", TRANSFORMS, LATCHED).send(encode(TRANSFORMS, static))
-        description = text_message(_describe(model, name))
+        sensors = StandardMessages(model, calibration, robot_name(0)).static_transforms()
+        description = text_message(_describe(model, name, sensors))
         node.publisher("~/robot_description", STRING, LATCHED).send(description)
 
     def begin(self) -> None:
@@ -127,10 +128,11 @@ def _wheel_poses(body: Body, angles: Floats) -> Floats:
     return poses
 
 
-def _describe(model: RobotModel, name: str) -> str:
-    """Return a robot alone as URDF, with its name in the names of links and joints."""
+def _describe(model: RobotModel, name: str, sensors: Iterable[StaticTransform]) -> str:
+    """Return a robot alone as URDF with its sensors, with its name in the names of links and joints."""
     scene = to_spec(parse(_ARENA.format(model.name), model.name)).compile()
-    return robot_description(scene, [], robot_name(0)).replace(f'"{robot_name(0)}/', f'"{name}/')
+    description = robot_description(scene, sensors, robot_name(0))
+    return description.replace(f'"{robot_name(0)}/', f'"{name}/')
 
 
 def _transform(frame: tuple[str, str, tuple[float, ...]]) -> MessageFields:
