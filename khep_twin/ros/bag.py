@@ -9,6 +9,7 @@ a lower rate.
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ from khep_twin.log.reader import Recording, read_label, read_message_batches
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.robots.model import RobotModel
-from khep_twin.ros.robot_description import robot_description
+from khep_twin.ros.robot_description import redraw, robot_description
 from khep_twin.ros.standard import StandardMessages, StandardRows
 from khep_twin.ros.transforms import Reckoned, odometry_trees
 from khep_twin.sensing import calibration as calibrations
@@ -122,6 +123,7 @@ class _Bag:
         self._last_ticks: dict[tuple[str, ...], int] = {}
         has_scene = "scene.xml" in label.attachments
         self._scene = compile_shapes(label.attachments, label.robots, log) if has_scene else None
+        self._urdf = ""
         self._is_real = not has_scene or is_shadow(label)
         self._clock = Frame(CLOCK, {}, ["clock"])
 
@@ -193,8 +195,8 @@ class _Bag:
         yield _one("/tf_static", TRANSFORMS, 0, self._static_message(static))
         if self._scene is not None:
             sensors = [frame for robot in self._robots.values() for frame in robot.static_transforms()]
-            description = robot_description(self._scene, sensors)
-            yield _one("/robot_description", STRING, 0, text_message(description))
+            self._urdf = robot_description(self._scene, sensors)
+            yield _one("/robot_description", STRING, 0, text_message(self._urdf))
             yield _one("/scene", SCENE, 0, scene_update(self._scene))
 
     def _static_message(self, message: bytes) -> bytes:
@@ -213,7 +215,7 @@ class _Bag:
         return encode(TRANSFORMS, {"transforms": transforms})
 
     def _copies(self, entries: Iterable[Entry]) -> Iterator[Part]:
-        """Yield the messages that stay as they are, and later scenes with the frames of sensors."""
+        """Yield messages as they are; those of later scenes get the frames and joints of the first."""
         images = {f"/{robot}/vision" for robot in self._label.robots}
         groups: dict[tuple[str, str, str], list[Entry]] = {}
         for entry in entries:
@@ -229,7 +231,16 @@ class _Bag:
             data = [entry.data for entry in messages]
             if topic == "/tf_static":
                 data = [self._static_message(message) for message in data]
+            elif topic == "/robot_description" and self._urdf:
+                data = [self._later_description(message) for message in data]
             yield topic, schema, SCHEMAS.get(schema, definition), _times(messages), data
+
+    def _later_description(self, message: bytes) -> bytes:
+        """Return a description of a changed scene, with the joints and sensors of the first."""
+        try:
+            return text_message(redraw(self._urdf, decode(STRING, message)["data"]))
+        except ElementTree.ParseError as error:
+            raise LogError(f"{self._log}: /robot_description: no URDF: {error}") from error
 
     def _derived(self, recording: Recording, entries: Iterable[Entry]) -> Iterator[Part]:
         """Yield standard messages, frames and clock."""

@@ -73,6 +73,22 @@ def robot_description(
     return ElementTree.tostring(root, encoding="unicode")
 
 
+def redraw(description: str, scene: str) -> str:
+    """Return a description with the shapes of a later URDF of its scene, and without collisions.
+
+    Raises:
+        ParseError: The later text is no XML.
+    """
+    root = ElementTree.fromstring(description)
+    links = {link.get("name"): link for link in ElementTree.fromstring(scene).iterfind("link")}
+    for link in root.iterfind("link"):
+        for element in (*link.findall("visual"), *link.findall("collision")):
+            link.remove(element)
+        link.extend(links.get(link.get("name"), link).findall("visual"))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
 def _joint(model: mujoco.MjModel, body: int) -> ElementTree.Element:
     """Return the joint of a body with its parent, or with the map, where it moves freely."""
     child, parent = frame_name(model, body), frame_name(model, int(model.body_parentid[body]))

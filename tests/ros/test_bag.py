@@ -301,6 +301,19 @@ def test_other_robots_and_playpens_become_bags(playpen: str, tmp_path: Path) -> 
     assert all(len(topics[f"/{robot}/odom"]) == 5 for robot in robots)
 
 
+def test_the_description_of_an_edited_scene_keeps_joints_and_sensors(log: Path, tmp_path: Path) -> None:
+    branch = tmp_path / "branch.mcap"
+    good("branch", log, "--at", 0.5, "--set", "block.1.x_mm=700", "-o", branch)
+    write_bag(branch, tmp_path / "bag")
+    first, second = (
+        ElementTree.fromstring(m["data"]) for _, m in read(tmp_path / "bag")["/robot_description"]
+    )
+    assert [joint.attrib for joint in first.iter("joint")] == [joint.attrib for joint in second.iter("joint")]
+    n_shapes = [len(urdf.findall("link/visual")) for urdf in (first, second)]
+    assert n_shapes[0] == n_shapes[1] > 0
+    assert second.find("link/collision") is None
+
+
 def test_a_bag_is_no_log_and_a_log_without_an_end_is_no_bag(log: Path, bag: Path, tmp_path: Path) -> None:
     assert "no log of khep_twin" in complaint("export", bag / "bag.mcap", "--ros2", tmp_path / "new")
     torn = tmp_path / "torn.mcap"
