@@ -1,14 +1,16 @@
 """Readings of a robot as standard messages of its node, with the frames of its sensors."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.cdr import encode
 from khep_twin.log.channels import BASE_FRAME, MAP, STRING, TRANSFORMS, TransformFrame, text_message
-from khep_twin.log.message_types import MessageFields
+from khep_twin.log.decoding import decode
+from khep_twin.log.frames import MovingBodies
+from khep_twin.log.message_types import Message, MessageFields
 from khep_twin.log.output import split_rows
 from khep_twin.log.qos import LATCHED, qos_of
 from khep_twin.playpen import parse
@@ -17,7 +19,7 @@ from khep_twin.robots.body import Body
 from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.ros.distances import Floats
 from khep_twin.ros.graph import Node, Publisher
-from khep_twin.ros.robot_description import StaticTransform, robot_description
+from khep_twin.ros.robot_description import robot_description
 from khep_twin.ros.standard import JOINTS, ODOM_FRAME, StandardMessages
 from khep_twin.sensing.calibration import Calibration
 
@@ -36,6 +38,9 @@ y_mm = 500
 heading_deg = 0
 """
 """Playpen of one robot, for its description."""
+
+_SCENE_NAME = robot_name(0)
+"""Name of the robot in this playpen."""
 
 Pose = tuple[float, float, float]
 """Position x, y [m] and heading [rad]."""
@@ -70,11 +75,14 @@ class StandardOutput:
         self._odometry_in_map = TransformFrame([(MAP, ODOM_FRAME.format(name))])
         base, self._body = BASE_FRAME.format(name), model.body
         self._wheels = TransformFrame([(base, f"{name}/{side}_wheel") for side in ("left", "right")])
-        static = {"transforms": [*map(_transform, self._messages.static_transforms())]}
+        scene = to_spec(parse(_ARENA.format(model.name), model.name)).compile()
+        sensors = StandardMessages(model, calibration, _SCENE_NAME).static_transforms()
+        fixed = decode(TRANSFORMS, MovingBodies(scene).static_message)["transforms"]
+        static = {"transforms": [_rename(frame, name) for frame in (*fixed, *map(_transform, sensors))]}
         node.publisher("/tf_static", TRANSFORMS, LATCHED).send(encode(TRANSFORMS, static))
-        sensors = StandardMessages(model, calibration, robot_name(0)).static_transforms()
-        description = text_message(_describe(model, name, sensors))
-        node.publisher("~/robot_description", STRING, LATCHED).send(description)
+        description = robot_description(scene, sensors, _SCENE_NAME)
+        description = description.replace(f'"{_SCENE_NAME}/', f'"{name}/')
+        node.publisher("~/robot_description", STRING, LATCHED).send(text_message(description))
 
     def begin(self) -> None:
         """Take the time of a cycle, and the true pose."""
@@ -128,15 +136,17 @@ def _wheel_poses(body: Body, angles: Floats) -> Floats:
     return poses
 
 
-def _describe(model: RobotModel, name: str, sensors: Iterable[StaticTransform]) -> str:
-    """Return a robot alone as URDF with its sensors, with its name in the names of links and joints."""
-    scene = to_spec(parse(_ARENA.format(model.name), model.name)).compile()
-    description = robot_description(scene, sensors, robot_name(0))
-    return description.replace(f'"{robot_name(0)}/', f'"{name}/')
+def _rename(transform: Message, name: str) -> MessageFields:
+    """Return a fixed transform of the scene's robot with the name of the robot of a node."""
+    parent, child = (
+        f"{name}/{frame.removeprefix(f'{_SCENE_NAME}/')}"
+        for frame in (transform["header"]["frame_id"], transform["child_frame_id"])
+    )
+    return {**transform, "header": {"frame_id": parent}, "child_frame_id": child}
 
 
 def _transform(frame: tuple[str, str, tuple[float, ...]]) -> MessageFields:
-    """Return a transform as fields of a message: parent, name, position and quaternion of a frame."""
+    """Return the fields of a transform by parent, name, position and quaternion of a frame."""
     parent, name, (*position, qx, qy, qz, qw) = frame
     translation, rotation = dict(zip("xyz", position, strict=True)), {"x": qx, "y": qy, "z": qz, "w": qw}
     transform = {"translation": translation, "rotation": rotation}

@@ -78,6 +78,8 @@ def test_every_model_has_messages_with_the_names_of_its_node(name: str) -> None:
     links = {link.get("name") for link in ElementTree.fromstring(description["data"]).iter("link")}
     assert links >= {"lab/khepera0/base_link", "lab/khepera0/left_wheel"}
     frames = {transform["child_frame_id"]: transform for transform in static["transforms"]}
+    moved = {item["child_frame_id"] for message in cycles.messages["/tf"] for item in message["transforms"]}
+    assert links <= frames.keys() | moved
     assert frames.keys() <= links
     assert frames["lab/khepera0/ps0"]["header"]["frame_id"] == "lab/khepera0/base_link"
 
