@@ -11,6 +11,7 @@ show the exact values. A log without poses, of a real robot, has curves and its 
 import gc
 import math
 import shlex
+from collections import ChainMap
 from collections.abc import Iterable, Mapping
 from operator import attrgetter
 from pathlib import Path
@@ -129,11 +130,9 @@ class RunContent:
             "surfaces": drafts.surfaces(),
             "turrets": self._turrets(),
             "colours": {
-                "sensors": {
-                    name: colour
-                    for model in self._models.values()
-                    for name, colour in colours.sensor_colours(model.body).items()
-                },
+                "sensors": dict(
+                    ChainMap(*(colours.sensor_colours(model.body) for model in self._models.values()))
+                ),
                 "wheels": colours.WHEELS,
             },
             "events": [
