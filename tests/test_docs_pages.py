@@ -15,6 +15,7 @@ import typer
 from khep_twin import playpen
 from khep_twin.cli.app import app
 from khep_twin.ports.twin import TwinOptions, open_twin
+from tools import runs
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -112,3 +113,8 @@ def test_the_program_of_branches_goes_on_from_a_log(
 def test_the_playpen_of_the_page_about_them_is_right() -> None:
     (example,) = [text for page, text in blocks("toml") if page.name == "playpens.md"]
     assert playpen.parse(example, "playpens.md").name == "mine"
+
+
+def test_pages_link_runs_of_the_site_that_are_made() -> None:
+    assert set(runs.PAGES.values()) <= runs.RUNS.keys()
+    assert all((ROOT / page).read_text(encoding="utf-8").startswith("# ") for page in runs.PAGES)

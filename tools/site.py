@@ -4,7 +4,7 @@
 
 The front page has the head of the README and links by task. The gallery has every picture of the pages. The
 reference is that of `python -m tools reference`. Links between pages stay as they are; those to the README
-lead to its page.
+lead to its page. Runs are played by pages of their own.
 """
 
 import re
@@ -13,6 +13,9 @@ from pathlib import Path
 
 from tools.command_table import command_line
 from tools.reference import write as write_reference
+from tools.runs import PAGES as RUN_PAGES
+from tools.runs import RUNS
+from tools.runs import write as write_runs
 
 ROOT = Path(__file__).parents[1]
 
@@ -68,6 +71,8 @@ TASKS = {
 
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+\.(?:png|svg))\)")
 
+README_PICTURE = re.compile(r"!\[[^\]]*\]\(docs/pictures/run\.png\)")
+
 
 def main() -> None:
     """Write the source into the folder of the command line."""
@@ -92,6 +97,7 @@ def write(target: Path) -> None:
     (target / "site.css").write_text(STYLE, encoding="utf-8")
     (target / "gallery.md").write_text(_gallery(target), encoding="utf-8")
     write_reference(target / "reference")
+    write_runs(target / "runs")
 
 
 def _copy(path: Path, to: Path) -> None:
@@ -104,6 +110,10 @@ def _copy(path: Path, to: Path) -> None:
     for name, page in PAGES.items():
         depth = len(path.relative_to(ROOT).parts) - 1
         text = re.sub(rf"\]\({'../' * depth}{name}", f"]({'../' * depth}{page}", text)
+    text = README_PICTURE.sub(r"[\g<0>](runs/braitenberg.html)", text)
+    if run := RUN_PAGES.get(str(path.relative_to(ROOT))):
+        title, _, rest = text.partition("\n")
+        text = f"{title}\n\n[Play a run](../runs/{run}.html): {RUNS[run][0]}.\n{rest}"
     to.write_text(text, encoding="utf-8")
 
 
@@ -115,7 +125,7 @@ def _front(readme: str) -> str:
     return (
         f"---\ntitle: Khepera on MuJoCo\nhide: [navigation, toc]\n---\n{title}\n\n{sentence}\n\n"
         f'<div class="grid cards" markdown>\n\n{cards}</div>\n\n'
-        f"{commands}\n\n{picture}{{ width=560 }}\n\n"
+        f"{commands}\n\n[{picture}{{ width=560 }}](runs/braitenberg.html)\n\n"
         "[Tutorial](docs/tutorial.md){ .md-button .md-button--primary } "
         "[All that it does](about.md){ .md-button } [Gallery](gallery.md){ .md-button }\n"
     )

@@ -93,7 +93,8 @@ def engine(request: pytest.FixtureRequest, playwright: Any, browser: Any) -> Ite
         return
     from playwright.sync_api import Error
 
-    system = {"channel": "moz-firefox", "executable_path": FIREFOX} if FIREFOX else {}
+    is_own = FIREFOX is None or Path(playwright.firefox.executable_path).exists()
+    system = {} if is_own else {"channel": "moz-firefox", "executable_path": FIREFOX}
     try:
         opened = playwright.firefox.launch(**system)
         opened.new_context().close()

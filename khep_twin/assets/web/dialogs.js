@@ -2,7 +2,7 @@
 
 import { post } from "./api.js";
 import { attempt, banner } from "./banners.js";
-import { $, create } from "./page.js";
+import { $, create, createTable } from "./page.js";
 
 const KEYS = [
   ["V B C W L R P S", "select, block, cylinder, wall, lamp, robot, patch, spot; twice, or a double click on the tool: kept for several objects"],
@@ -75,6 +75,5 @@ export async function showPreview(draft) {
 }
 
 export async function showKeys() {
-  const rows = KEYS.map(([keys, text]) => create("tr", {}, create("th", {}, keys), create("td", {}, text)));
-  await ask("Keys", create("table", {}, ...rows), "Close");
+  await ask("Keys", createTable(KEYS), "Close");
 }

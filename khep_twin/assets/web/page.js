@@ -13,6 +13,10 @@ export function create(name, properties = {}, ...children) {
 
 export const createRow = (...texts) => create("tr", {}, ...texts.map((textContent) => create("td", { textContent })));
 
+// Returns a table of pairs of a heading and a text.
+export const createTable = (pairs) =>
+  create("table", {}, ...pairs.map(([heading, text]) => create("tr", {}, create("th", {}, heading), create("td", {}, text))));
+
 // Sets a text; an unchanged one costs no layout.
 export function setText(node, text) {
   if (node.textContent !== `${text}`) node.textContent = text;

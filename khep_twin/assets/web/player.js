@@ -1,6 +1,6 @@
 // A page that plays finished runs, from the packed samples in it: their time line, keys and address.
 
-import { create, $, setText } from "./page.js";
+import { $, createTable, setText } from "./page.js";
 import { decodeBase64, unpack } from "./replay.js";
 import { RunView } from "./run_view.js";
 
@@ -30,7 +30,9 @@ class Player {
     this.end = Math.max(...replays.map(({ end }) => end), 1e-3);
     this.marks = [...new Set(replays.flatMap(({ marks }) => marks))].sort((a, b) => a - b);
     $("#runs").classList.toggle("several", replays.length > 1);
-    this.views = replays.map((replay, index) => new RunView(replay, document.querySelectorAll("script.log")[index], { seek: (time) => this.pauseAt(time), showDialog, onRobot: () => this.#show(true) }));
+    const logs = document.querySelectorAll("script.log");
+    const actions = { seek: (time) => this.pauseAt(time), showDialog, onRobot: () => this.#show(true) };
+    this.views = replays.map((replay, index) => new RunView(replay, logs[index], actions));
     $("#runs").append(...this.views.map(({ root }) => root));
     for (const view of this.views) view.fit();
     $("#slider").max = this.end;
@@ -131,10 +133,23 @@ class Player {
       this.#show(true);
     };
     const follow = () => this.views.forEach((item) => $("#follow-button").setAttribute("aria-pressed", item.toggleFollow()));
-    const showKeys = () => showDialog("Keys", create("table", {}, ...KEYS.map(([keys, text]) => create("tr", {}, create("th", {}, keys), create("td", {}, text)))));
-    const actions = { play: () => this.setPlaying(!this.isPlaying), back: () => step(-1), ahead: () => step(1), previous: () => this.#goToMark(-1), next: () => this.#goToMark(1), loop, solids, "follow-button": follow, keys: showKeys, fit: all((item) => item.zoom("0")), "zoom-in-button": all((item) => item.zoom("+")), "zoom-out-button": all((item) => item.zoom("-")) };
+    const actions = {
+      play: () => this.setPlaying(!this.isPlaying),
+      back: () => step(-1),
+      ahead: () => step(1),
+      previous: () => this.#goToMark(-1),
+      next: () => this.#goToMark(1),
+      loop,
+      solids,
+      "follow-button": follow,
+      keys: () => showDialog("Keys", createTable(KEYS)),
+      fit: all((item) => item.zoom("0")),
+      "zoom-in-button": all((item) => item.zoom("+")),
+      "zoom-out-button": all((item) => item.zoom("-")),
+    };
     for (const [id, act] of Object.entries(actions)) $(`#${id}`).addEventListener("click", act);
-    const keys = { " ": "play", ",": "back", ".": "ahead", "[": "previous", "]": "next", l: "loop", 3: "solids", f: "follow-button", "?": "keys", 0: "fit", "+": "zoom-in-button", "=": "zoom-in-button", "-": "zoom-out-button" };
+    const views = { 3: "solids", f: "follow-button", 0: "fit", "+": "zoom-in-button", "=": "zoom-in-button", "-": "zoom-out-button" };
+    const keys = { " ": "play", ",": "back", ".": "ahead", "[": "previous", "]": "next", l: "loop", "?": "keys", ...views };
     $("#slider").addEventListener("input", () => {
       const perPixel = this.end / Math.max($("#slider").clientWidth - 2 * THUMB, 1);
       const time = +$("#slider").value;

@@ -5,6 +5,7 @@ import { OBJECTS } from "./model.js";
 const TIME_UNIT = 1e-5; // of packed times [s]
 const [POSITION_UNIT, TURN_UNIT] = [1e-4, 1 / 32767]; // of packed poses [m]
 const MOVED_MM = 3; // distance of the points of a path
+const MORE = ["ultrasonic", "position", "accelerometer", "gyroscope", "battery"]; // further channels of readings
 const INTEGERS = { 1: Int8Array, 2: Int16Array, 4: Int32Array };
 
 // Returns the bytes of a text in base64.
@@ -41,7 +42,9 @@ export class Replay {
       this.#series.set(name, { times, columns, scale });
     }
     this.marks = [...new Set([...this.events.map(([time]) => time), ...this.contacts.map(([, start]) => start)])].sort((a, b) => a - b);
-    this.objects = Object.fromEntries(Object.keys(OBJECTS).map((kind) => [kind, (this.draft?.[kind] ?? []).flatMap(({ movable }, index) => (movable ? [[index, this.#bodyIndex(`${kind}${index}`)]] : []))]));
+    this.objects = Object.keys(OBJECTS).flatMap((kind) =>
+      (this.draft?.[kind] ?? []).map(({ movable }, index) => ({ kind, index, body: movable ? this.#bodyIndex(`${kind}${index}`) : -1 })),
+    ).filter(({ body }) => body >= 0);
     for (const robot of this.robots) robot.body = this.#bodyIndex(`${robot.name}/base`);
     this.lamps = (this.draft?.lamp ?? []).map(({ power_w, dim = 1 }) => power_w * dim);
   }
@@ -54,7 +57,8 @@ export class Replay {
   picture(time) {
     const bodies = this.#bodies(time);
     const robots = this.robots.map((robot) => ({ ...this.readings(robot, time), ...(bodies.length && robot.body >= 0 && planarPose(bodies[robot.body])) }));
-    const objects = Object.fromEntries(Object.entries(this.objects).map(([kind, items]) => [kind, Object.fromEntries(items.filter(([, body]) => body >= 0).map(([index, body]) => { const { x_mm, y_mm, heading_deg } = planarPose(bodies[body]); return [index, [x_mm, y_mm, heading_deg]]; }))]));
+    const objects = Object.fromEntries(Object.keys(OBJECTS).map((kind) => [kind, {}]));
+    for (const { kind, index, body } of this.objects) objects[kind][index] = Object.values(planarPose(bodies[body]));
     const powers = this.#values("/lamps", time) ?? this.lamps;
     return { kind: "picture", time, robots, objects, bodies, lamps: powers.map((power_w) => ({ power_w })) };
   }
@@ -64,10 +68,11 @@ export class Replay {
     const none = (n) => Array(n).fill(null);
     const n = robot.names.length;
     const fill = (values) => values && [...values, ...none(n)].slice(0, n); // a shadow has no ground sensors
-    const more = Object.fromEntries(["ultrasonic", "position", "accelerometer", "gyroscope", "battery"].flatMap((name) => (value(name) ? [[name, value(name)]] : [])));
+    const more = Object.fromEntries(MORE.flatMap((name) => (value(name) ? [[name, value(name)]] : [])));
     const leds = value("leds") ?? [];
     const colours = leds.length === robot.leds_mm?.length ? leds.flatMap((on) => [63 * on, 0, 0]) : leds;
-    return { proximity: fill(value("proximity")) ?? none(n), ambient: fill(value("ambient")) ?? none(n), speed: value("speed") ?? none(2), leds: colours, vision: value("vision"), turrets: [], more };
+    const [proximity, ambient] = ["proximity", "ambient"].map((name) => fill(value(name)) ?? none(n));
+    return { proximity, ambient, speed: value("speed") ?? none(2), leds: colours, vision: value("vision"), turrets: [], more };
   }
 
   // Returns the points of a robot's path up to a time [mm], the last `limit` ones.
@@ -105,7 +110,9 @@ export class Replay {
     const series = this.#series.get(`/${robot.name}/serial`);
     const end = series ? this.#row(series, time) + 1 : 0;
     const texts = this.texts[robot.name];
-    return Array.from({ length: Math.min(end, limit) }, (_, index) => index + Math.max(end - limit, 0)).map((row) => `${series.times[row].toFixed(3).padStart(8)}  ${series.columns[0][row] ? "  " : "> "}${texts[row]}`);
+    const first = Math.max(end - limit, 0);
+    const line = (text, row) => `${series.times[first + row].toFixed(3).padStart(8)}  ${series.columns[0][first + row] ? "  " : "> "}${text}`;
+    return texts.slice(first, end).map(line);
   }
 
   // Returns a shadow's region at a time: centre, half axes [mm] and angle [deg], and its colour.

@@ -4,7 +4,7 @@ import { Curves } from "./curves.js";
 import { createSvg, Drawing } from "./drawing.js";
 import { LivePlan } from "./live.js";
 import { Model } from "./model.js";
-import { create, setText } from "./page.js";
+import { create, createTable, setText } from "./page.js";
 import { Panel, Strip } from "./panel.js";
 import { decodeBase64 } from "./replay.js";
 import { ThreeD } from "./three_d.js";
@@ -61,7 +61,8 @@ export class RunView {
     const readings = picture.robots[this.#index];
     if (isJump) this.curves.clear([robot]);
     for (const sample of replay.samples(robot, isJump ? time - SPAN : this.#lastTime, time)) this.curves.add(sample);
-    if (isJump && replay.has(robot, "vision")) for (let row = 99; row > 0; row--) this.strip.add(replay.readings(robot, time - row / 10), time - row / 10);
+    const rows = isJump && replay.has(robot, "vision") ? 99 : 0;
+    for (let row = rows; row > 0; row--) this.strip.add(replay.readings(robot, time - row / 10), time - row / 10);
     this.strip.add(readings, time);
     if (replay.draft) {
       if (isJump) {
@@ -80,7 +81,8 @@ export class RunView {
   // Shows bars, numbers, lines and the present event, whose layout takes longer than the pictures.
   #showTexts(time, readings) {
     this.#textTime = performance.now();
-    const pose = readings.x_mm === undefined ? {} : { "x, y [mm], heading [°]": [readings.x_mm.toFixed(1), readings.y_mm.toFixed(1), readings.heading_deg.toFixed(1)] };
+    const numbers = [readings.x_mm, readings.y_mm, readings.heading_deg].map((value) => value?.toFixed(1));
+    const pose = readings.x_mm === undefined ? {} : { "x, y [mm], heading [°]": numbers };
     this.panel.showReadings({ ...readings, more: { ...pose, ...readings.more } });
     const transcript = this.find(".transcript");
     const lines = this.replay.lines(this.robot, time, LINES).join("\n");
@@ -176,7 +178,9 @@ export class RunView {
     const share = other ? 0.5 : 1;
     this.drawing.setView(x - share * pixelMm * (now[0] - before[0]), y - share * pixelMm * (now[1] - before[1]), width, height);
     const distance = ([a, b]) => Math.hypot(a - other[0], b - other[1]) || 1;
-    if (other) this.drawing.zoom(distance(before) / distance(now), this.drawing.pointerPosition({ clientX: (now[0] + other[0]) / 2, clientY: (now[1] + other[1]) / 2 }));
+    if (!other) return;
+    const middle = { clientX: (now[0] + other[0]) / 2, clientY: (now[1] + other[1]) / 2 };
+    this.drawing.zoom(distance(before) / distance(now), this.drawing.pointerPosition(middle));
   }
 
   #select(index, isQuiet = false) {
@@ -201,7 +205,8 @@ export class RunView {
     if (!region) return;
     const { values: [cx, cy, rx, ry, angle], state, colour } = region;
     this.regionNode ??= this.drawing.overlay.appendChild(createSvg("ellipse", { class: "region" }));
-    for (const [key, value] of Object.entries({ rx, ry, transform: `translate(${cx} ${cy}) rotate(${angle})`, stroke: `rgb(${colour})` })) this.regionNode.setAttribute(key, value);
+    const attributes = { rx, ry, transform: `translate(${cx} ${cy}) rotate(${angle})`, stroke: `rgb(${colour})` };
+    for (const [key, value] of Object.entries(attributes)) this.regionNode.setAttribute(key, value);
     this.find(".shadow i").style.borderColor = `rgb(${colour})`;
     setText(this.find(".shadow output"), state);
   }
@@ -234,15 +239,16 @@ export class RunView {
   // Returns the origin of the run, the notes about its samples, and its log if the page has it.
   #about(logNode) {
     const { origin, sources, interval, lineInterval, draft } = this.replay;
-    const rows = Object.entries(origin).map(([key, text]) => create("tr", {}, create("th", {}, key), create("td", {}, text)));
+    const table = createTable(Object.entries(origin));
     const notes = [
       !draft && "The log has no poses: readings and transcript only.",
       interval && `Of the samples, one in ${interval.toFixed(2)} s is shown, and those at events and contacts.`,
       lineInterval && `Of the transcript, one exchange in ${lineInterval.toFixed(2)} s is shown.`,
-    ].filter((note) => note);
+    ].filter((note) => note).map((note) => create("p", {}, note));
     const files = Object.entries(sources).flatMap(([name, text]) => [create("h3", {}, name), create("pre", { tabIndex: 0 }, text)]);
-    if (!logNode) return [create("table", {}, ...rows), ...notes.map((note) => create("p", {}, note)), ...files];
-    const link = create("a", { href: URL.createObjectURL(new Blob([decodeBase64(logNode.textContent)])), download: logNode.dataset.name }, `Save ${logNode.dataset.name}`);
-    return [create("table", {}, ...rows), create("p", {}, link), ...notes.map((note) => create("p", {}, note)), ...files];
+    if (!logNode) return [table, ...notes, ...files];
+    const href = URL.createObjectURL(new Blob([decodeBase64(logNode.textContent)]));
+    const link = create("a", { href, download: logNode.dataset.name }, `Save ${logNode.dataset.name}`);
+    return [table, create("p", {}, link), ...notes, ...files];
   }
 }
