@@ -242,12 +242,12 @@ class RunContent:
         missing = [name for name in names if name not in poses]
         if missing:
             raise LogError(f"{self._path}: /tf: no pose of {missing[0]}; expected it, as at the start")
-        kept = {name: poses[name][rows] for name in names}
+        body_poses = {name: poses[name][rows] for name in names}
         for name, parent in zip(names, self._scene["parents"], strict=True):
             if parent is not None:
-                kept[name] = relative(kept[name], poses[names[parent]][rows])
+                body_poses[name] = relative(body_poses[name], poses[names[parent]][rows])
         units = np.array([_POSE_SCALE] * 3 + [_TURN_SCALE] * 4)
-        columns = [pose[:, [0, 1, 2, 6, 3, 4, 5]] * units for pose in kept.values()]
+        columns = [pose[:, [0, 1, 2, 6, 3, 4, 5]] * units for pose in body_poses.values()]
         self._add_rows("bodies", times_ns[rows], np.hstack(columns))
         return contacts_ns
 
