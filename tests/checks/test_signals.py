@@ -144,7 +144,9 @@ def test_an_interruption_that_a_library_makes_an_error_of_is_still_one(cause: st
         except KeyboardInterrupt:
             print("ended by", first_signal(), file=sys.stderr)
     """
-    assert ended(started(script(text), tmp_path), signal.SIGTERM) == (0, "ended by 15\n")
+    code, errors = ended(started(script(text), tmp_path), signal.SIGTERM)
+    # A process that is slow to end, on a busy machine, first says so.
+    assert (code, errors.splitlines()[-1]) == (0, "ended by 15")
 
 
 def test_what_does_not_end_is_ended_without_a_second_signal(tmp_path: Path) -> None:
