@@ -13,19 +13,18 @@ import socket
 import statistics
 import subprocess
 import sys
-import threading
 import time
-import tty
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
+from benchmarks.line import open_terminal
 from benchmarks.table import LEGEND, Row, RunTimes, Table, measure, text
 from khep_twin.log.cdr import encode
 from khep_twin.log.message_types import type_hash
 from khep_twin.ros.graph import Graph
 from khep_twin.ros.velocity import TWIST
 from khep_twin.ros.wire import Attachment, data_key
-from stand_ins.fake_robot import ANSWERS
+from stand_ins.fake_robot import TerminalRobot
 
 COMMANDS = 200
 ROUNDS = 5
@@ -34,50 +33,28 @@ LIMIT = 30.0
 """Longest wait for a command [s]."""
 
 
-class Terminal:
-    """Robot at a pseudo-terminal that answers at once.
+class Arrivals(queue.SimpleQueue[float]):
+    """Times at which commands of speeds arrived at a robot [s of `time.perf_counter`]."""
 
-    Attributes:
-        path: Path of the terminal.
-        arrivals: Times at which commands of speeds arrived [s of `time.perf_counter`].
-    """
-
-    def __init__(self) -> None:
-        self._robot, self._host = os.openpty()
-        tty.setraw(self._host)
-        self.path = os.ttyname(self._host)
-        self.arrivals = queue.SimpleQueue[float]()
-        threading.Thread(target=self._serve, daemon=True).start()
-
-    def write(self, line: bytes) -> None:
-        """Write a line as a host does."""
-        os.write(self._host, line)
-
-    def _serve(self) -> None:
-        rest = b""
-        while True:
-            *lines, rest = (rest + os.read(self._robot, 4096)).split(b"\n")
-            for line in lines:
-                letter = line[:1].decode("latin-1")
-                if letter == "D":
-                    self.arrivals.put(time.perf_counter())
-                if letter:
-                    os.write(self._robot, f"{ANSWERS.get(letter, letter.lower())}\r\n".encode())
+    def add(self, request: str) -> None:
+        """Add the present time, if a line is a command of speeds."""
+        if request.startswith("D"):
+            self.put(time.perf_counter())
 
 
 def median_latency(
-    terminal: Terminal, send: Callable[[int], None], n_commands: int, latencies: list[float]
+    arrivals: Arrivals, send: Callable[[int], object], n_commands: int, latencies: list[float]
 ) -> RunTimes:
     """Send commands and return their median latency; `latencies` receives all of them [s]."""
     latencies.clear()
     moments = random.Random(1)
     for number in range(n_commands):
         time.sleep(moments.uniform(0, 0.06))
-        while not terminal.arrivals.empty():
-            terminal.arrivals.get()
+        while not arrivals.empty():
+            arrivals.get()
         start = time.perf_counter()
         send(number)
-        latencies.append(terminal.arrivals.get(timeout=LIMIT) - start)
+        latencies.append(arrivals.get(timeout=LIMIT) - start)
     return RunTimes(statistics.median(latencies))
 
 
@@ -87,13 +64,21 @@ def command_rows(n_commands: int) -> Generator[list[Row]]:
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         router = f"127.0.0.1:{listener.getsockname()[1]}"
-    floor, terminal = Terminal(), Terminal()
-    arguments = ["ros", terminal.path, "--router", router, "--be-router", "--domain", "0", "--timeout", "60"]
-    node = subprocess.Popen([sys.executable, "-m", "khep_twin", *arguments], stdout=subprocess.PIPE)
-    try:
+    floor_arrivals, arrivals = Arrivals(), Arrivals()
+    with (
+        TerminalRobot(floor_arrivals.add) as floor,
+        TerminalRobot(arrivals.add) as robot,
+        ExitStack() as stack,
+    ):
+        arguments = ["ros", robot.url, "--router", router, "--be-router", "--domain", "0", "--timeout", "60"]
+        node = subprocess.Popen([sys.executable, "-m", "khep_twin", *arguments], stdout=subprocess.PIPE)
+        stack.callback(node.wait)
+        stack.callback(node.terminate)
         assert node.stdout is not None
         node.stdout.readline()  # its node is in the graph
         key = data_key(0, "/khepera0/cmd_vel", TWIST, type_hash(TWIST))
+        port = open_terminal(floor.url)
+        stack.callback(os.close, port)
         with Graph(router, 0) as graph:
 
             def publish(number: int) -> None:
@@ -102,12 +87,11 @@ def command_rows(n_commands: int) -> Generator[list[Row]]:
                 graph.session.put(key, encode(TWIST, {"linear": {"x": speed}}), attachment=attachment)
 
             yield [
-                _row("line to a pty (floor)", floor, lambda _: floor.write(b"D,1,1\n"), n_commands),
-                _row("cmd_vel to the line", terminal, publish, n_commands),
+                _row(
+                    "line to a pty (floor)", floor_arrivals, lambda _: os.write(port, b"D,1,1\n"), n_commands
+                ),
+                _row("cmd_vel to the line", arrivals, publish, n_commands),
             ]
-    finally:
-        node.terminate()
-        node.wait()
 
 
 def table(n_commands: int, rounds: int) -> Table:
@@ -116,14 +100,14 @@ def table(n_commands: int, rounds: int) -> Table:
         return measure("velocity command of ROS 2", rows, rounds, unit=UNIT)
 
 
-def _row(name: str, terminal: Terminal, send: Callable[[int], None], n_commands: int) -> Row:
+def _row(name: str, arrivals: Arrivals, send: Callable[[int], object], n_commands: int) -> Row:
     latencies: list[float] = []
 
     def note(_: float) -> str:
         p50, p99 = statistics.median(latencies), statistics.quantiles(latencies, n=100)[98]
         return f"p50 {1e3 * p50:.2f} ms, p99 {1e3 * p99:.2f} ms"
 
-    return Row(name, 1, lambda: median_latency(terminal, send, n_commands, latencies), note)
+    return Row(name, 1, lambda: median_latency(arrivals, send, n_commands, latencies), note)
 
 
 def main() -> None:

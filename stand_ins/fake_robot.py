@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 import tty
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -102,12 +103,16 @@ class FakeRobot:
 class TerminalRobot:
     """A fake robot at a pseudo-terminal, which answers each line.
 
+    Args:
+        on_request: Function that takes each line when it arrives.
+
     Attributes:
         requests: All received lines, in order.
         url: Path of the terminal.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, on_request: Callable[[str], object] = str) -> None:
+        self._on_request = on_request
         self.requests: list[str] = []
         self._robot_end, self._host_end = os.openpty()
         tty.setraw(self._host_end)
@@ -138,6 +143,7 @@ class TerminalRobot:
                 *lines, rest = (rest + os.read(self._robot_end, 4096)).split(b"\n")
                 for line in lines:
                     request = line.decode("latin-1")
+                    self._on_request(request)
                     self.requests.append(request)
                     answer = ANSWERS.get(request[:1], request[:1].lower())
                     os.write(self._robot_end, f"{answer}\r\n".encode() * bool(request))

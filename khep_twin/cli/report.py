@@ -49,7 +49,7 @@ def export(
     """
     if ros2 is not None:
         options = {"-o": output, "--channels": channels, "--robot": robot, "--transcript": transcript}
-        _export_bag(log, ros2, 10.0 if rate is None else rate, {**options, "--minari": minari}, force)
+        _export_bag(log, ros2, rate, {**options, "--minari": minari}, force)
         return
     if rate is not None:
         raise LogError(f"--rate {rate:g}: expected it with --ros2 alone")
@@ -70,16 +70,17 @@ def export(
 
 
 def _export_bag(
-    logs: list[Path], folder: Path, rate: float, other_options: Mapping[str, object], force: bool
+    logs: list[Path], folder: Path, rate: float | None, other_options: Mapping[str, object], force: bool
 ) -> None:
     """Write a bag of one log."""
-    from khep_twin.ros.bag import check_new_bag, write_bag
+    from khep_twin.ros.bag import RATE_HZ, check_new_bag, write_bag
 
     for name, value in other_options.items():
         if value is not None:
             raise LogError(f"--ros2 with {name}; expected a bag alone")
     if len(logs) > 1:
         raise LogError(f"{len(logs)} logs; expected one for a bag")
+    rate = RATE_HZ if rate is None else rate
     if not 0 < rate <= 1000:
         raise LogError(f"--rate {rate:g}: expected a rate above 0 and up to 1000 Hz")
     check_new_bag(folder, logs[0], force)

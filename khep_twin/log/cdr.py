@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.log.message_types import Field, Message, fields_of
+from khep_twin.log.message_types import TIMES, Field, Message, fields_of
 
 CDR_HEADER = b"\x00\x01\x00\x00"
 
@@ -24,8 +24,6 @@ CODES = {
     "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
 }  # fmt: skip
 """Formats of numbers in `struct`."""
-
-_TIMES = "builtin_interfaces/Time", "builtin_interfaces/Duration"
 
 
 class Encoder:
@@ -103,7 +101,7 @@ class _FieldEncoder:
                 self._add_value(f"{path}.{index}", field.type_name, item)
 
     def _add_value(self, path: str, type_name: str, value: Any) -> None:
-        if type_name in _TIMES:
+        if type_name in TIMES:
             self.offsets[path] = "i", 2, self.encoder.align(4)
             self.encoder.time(value or 0)
         elif type_name == "string":

@@ -18,7 +18,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.log.cdr import CDR_HEADER, CODES
 from khep_twin.log.channels import TextLine
-from khep_twin.log.message_types import Field, MessageFields, fields_of
+from khep_twin.log.message_types import TIMES, Field, MessageFields, fields_of
 from khep_twin.process.invocation import command
 
 LATEST_NS = 2**63 - 1
@@ -171,8 +171,7 @@ def _read_field(decoder: Decoder, field: Field) -> object:
     if field.length is None:
         if name == "string":
             return decoder.text()
-        is_time = name in ("builtin_interfaces/Time", "builtin_interfaces/Duration")
-        return decoder.time() if is_time else _read_fields(decoder, name)
+        return decoder.time() if name in TIMES else _read_fields(decoder, name)
     count = decoder.uint32() if field.length < 0 else field.length
     if name in CODES:
         return list(decoder.numbers(CODES[name], count)) if count else []

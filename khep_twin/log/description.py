@@ -86,6 +86,14 @@ def shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:
         yield from _shape(name, geom_type, size, *pose, model.site_rgba[site])
 
 
+def led_positions(model: mujoco.MjModel, robot: str) -> NDArray[np.float64]:
+    """Return the positions of a robot's LEDs in its frame (n, 3) [m]."""
+    bodies = {model.body(index).name for index in range(model.nbody)}
+    sites = [model.site(index) for index in range(model.nsite)]
+    is_led = [site.name.startswith(f"{robot}/") and f"{site.name}_light" in bodies for site in sites]
+    return model.site_pos[is_led]
+
+
 def collision_shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:
     """Yield the shapes of a body that only have contacts."""
     for geom in np.flatnonzero((model.geom_bodyid == body) & (model.geom_group == _HIDDEN_GROUP)).tolist():

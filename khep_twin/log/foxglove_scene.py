@@ -32,7 +32,7 @@ def scene_update(model: mujoco.MjModel) -> bytes:
                 primitives = {"cubes": [], "spheres": [], "cylinders": []}
                 # The timestamp is the start of the run; without a lifetime it has no end.
                 entities.append({"frame_id": frame, "id": name, "frame_locked": True, **primitives})
-            _add(primitives, shape, *_compose(*pose, shape.position, shape.quaternion))
+            _add(primitives, shape, *compose(*pose, shape.position, shape.quaternion))
     return encode(SCENE, {"entities": entities})
 
 
@@ -40,12 +40,12 @@ def _world_pose(model: mujoco.MjModel, body: int) -> tuple[NDArray[np.float64], 
     """Return the pose of a fixed body in the world: position and quaternion w, x, y, z."""
     position, quaternion = _IDENTITY
     while body:
-        position, quaternion = _compose(model.body_pos[body], model.body_quat[body], position, quaternion)
+        position, quaternion = compose(model.body_pos[body], model.body_quat[body], position, quaternion)
         body = int(model.body_parentid[body])
     return position, quaternion
 
 
-def _compose(
+def compose(
     position: NDArray[np.float64],
     quaternion: NDArray[np.float64],
     inner_position: NDArray[np.float64],
@@ -80,7 +80,7 @@ def _add(
         add("cylinders", position, shape.size, bottom_scale=1.0, top_scale=1.0)
     if shape.kind == "capsule":
         for end in (-1, 1):
-            end_centre, _ = _compose(position, quaternion, np.array([0, 0, end * length / 2]), _IDENTITY[1])
+            end_centre, _ = compose(position, quaternion, np.array([0, 0, end * length / 2]), _IDENTITY[1])
             add("spheres", end_centre, (width, width, width))
 
 

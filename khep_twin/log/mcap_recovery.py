@@ -34,6 +34,11 @@ Progress = Callable[[float], None] | None
 """Function that takes the completed fraction, 0 to 1."""
 
 
+def partial_progress(progress: Progress, index: int, count: int) -> Progress:
+    """Return a function that takes the progress of one of `count` parts."""
+    return None if progress is None else lambda share: progress((index + share) / count)
+
+
 class IntactRecords:
     """Intact records of a file that may be damaged.
 

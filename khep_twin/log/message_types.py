@@ -110,6 +110,9 @@ _FIELDS = {
 }
 """Fields of each message type."""
 
+TIMES = "builtin_interfaces/Time", "builtin_interfaces/Duration"
+"""Message types that are an integer [ns] in a `Message`."""
+
 TYPE_NUMBERS = {
     name: number
     for number, name in enumerate(

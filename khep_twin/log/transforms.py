@@ -18,6 +18,13 @@ Frames = list[tuple[str, str]]
 _IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1.0])
 
 
+def from_planar(poses: Floats) -> Floats:
+    """Return poses of x, y [m] and heading [rad] (n, 3) as poses (n, 7)."""
+    half, result = poses[:, 2] / 2, np.zeros((len(poses), 7))
+    result[:, :2], result[:, 5], result[:, 6] = poses[:, :2], np.sin(half), np.cos(half)
+    return result
+
+
 def compose(outer: Floats, inner: Floats) -> Floats:
     """Return the poses that are `inner` in the frame of `outer`."""
     position = outer[..., :3] + _rotate(outer[..., 3:], inner[..., :3])

@@ -35,11 +35,9 @@ from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.robots.model import RobotModel
 from khep_twin.ros.robot_description import redraw, robot_description
-from khep_twin.ros.standard import StandardMessages, StandardRows
+from khep_twin.ros.standard import CLOCK, StandardMessages, StandardRows, transform_fields
 from khep_twin.ros.transforms import Reckoned, odometry_trees
 from khep_twin.sensing import calibration as calibrations
-
-CLOCK = "rosgraph_msgs/msg/Clock"
 
 RATE_HZ = 10.0
 """Usual rate of distances, light, motion sensors and battery."""
@@ -205,13 +203,7 @@ class _Bag:
         for transform in transforms:
             transform["header"]["stamp"] = 0
         for robot in self._robots.values():
-            for parent, name, (*position, qx, qy, qz, qw) in robot.static_transforms():
-                pose = {
-                    "translation": dict(zip("xyz", position, strict=True)),
-                    "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
-                }
-                item = {"header": {"frame_id": parent}, "child_frame_id": name, "transform": pose}
-                transforms.append(item)
+            transforms += map(transform_fields, robot.static_transforms())
         return encode(TRANSFORMS, {"transforms": transforms})
 
     def _copies(self, entries: Iterable[Entry]) -> Iterator[Part]:

@@ -16,6 +16,7 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.host.connection import connect
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.opening import resolve_port
+from khep_twin.lab.experiment.teleoperation import TIMEOUT
 from khep_twin.ros.graph import Graph, Node
 from khep_twin.ros.robot_node import RobotNode
 from khep_twin.ros.standard_output import StandardOutput
@@ -23,9 +24,6 @@ from khep_twin.sensing.calibration import read_for
 
 if TYPE_CHECKING:
     from khep_twin.ros.twin_robots import TwinRobots
-
-_TIMEOUT = 0.6
-"""Time-out of a reply of a robot [s], as in teleoperation."""
 
 _WATCH_INTERVAL = 0.1
 """Interval at which the router, the robots and signals are looked at [s]."""
@@ -80,7 +78,7 @@ class Fleet:
         with ExitStack() as stack:
             self._nodes = {name: stack.enter_context(Node(graph, name)) for name in names}
             for name in [name for name in names if name not in simulated]:
-                robot = stack.enter_context(connect(urls[name], _TIMEOUT))
+                robot = stack.enter_context(connect(urls[name], TIMEOUT))
                 robot.check_clock("a node of ROS")
                 titles[name] = robot.model.title
                 self._jobs.append(partial(self._drive, name, robot))

@@ -59,8 +59,12 @@ class Odometry:
         self._pulse = 2 * np.pi / body.pulses_per_turn
         self._radii, self._base = np.array(wheels.radii), wheels.base_mm * 1e-3
         self._top_rate = _SPEED_MARGIN * calibration.motors.no_load_speed_rad_s
-        self._time_ns: int | None = None
         self._counts = np.zeros(2)
+        self.restart()
+
+    def restart(self) -> None:
+        """Start anew with the next sample, at the pose 0."""
+        self._time_ns: int | None = None
         # Pose, angles of the wheels, variance of the place, and sums of the noise of headings over the way.
         self._state = np.zeros(12)
 

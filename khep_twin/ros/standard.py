@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from khep_twin.log.cdr import Frame
 from khep_twin.log.channels import BASE_FRAME, IMAGE, PLANAR_ROWS, TRANSFORMS, TransformFrame
 from khep_twin.log.message_types import Message, MessageFields
+from khep_twin.log.transforms import from_planar
 from khep_twin.robots.model import RobotModel
 from khep_twin.robots.to_mjcf import ASSETS
 from khep_twin.ros.distances import Beam, Floats, GroundLaw, InfraredLaw, SonarLaw
@@ -41,6 +42,7 @@ RANGE = "sensor_msgs/msg/Range"
 ILLUMINANCE = "sensor_msgs/msg/Illuminance"
 IMU = "sensor_msgs/msg/Imu"
 BATTERY = "sensor_msgs/msg/BatteryState"
+CLOCK = "rosgraph_msgs/msg/Clock"
 
 SUPPLY_VOLTAGE = "supply_voltage"
 """Channel of the voltage of the supply [V], which nodes read and logs lack."""
@@ -62,6 +64,8 @@ _STEPS_PER_UNIT = 2.0**24
 """Resolution of positions [1/m], speeds and quaternions [1]: 0.06 um. Finer digits do not compress."""
 
 Times = NDArray[np.int64]
+FixedFrame = tuple[str, str, tuple[float, ...]]
+"""Fixed frame: parent, name, and pose x, y, z [m] and quaternion x, y, z, w."""
 
 
 class StandardRows(NamedTuple):
@@ -100,6 +104,18 @@ class StandardMessages:
         self._ground = GroundLaw(model, calibration, _ground_heights(model))
         self._sonar = SonarLaw(model)
         self._ranges = {beam.name: _range_frame(name, beam) for beam in self.beams}
+        light = calibration.ambient
+        # A lamp of P watts at a distance r gives gain P / r^2 counts and efficacy P / (4 pi r^2) lux.
+        self._lux = _LUMENS_PER_WATT / (4 * math.pi) * 1e6 / np.array(light.gain_counts_mm2_per_w)
+        variances = np.square(light.noise_counts * self._lux)
+        self._lights = [
+            Frame(
+                ILLUMINANCE,
+                {"header": {"frame_id": f"{name}/{beam.name}"}, "variance": variance},
+                ["header.stamp", "illuminance"],
+            )
+            for beam, variance in zip(self._infrared.beams, variances.tolist(), strict=True)
+        ]
         self._odometry_frame = Frame(
             ODOMETRY,
             {"header": {"frame_id": self._odom}, "child_frame_id": self._base},
@@ -116,9 +132,9 @@ class StandardMessages:
         """Beams of all sensors of distances."""
         return [*self._infrared.beams, *self._ground.beams, *self._sonar.beams]
 
-    def static_transforms(self) -> list[tuple[str, str, tuple[float, ...]]]:
-        """Return the sensors' frames: parent, name, and pose x, y, z [m] and quaternion x, y, z, w."""
-        transforms = [
+    def static_transforms(self) -> list[FixedFrame]:
+        """Return the sensors' frames."""
+        transforms: list[FixedFrame] = [
             (self._base, f"{self._name}/{beam.name}", (*beam.position, *beam.quaternion))
             for beam in self.beams
         ]
@@ -159,9 +175,7 @@ class StandardMessages:
     def _motion(self, times_ns: Times, track: Track) -> Iterator[StandardRows]:
         """Yield odometry, its transform, and angles of the wheels."""
         n = len(times_ns)
-        half = track.poses[:, 2] / 2
-        pose = np.zeros((n, 7))
-        pose[:, :2], pose[:, 5], pose[:, 6] = track.poses[:, :2], np.sin(half), np.cos(half)
+        pose = round_steps(from_planar(track.poses))
         twist = np.zeros((n, 6))
         twist[:, [0, 5]] = track.speeds
         pose_covariance = np.tile(_PLANAR_VARIANCE * np.eye(6), (n, 1, 1))
@@ -170,17 +184,17 @@ class StandardMessages:
         twist_covariance[:, [0, 5], [0, 5]] = track.speed_variances
         values = {
             "header.stamp": times_ns,
-            "pose.pose": _round(pose),
+            "pose.pose": pose,
             "pose.covariance": _shorten(pose_covariance),
-            "twist.twist": _round(twist),
+            "twist.twist": round_steps(twist),
             "twist.covariance": _shorten(twist_covariance),
         }
         yield self._rows("odom", ODOMETRY, times_ns, self._odometry_frame, values)
-        joints = {"header.stamp": times_ns, "position": _round(track.angles), "velocity": _round(track.rates)}
+        angles, rates = round_steps(track.angles), round_steps(track.rates)
+        joints = {"header.stamp": times_ns, "position": angles, "velocity": rates}
         yield self._rows("joint_states", JOINTS, times_ns, self._joints, joints)
-        yield StandardRows(
-            "/tf", TRANSFORMS, times_ns, self._transforms.messages(times_ns, _round(pose)[:, None])
-        )
+        transforms = self._transforms.messages(times_ns, pose[:, None])
+        yield StandardRows("/tf", TRANSFORMS, times_ns, transforms)
 
     def _distances(
         self, times_ns: Times, channels: Mapping[str, NDArray[np.generic]]
@@ -213,12 +227,8 @@ class StandardMessages:
         counts = ambient[:, : len(self._infrared.beams)].astype(np.float64)
         if law.rises_with_light:
             counts = self._measured.largest_count - counts
-        # A lamp of P watts at a distance r gives gain P / r^2 counts and efficacy P / (4 pi r^2) lux.
-        lux = _LUMENS_PER_WATT / (4 * math.pi) * 1e6 / np.array(law.gain_counts_mm2_per_w)
-        for k, column in enumerate((np.maximum(law.dark_counts - counts, 0) * lux).T):
-            header = {"header": {"frame_id": f"{self._name}/ps{k}"}}
-            variance = (law.noise_counts * lux[k]) ** 2
-            frame = Frame(ILLUMINANCE, {**header, "variance": variance}, ["header.stamp", "illuminance"])
+        columns = (np.maximum(law.dark_counts - counts, 0) * self._lux).T
+        for k, (frame, column) in enumerate(zip(self._lights, columns, strict=True)):
             values = {"header.stamp": times_ns, "illuminance": column}
             yield self._rows(f"ls{k}", ILLUMINANCE, times_ns, frame, values)
 
@@ -265,6 +275,14 @@ class StandardMessages:
         return {"header": {"frame_id": self._base}}
 
 
+def transform_fields(frame: FixedFrame) -> MessageFields:
+    """Return the fields of the transform of a fixed frame."""
+    parent, name, (*position, qx, qy, qz, qw) = frame
+    translation, rotation = dict(zip("xyz", position, strict=True)), {"x": qx, "y": qy, "z": qz, "w": qw}
+    transform = {"translation": translation, "rotation": rotation}
+    return {"header": {"frame_id": parent}, "child_frame_id": name, "transform": transform}
+
+
 def _range_frame(name: str, beam: Beam) -> Frame:
     """Return the frame of a sensor's distances."""
     message = {
@@ -277,7 +295,8 @@ def _range_frame(name: str, beam: Beam) -> Frame:
     return Frame(RANGE, message, ["header.stamp", "range"])
 
 
-def _round(values: Floats) -> Floats:
+def round_steps(values: Floats) -> Floats:
+    """Return numbers in whole steps of the resolution."""
     return np.rint(values * _STEPS_PER_UNIT) / _STEPS_PER_UNIT
 
 

@@ -1,6 +1,5 @@
 """Readings of a robot as standard messages of its node, with the frames of its sensors."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -13,6 +12,7 @@ from khep_twin.log.frames import MovingBodies
 from khep_twin.log.message_types import Message, MessageFields
 from khep_twin.log.output import split_rows
 from khep_twin.log.qos import LATCHED, qos_of
+from khep_twin.log.transforms import compose, from_planar, invert
 from khep_twin.playpen import parse
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.robots.body import Body
@@ -20,7 +20,7 @@ from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.ros.distances import Floats
 from khep_twin.ros.graph import Node, Publisher
 from khep_twin.ros.robot_description import robot_description
-from khep_twin.ros.standard import JOINTS, ODOM_FRAME, StandardMessages
+from khep_twin.ros.standard import JOINTS, ODOM_FRAME, StandardMessages, transform_fields
 from khep_twin.sensing.calibration import Calibration
 
 _ARENA = """
@@ -68,8 +68,7 @@ class StandardOutput:
     ) -> None:
         self._node, self._now, self._find_pose = node, now, find_pose
         name = str(node.name).removeprefix("/")
-        self._make = lambda: StandardMessages(model, calibration, name)
-        self._messages = self._make()
+        self._messages = StandardMessages(model, calibration, name)
         self._publishers: dict[str, Publisher] = {}
         self._time_ns, self._pose = 0, (0.0, 0.0, 0.0)
         self._odometry_in_map = TransformFrame([(MAP, ODOM_FRAME.format(name))])
@@ -78,7 +77,7 @@ class StandardOutput:
         scene = to_spec(parse(_ARENA.format(model.name), model.name)).compile()
         sensors = StandardMessages(model, calibration, _SCENE_NAME).static_transforms()
         fixed = decode(TRANSFORMS, MovingBodies(scene).static_message)["transforms"]
-        static = {"transforms": [_rename(frame, name) for frame in (*fixed, *map(_transform, sensors))]}
+        static = {"transforms": [_rename(frame, name) for frame in (*fixed, *map(transform_fields, sensors))]}
         node.publisher("/tf_static", TRANSFORMS, LATCHED).send(encode(TRANSFORMS, static))
         description = robot_description(scene, sensors, _SCENE_NAME)
         description = description.replace(f'"{_SCENE_NAME}/', f'"{name}/')
@@ -96,9 +95,9 @@ class StandardOutput:
         arrays = {name: np.array([values]) for name, values in channels.items()}
         for rows in self._messages.messages(times_ns, arrays):
             if rows.type_name == TRANSFORMS and self._find_pose is not None:
-                (odometry,) = rows.messages["transforms.0.transform"]
-                pose = _odometry_in_map(self._pose, odometry)
-                self._send_transforms(self._odometry_in_map.messages(times_ns, pose[None, None]))
+                truth = from_planar(np.array([self._pose]))
+                pose = compose(truth, invert(rows.messages["transforms.0.transform"]))
+                self._send_transforms(self._odometry_in_map.messages(times_ns, pose[:, None]))
             elif rows.type_name == JOINTS:
                 poses = _wheel_poses(self._body, rows.messages["position"])
                 self._send_transforms(self._wheels.messages(times_ns, poses))
@@ -106,7 +105,7 @@ class StandardOutput:
 
     def restart(self) -> None:
         """Restart the odometry."""
-        self._messages = self._make()
+        self._messages.odometry.restart()
 
     def _send_transforms(self, messages: NDArray[np.void]) -> None:
         self._send("/tf", TRANSFORMS, messages)
@@ -116,15 +115,6 @@ class StandardOutput:
             self._publishers[topic] = self._node.publisher(topic, type_name, qos_of(topic))
         for message in split_rows(messages):
             self._publishers[topic].send(message)
-
-
-def _odometry_in_map(pose: Pose, odometry: Sequence[float]) -> Floats:
-    """Return the odometry's frame in the map, position and quaternion (7,), by two poses of the base."""
-    x, y, _, _, _, qz, qw = odometry
-    heading = pose[2] - 2 * math.atan2(qz, qw)
-    cos, sin = math.cos(heading), math.sin(heading)
-    offset = pose[0] - (cos * x - sin * y), pose[1] - (sin * x + cos * y)
-    return np.array([*offset, 0, 0, 0, math.sin(heading / 2), math.cos(heading / 2)])
 
 
 def _wheel_poses(body: Body, angles: Floats) -> Floats:
@@ -143,11 +133,3 @@ def _rename(transform: Message, name: str) -> MessageFields:
         for frame in (transform["header"]["frame_id"], transform["child_frame_id"])
     )
     return {**transform, "header": {"frame_id": parent}, "child_frame_id": child}
-
-
-def _transform(frame: tuple[str, str, tuple[float, ...]]) -> MessageFields:
-    """Return the fields of a transform by parent, name, position and quaternion of a frame."""
-    parent, name, (*position, qx, qy, qz, qw) = frame
-    translation, rotation = dict(zip("xyz", position, strict=True)), {"x": qx, "y": qy, "z": qz, "w": qw}
-    transform = {"translation": translation, "rotation": rotation}
-    return {"header": {"frame_id": parent}, "child_frame_id": name, "transform": transform}

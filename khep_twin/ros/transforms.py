@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.log.channels import BASE_FRAME, MAP, TransformFrame
 from khep_twin.log.decoding import DecodeError
 from khep_twin.log.transforms import Floats, Frames, compose, invert, read_frames, relative
-from khep_twin.ros.standard import ODOM_FRAME
-
-_STEPS_PER_UNIT = 2.0**24
-"""Resolution of positions [1/m] and quaternions [1]: 0.06 um."""
+from khep_twin.ros.standard import ODOM_FRAME, round_steps
 
 _OLD_MAP, _OLD_BASE = "world", "/base"
 """Frame of the scene and end of a robot's frame in logs of version 1.0."""
@@ -57,10 +54,7 @@ def odometry_trees(
         frames, poses = _mounted(*_renamed(frames, poses))
         for robot, reckoned in odometry.items():
             frames, poses = _with_odometry(frames, poses, robot, _at(reckoned, group_ns))
-        yield (
-            group_ns,
-            TransformFrame(frames).messages(group_ns, np.rint(poses * _STEPS_PER_UNIT) / _STEPS_PER_UNIT),
-        )
+        yield group_ns, TransformFrame(frames).messages(group_ns, round_steps(poses))
 
 
 def _renamed(frames: Frames, poses: Floats) -> tuple[Frames, Floats]:

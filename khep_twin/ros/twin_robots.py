@@ -12,16 +12,15 @@ from khep_twin.errors import PortError
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.lab.experiment.multi_robot import drive_together
 from khep_twin.log.cdr import encode
-from khep_twin.log.qos import CLOCK
+from khep_twin.log.qos import qos_of
 from khep_twin.ports.protocol_khep import open_url, parse_url
 from khep_twin.ports.twin import Twin, equip_playpen, open_twin
 from khep_twin.ros.graph import Node
+from khep_twin.ros.standard import CLOCK
 from khep_twin.ros.standard_output import StandardOutput
 from khep_twin.ros.twin_services import TwinServices
 from khep_twin.ros.twin_time import TwinTime
 from khep_twin.sensing.calibration import read_for
-
-_CLOCK = "rosgraph_msgs/msg/Clock"
 
 
 class TwinRobots:
@@ -53,7 +52,7 @@ class TwinRobots:
             name: self.world.playpen.robots[number].robot_model.title
             for name, number in self._numbers.items()
         }
-        clock = next(iter(nodes.values())).publisher("/clock", _CLOCK, CLOCK)
+        clock = next(iter(nodes.values())).publisher("/clock", CLOCK, qos_of("/clock"))
         if not isinf(speed):
             # Loading compiled code later would stop the time for half a second.
             self.world.code.switch_step = None
@@ -61,7 +60,7 @@ class TwinRobots:
             self.world,
             speed,
             None if step is None else to_ns(step),
-            lambda time_ns: clock.send(encode(_CLOCK, {"clock": time_ns})),
+            lambda time_ns: clock.send(encode(CLOCK, {"clock": time_ns})),
         )
 
     def __enter__(self) -> Self:

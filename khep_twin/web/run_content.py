@@ -9,7 +9,6 @@ show the exact values. A log without poses, of a real robot, has curves and its 
 # pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
 
 import gc
-import math
 import shlex
 from collections import ChainMap
 from collections.abc import Iterable, Mapping
@@ -27,6 +26,7 @@ from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.log.attached import calibration_of, compile_shapes, playpen_of
 from khep_twin.log.channels import LINES, TRANSFORMS, TextLine
 from khep_twin.log.decoding import DecodeError, body_of
+from khep_twin.log.description import led_positions
 from khep_twin.log.entries import Entry, Label
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.messages import NUMERIC_DECODERS, Messages
@@ -35,6 +35,8 @@ from khep_twin.log.robot_models import models_of
 from khep_twin.log.shadow_channels import ALARMS, REGION_SIGMAS, STATE, STATE_COLOURS, is_shadow
 from khep_twin.log.shadow_track import read_shadow
 from khep_twin.log.transforms import read_frames, relative, world_poses
+from khep_twin.log.viewer.thinning import sample_interval_ns
+from khep_twin.observers import SAMPLE_NS
 from khep_twin.playpen import Playpen
 from khep_twin.robots.model import RobotModel, robot_name
 from khep_twin.sensing import colours
@@ -44,9 +46,6 @@ from khep_twin.web.packing import Series, pack, thin
 from khep_twin.web.robot_shape import robot_shape
 from khep_twin.web.run_scene import describe_replay
 from khep_twin.web.scene import start_parts
-
-_SAMPLE_NS = 20_000_000
-"""Interval of a run's samples in its log [ns]."""
 
 _MAX_SAMPLES = 400_000
 """Maximum number of samples of a page, over all robots."""
@@ -96,11 +95,10 @@ class RunContent:
         self._texts: dict[str, list[str]] = {robot: [] for robot in label.robots}
         self._touching: dict[str, list[tuple[NDArray[np.int64], NDArray[np.bool_]]]] = {}
         duration_ns = self._end_ns * len(label.robots)
-        factor = math.ceil(duration_ns / (_MAX_SAMPLES * _SAMPLE_NS) - 0.01)
-        self._interval_ns = factor * _SAMPLE_NS if factor > 1 else 0
+        self._interval_ns = sample_interval_ns(duration_ns, _MAX_SAMPLES)
         # A robot that is polled as fast as the line allows has a hundred lines per second.
         line_ns = 2 * duration_ns // _MAX_LINES
-        self._line_ns = line_ns if line_ns > _SAMPLE_NS else 0
+        self._line_ns = line_ns if line_ns > SAMPLE_NS else 0
         # Searches for unreachable objects among millions of messages would take a fifth of the time.
         is_collecting = gc.isenabled()
         gc.disable()
@@ -281,13 +279,7 @@ class RunContent:
         if self._playpen is None or self._scene is None:
             return robot
         entries = {robot_name(index): entry for index, entry in enumerate(self._playpen.robots)}
-        sites = [self._model.site(index) for index in range(self._model.nsite)]
-        lights = {self._model.body(index).name for index in range(self._model.nbody)}
-        leds = [
-            (1e3 * site.pos[:2]).round(2).tolist()
-            for site in sites
-            if site.name.startswith(f"{name}/") and f"{site.name}_light" in lights
-        ]
+        leds = (1e3 * led_positions(self._model, name)[:, :2]).round(2).tolist()
         return {**robot, "leds_mm": leds, "turrets": entries[name].turrets if name in entries else ()}
 
     def _turrets(self) -> dict[str, object]:

@@ -19,7 +19,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import part_file
 from khep_twin.files.paths import StrPath
 from khep_twin.log.decoding import read_errors
-from khep_twin.log.mcap_recovery import Progress
+from khep_twin.log.mcap_recovery import Progress, partial_progress
 from khep_twin.log.run_names import distinct_names
 from khep_twin.web.run_content import RunContent
 
@@ -50,7 +50,7 @@ class RunPage:
         names = distinct_names(paths)
         nodes: list[str] = []
         for index, (path, name) in enumerate(zip(paths, names, strict=True)):
-            packed = RunContent(path, name, _part(progress, index, len(paths))).pack()
+            packed = RunContent(path, name, partial_progress(progress, index, len(paths))).pack()
             nodes.append(_data_node("packed", packed, path))
         if with_log:
             for path in paths:
@@ -88,11 +88,6 @@ class RunPage:
         sandbox = "allow-scripts allow-downloads"
         style = "width: 100%; height: 640px; border: 0"
         return f'<iframe sandbox="{sandbox}" style="{style}" srcdoc="{escape(self.html)}"></iframe>'
-
-
-def _part(progress: Progress, index: int, count: int) -> Progress:
-    """Return a function that takes the progress of one of `count` logs."""
-    return None if progress is None else lambda share: progress((index + share) / count)
 
 
 def _data_node(kind: str, data: bytes, path: Path) -> str:

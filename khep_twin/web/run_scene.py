@@ -9,11 +9,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from khep_twin.log.foxglove_scene import compose
 from khep_twin.web.scene import DrawnScene
-
-Floats = NDArray[np.float64]
 
 
 def describe_replay(model: mujoco.MjModel, frames: Collection[str]) -> dict[str, Any]:
@@ -34,11 +32,11 @@ def describe_replay(model: mujoco.MjModel, frames: Collection[str]) -> dict[str,
         body = parent = model.body(names[shape["body"]]).id
         while parent and model.body(parent).name not in moving:
             parent = model.body_parentid[parent]
-        pose = np.array(shape["pose"])
-        pose = _multiply((data.xpos[body], data.xquat[body]), (pose[:3], pose[3:]))
+        local = np.array(shape["pose"])
+        pose = compose(data.xpos[body], data.xquat[body], local[:3], local[3:])
         inverse = np.zeros(3), np.zeros(4)
         mujoco.mju_negPose(*inverse, data.xpos[parent], data.xquat[parent])
-        shape["pose"] = np.concatenate(_multiply(inverse, pose)).round(5).tolist()
+        shape["pose"] = np.concatenate(compose(*inverse, *pose)).round(5).tolist()
         shape["body"] = names.index(model.body(parent).name) if parent else None
     for shape in scene["shapes"]:
         shape["body"] = None if shape["body"] is None else moving.index(names[shape["body"]])
@@ -57,9 +55,3 @@ def _is_wheel(model: mujoco.MjModel, body: int) -> bool:
     joint = model.body_jntadr[body]
     is_hinge = model.body_jntnum[body] == 1 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
     return bool(is_hinge and not model.jnt_limited[joint])
-
-
-def _multiply(outer: tuple[Floats, Floats], inner: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-    result = np.zeros(3), np.zeros(4)
-    mujoco.mju_mulPose(*result, *outer, *inner)
-    return result

@@ -84,7 +84,7 @@ def twin_at_terminal(playpen: str) -> Iterator[str]:
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for the replies of robots in other threads; a late reply warns, which ends the drive in tests."""
-    monkeypatch.setattr("khep_twin.ros.fleet._TIMEOUT", LIMIT)
+    monkeypatch.setattr("khep_twin.ros.fleet.TIMEOUT", LIMIT)
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from khep_twin.drawing.light_map import illumination
 from khep_twin.errors import LogError
 from khep_twin.log.attached import compile_shapes, playpen_of
 from khep_twin.log.channels import BASE_FRAME, MAP
+from khep_twin.log.description import led_positions
 from khep_twin.log.reader import Label
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.viewer.collected import Collector, Poses, Samples, time_column
@@ -97,11 +98,7 @@ class Rays:
 
     def led_positions(self, robot: str) -> Floats:
         """Return the positions of a robot's LEDs in its frame (n, 3) [m]."""
-        model = self._model
-        bodies = {model.body(index).name for index in range(model.nbody)}
-        sites = [model.site(index) for index in range(model.nsite)]
-        is_led = [site.name.startswith(f"{robot}/") and f"{site.name}_light" in bodies for site in sites]
-        return model.site_pos[is_led]
+        return led_positions(self._model, robot)
 
     def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the ends of rays in the robot's frame (n, sensors, rays, 3) [m], and a mask of the hits."""

@@ -24,7 +24,7 @@ from khep_twin.files.atomic import is_same, part_file
 from khep_twin.files.text import escape_surrogates
 from khep_twin.log.attached import compile_shapes, playpen_of
 from khep_twin.log.channels import MAP
-from khep_twin.log.mcap_recovery import Progress
+from khep_twin.log.mcap_recovery import Progress, partial_progress
 from khep_twin.log.reader import Label, read_end_ns, read_message_batches
 from khep_twin.log.robot_models import models_of
 from khep_twin.log.run_names import distinct_names
@@ -153,7 +153,7 @@ def _save(paths: Sequence[Path], save: Path, bar: ProgressBar, replace: bool = T
     count = 2 * len(paths)
     try:
         with bar() as progress, tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-            parts = [_partial_progress(progress, number, count) for number in range(count)]
+            parts = [partial_progress(progress, number, count) for number in range(count)]
             copies = [Path(folder) / f"{number}.mcap" for number in range(len(paths))]
             labels = [_check_and_copy(*row) for row in zip(paths, copies, parts, strict=False)]
             recording = _encode_recording(paths, copies, labels, parts[len(paths) :])
@@ -161,11 +161,6 @@ def _save(paths: Sequence[Path], save: Path, bar: ProgressBar, replace: bool = T
             file.write(recording)
     except OSError as error:
         raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error
-
-
-def _partial_progress(progress: Progress, index: int, count: int) -> Progress:
-    """Return a function that takes the progress of one of `count` parts."""
-    return None if progress is None else lambda share: progress((index + share) / count)
 
 
 def _encode_recording(

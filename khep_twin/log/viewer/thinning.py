@@ -16,12 +16,10 @@ from khep_twin.log.batch_writer import BatchWriter, Sink
 from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
 from khep_twin.log.shadow_channels import LINE_TOPICS
+from khep_twin.observers import SAMPLE_NS
 
 MAX_SAMPLES = 180_000
 """Maximum number of shown samples of a channel: an hour at 50 Hz."""
-
-_SAMPLE_NS = 20_000_000
-"""Interval of a run's samples in its log [ns]."""
 
 _N_LINES = 2
 """Lines of the transcript per interval of a thinned log: a command and its reply."""
@@ -32,9 +30,14 @@ _UNTHINNED = ("/events", *LINE_TOPICS)
 
 def thinning_interval_ns(end_ns: int) -> int:
     """Return the interval of the shown samples of a log that ends at a time [ns]; 0 for all."""
+    return sample_interval_ns(end_ns, MAX_SAMPLES)
+
+
+def sample_interval_ns(end_ns: int, max_samples: int) -> int:
+    """Return the interval of at most so many samples up to a time [ns]; 0 for all."""
     # A run of an hour ends slightly later.
-    factor = math.ceil(end_ns / (MAX_SAMPLES * _SAMPLE_NS) - 0.01)
-    return factor * _SAMPLE_NS if factor > 1 else 0
+    factor = math.ceil(end_ns / (max_samples * SAMPLE_NS) - 0.01)
+    return factor * SAMPLE_NS if factor > 1 else 0
 
 
 @dataclass(slots=True)
