@@ -8,9 +8,11 @@ def main() -> None:
     # Until the commands are imported, Ctrl-C ends the process without a traceback.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     from khep_twin.cli.streams import check_descriptors, guard_streams
+    from khep_twin.process.machine import name_glfw
 
     guard_streams()
     check_descriptors()
+    name_glfw()
     from khep_twin.cli.app import main as run
 
     run()

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,13 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.playpen import Playpen
+from khep_twin.process.machine import name_glfw
 
 # What a card would run, numba's simulator of CUDA runs: before anything imports numba.
 os.environ["NUMBA_ENABLE_CUDASIM"] = "1"
+
+# The many processes of the suite start faster.
+name_glfw()
 
 # Machines are as slow as they are: no example fails for the time that it takes.
 hypothesis.settings.register_profile("patient", deadline=None)
@@ -97,6 +102,18 @@ def pytest_xdist_node_collection_finished(node: Any) -> None:
     """Wait for that before tests are handed out."""
     for process in node.config.stash.get(_COMPILATIONS, []):
         process.wait()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the cases of a test long, except for every nth, the argument of its marker `share`."""
+    n_cases = Counter[str]()
+    for item in items:
+        if share := item.get_closest_marker("share"):
+            name = item.nodeid.partition("[")[0]
+            if n_cases[name] % share.args[0]:
+                item.add_marker(pytest.mark.long)
+            n_cases[name] += 1
 
 
 def pytest_collection_finish() -> None:

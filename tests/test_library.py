@@ -1,7 +1,6 @@
 """The shipped playpens: each runs the Braitenberg controller for a while, and has a description."""
 
 import pytest
-from shares import share
 
 from khep_twin import playpen as playpens
 from khep_twin.files.toml_files import folder
@@ -43,8 +42,9 @@ def test_these_playpens_ship() -> None:
     assert playpens.names() == [*ARENAS, *NAMES]
 
 
+@pytest.mark.share(4)
 @pytest.mark.parametrize("seconds", [3, pytest.param(30, marks=pytest.mark.long)])
-@pytest.mark.parametrize("name", share(NAMES, 2))
+@pytest.mark.parametrize("name", NAMES)
 def test_a_braitenberg_vehicle_drives_without_a_warning(name: str, seconds: int) -> None:
     twin = open_twin(name, TwinOptions(seed=1))
     with Khepera(Serial.of(twin, timeout=1.0)) as robot:

@@ -122,6 +122,7 @@ def served(*arguments: str) -> Generator[str]:
     assert process.returncode == 0
 
 
+@pytest.mark.long
 def test_every_module_but_those_of_terminals_is_imported() -> None:
     process = run(
         "import pkgutil, khep_twin\n"

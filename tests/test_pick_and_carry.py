@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 import serial
-from shares import share
 
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
 
@@ -45,7 +44,8 @@ def truth(host: Host) -> tuple[np.ndarray, float]:
     return body.xpos.copy(), float(body.xmat[8])
 
 
-@pytest.mark.parametrize("seed", share([1, 2, 3], 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_cylinder_is_found_picked_up_carried_and_put_down(seed: int) -> None:
     host = Host(f"khep://gripper?seed={seed}")
     start = truth(host)[0]

@@ -6,7 +6,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from shares import share
 
 from khep_twin import playpen, units
 from khep_twin.board.kernel import PROXIMITY
@@ -88,7 +87,8 @@ def test_the_sensors_sit_and_look_as_the_constants_say(robot: mujoco.MjModel) ->
         assert axis == pytest.approx((math.cos(heading), math.sin(heading), 0), abs=1e-9)
 
 
-@pytest.mark.parametrize("minutes", share([2, 10], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("minutes", [2, 10])
 def test_the_rangefinders_take_turns_for_minutes(minutes: int) -> None:
     spec = mujoco.MjSpec.from_file(str(ASSETS / "khepera.xml"))
     spec.option.gravity = [0, 0, 0]

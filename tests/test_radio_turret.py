@@ -116,6 +116,7 @@ def talk(world: World, until_ms: int) -> None:
         world.advance_to(world.time_ns + 20 * MS)
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("compiled", [False, True])
 def test_a_world_goes_on_bit_for_bit_from_a_snapshot_with_a_message_in_the_air(compiled: bool) -> None:
     world = World(LOSSY, seed=4, compiled=compiled)

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shares import share
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, DEMO_SPEED_PULSES, DEMO_WEIGHTS, PROXIMITY
@@ -51,7 +50,8 @@ def test_a_robot_never_sees_its_own_wheels(tmp_path: Path, radius_mm: float, bas
 HALF_SCALE_MM = [23.8, 23.8, 22.5, 19.3, 25.2, 27.6, 22.5, 26.9]
 
 
-@pytest.mark.parametrize("off_deg", share([18, 180], 2))
+@pytest.mark.share(4)
+@pytest.mark.parametrize("off_deg", [18, 180])
 @pytest.mark.parametrize("sensor", range(8))
 def test_half_scale_before_a_wall_is_where_the_sampled_robot_has_it(sensor: int, off_deg: int) -> None:
     # Taken at the bearing where the sensor sees the wall best, which is about its own.

@@ -11,7 +11,6 @@ from urllib.parse import parse_qsl, urlsplit
 import pytest
 import serial
 from served_twin import served
-from shares import share
 
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
 
@@ -81,11 +80,14 @@ def play(transcript: Path, port: Any) -> None:
 
 
 CASES = [(in_process, transcript) for transcript in TRANSCRIPTS]
+LONG_CASES = [
+    pytest.param(behind_a_pty, transcript, marks=pytest.mark.long) for transcript in TRANSCRIPTS[1::2]
+]
 
 
 @pytest.mark.parametrize(
     ("way_in", "transcript"),
-    CASES + share([(behind_a_pty, transcript) for transcript in TRANSCRIPTS], 2),
+    [*CASES, *((behind_a_pty, transcript) for transcript in TRANSCRIPTS[::2]), *LONG_CASES],
     ids=lambda parameter: getattr(parameter, "stem", "") or parameter.__name__,
 )
 def test_what_is_said_is_what_is_written(transcript: Path, way_in: Any) -> None:

@@ -127,6 +127,7 @@ def test_a_robot_pushes_with_its_tyres_friction(model: str) -> None:
     assert 0.8 < contact_forces["shell"] / (TYRE_FRICTION * weight) < 1.03
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     ("speed", "heading_deg"), [(2, 0), (5, 0), (10, 0), (20, 0), (40, 0), (10, 30), (20, 45), (40, 60)]
 )

@@ -6,7 +6,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from notes import Events
-from shares import share
 
 from checks.branches import LAMPS, PUSHED, ROBOTS, arena, drive
 from khep_twin.board.fault_injection import Fault, parse_fault
@@ -64,7 +63,8 @@ CASES: dict[str, Case] = {
 }
 
 
-@pytest.mark.parametrize("case", share(CASES, 2))
+@pytest.mark.share(4)
+@pytest.mark.parametrize("case", CASES)
 def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
     scene, options = CASES[case]
     rng = np.random.default_rng(zlib.crc32(case.encode()))
@@ -145,7 +145,8 @@ def test_a_snapshot_of_another_scene_is_refused_and_changes_nothing() -> None:
         assert world.snapshot() == before
 
 
-@pytest.mark.parametrize("count", share([100, 300], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("count", [100, 300])
 def test_a_damaged_snapshot_gives_one_line(count: int) -> None:
     world = World(arena(PUSHED, turrets=("gripper",)), compiled=False)
     world.advance_to(500_000_000)

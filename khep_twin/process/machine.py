@@ -4,6 +4,7 @@ Modules that a system lacks are None here. Linux is tested, macOS and Windows ar
 """
 
 import errno
+import importlib.util
 import os
 import queue
 import select
@@ -53,6 +54,21 @@ _forks: list[int] = []
 """Process ids of the forks that led to this process since this module was imported."""
 if sys.platform != "win32":
     os.register_at_fork(after_in_child=lambda: _forks.append(os.getpid()))
+
+
+def name_glfw() -> None:
+    """Name the library of GLFW on Linux, unless the user does.
+
+    Otherwise its Python package, which mujoco imports, starts a process to read the library's version. A
+    process takes 0.1 s.
+    """
+    package = importlib.util.find_spec("glfw") if sys.platform == "linux" else None
+    if package is None or package.origin is None or os.environ.get("PYGLFW_LIBRARY_VARIANT"):
+        return
+    variant = "wayland" if os.environ.get("XDG_SESSION_TYPE") == "wayland" else "x11"
+    path = Path(package.origin).parent / variant / "libglfw.so"
+    if path.exists():
+        os.environ.setdefault("PYGLFW_LIBRARY", str(path))
 
 
 def n_forks() -> int:

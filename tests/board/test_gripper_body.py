@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import scenes
 from scenes import arena, table
-from shares import share
 
 from khep_twin import playpen as playpens
 from khep_twin.board.gripper_body import GAP_CLOSED, GAP_OPEN, SERIES_RESISTANCE, resistivity
@@ -127,7 +126,8 @@ def test_resistivity_halves_at_the_series_resistance() -> None:
     assert [resistivity(g) for g in (0, 1 / SERIES_RESISTANCE, 1.0)] == [255, 128, 0]
 
 
-@pytest.mark.parametrize("seconds", share([10, 60], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("seconds", [10, 60])
 def test_what_is_gripped_stays_gripped(pair: tuple[Khepera, World], seconds: int) -> None:
     robot, world = pair
     gripper = grip(robot)
@@ -191,7 +191,8 @@ def test_the_sensors_rays_meet_lowered_fingers_and_not_a_raised_hand() -> None:
         assert max(robot.proximity()) == 0
 
 
-@pytest.mark.parametrize("seconds", share([3, 15], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("seconds", [3, 15])
 def test_a_hand_touches_walls_and_other_robots(seconds: int) -> None:
     first, second = scenes.robot(100, 200, turrets=["gripper"]), scenes.robot(200, 200)
     two = playpens.parse(arena(400, 400) + first + second, "two.toml")

@@ -76,6 +76,7 @@ def test_a_seed_draws_the_same_mutants_and_another_seed_others(tmp_path: Path) -
     assert len(draw(tree, 1, 1000)) == 2 * len(mutants_of("one.py", SOURCE))
 
 
+@pytest.mark.long
 def test_survivors_are_shown_by_line_and_diff(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tree = make_tree(tmp_path / "tree", __init__="", area=AREA)
     options = argparse.Namespace(seed=1, count=1000, jobs=1, record=False)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 from forked import Forked
-from shares import share
 
 from checks.signals import KINDS, end_command
 from khep_twin.errors import StoppedError
@@ -98,18 +97,16 @@ def script(text: str) -> list[str]:
     return [sys.executable, "-c", textwrap.dedent(head) + textwrap.dedent(text)]
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     ("how", "number"),
-    share(
-        [
-            ("loops", signal.SIGINT),
-            ("sleeps", signal.SIGTERM),
-            ("moves on", signal.SIGHUP),
-            ("asks on", signal.SIGINT),
-            ("waits in C", signal.SIGTERM),
-        ],
-        2,
-    ),
+    [
+        ("loops", signal.SIGINT),
+        ("sleeps", signal.SIGTERM),
+        ("moves on", signal.SIGHUP),
+        ("asks on", signal.SIGINT),
+        ("waits in C", signal.SIGTERM),
+    ],
 )
 def test_a_second_signal_ends_a_run_whose_controller_never_returns(
     how: str, number: signal.Signals, tmp_path: Path
@@ -283,7 +280,8 @@ def test_a_robot_that_is_held_stands_and_is_not_moved_any_more() -> None:
         robot.set_speed(0, 0)
 
 
-@pytest.mark.parametrize("name", share([name for name in KINDS if "hangs" not in name], 6))
+@pytest.mark.share(12)
+@pytest.mark.parametrize("name", [name for name in KINDS if "hangs" not in name])
 def test_a_command_that_is_ended_at_a_random_moment_leaves_nothing_behind(name: str) -> None:
     problems = end_command(name, 4, has_started=True)
     # How long it takes on a busy machine is for `python -m checks signals` to say.

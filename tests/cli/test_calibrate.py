@@ -10,7 +10,6 @@ import pytest
 from command_line import complaint, good
 from forked import Forked, run_python
 from served_twin import served
-from shares import share
 
 from khep_twin.files.toml_files import dump
 from khep_twin.sensing import calibration
@@ -36,7 +35,8 @@ def hidden(folder: Path) -> calibration.Calibration:
     return calibrated
 
 
-@pytest.mark.parametrize(("walls_mm", "duty_s"), share([((12, 26), 0.4), ((12, 20, 26), 0.75)], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize(("walls_mm", "duty_s"), [((12, 26), 0.4), ((12, 20, 26), 0.75)])
 def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(
     walls_mm: tuple[int, ...], duty_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,6 @@ from command_line import complaint, good, khep_twin
 from forked import Forked, run_python
 from scipy.io import loadmat
 from served_twin import served
-from shares import share
 
 from khep_twin.files import toml_files
 from khep_twin.log.reader import read_log
@@ -105,16 +104,14 @@ def test_in_real_time_it_comes_out_the_same_up_to_timing(tmp_path: Path) -> None
     assert all(float(b["duration_s"]) > 0.9 * float(a["duration_s"]) for a, b in zip(one, other, strict=True))
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     ("script", "options"),
-    share(
-        [
-            (PLAIN, ("--start", "grid:3x1", "--start", "playpen")),
-            (LEARNS, ()),
-            (LEARNS, ("--start", "random")),
-        ],
-        3,
-    ),
+    [
+        (PLAIN, ("--start", "grid:3x1", "--start", "playpen")),
+        (LEARNS, ()),
+        (LEARNS, ("--start", "random")),
+    ],
 )
 def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
     script: str, options: Sequence[str], tmp_path: Path
@@ -499,6 +496,7 @@ def after(run):
 """
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     ("text", "message"),
     [

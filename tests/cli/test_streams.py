@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from shares import share
 from typer.testing import CliRunner
 
 from khep_twin import playpen
@@ -85,10 +84,9 @@ def run(words: str, folder: Path, output: str, errors: str = "pipe") -> tuple[in
         return process.returncode, error_text or ""
 
 
+@pytest.mark.share(4)
 @full
-@pytest.mark.parametrize(
-    "words", share(["playpen list", "--help", "playpen compile default", "run --help"], 2)
-)
+@pytest.mark.parametrize("words", ["playpen list", "--help", "playpen compile default", "run --help"])
 def test_output_that_is_full_is_one_line(words: str, tmp_path: Path) -> None:
     assert run(words, tmp_path, "full") == (1, FULL)
 
@@ -113,7 +111,8 @@ def test_a_run_that_cannot_print_keeps_its_log_and_its_picture(
     assert not [*tmp_path.glob("*.part")]
 
 
-@pytest.mark.parametrize("change", share(["sys.stdout.close()", "sys.stdout = None", "sys.stderr = None"], 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize("change", ["sys.stdout.close()", "sys.stdout = None", "sys.stderr = None"])
 def test_a_program_may_put_anything_in_a_streams_place(change: str, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(f"import sys\n\ndef after(run):\n    {change}\n")
     words = "run braitenberg --cycles 3 --on-run-end mine.py --log run.mcap"
@@ -127,16 +126,16 @@ def test_a_series_whose_reader_has_gone_ends_after_its_run(tmp_path: Path) -> No
     assert len((tmp_path / "series" / "runs.csv").read_text().splitlines()) == 2
 
 
-@pytest.mark.parametrize("errors", share(["closed", "full", "unread"], 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize("errors", ["closed", "full", "unread"])
 def test_trouble_that_cannot_be_reported_is_in_the_exit_code(errors: str, tmp_path: Path) -> None:
     assert run("run nobody.py", tmp_path, "pipe", errors) == (1, "")
     assert run("run --seconds -1", tmp_path, "pipe", errors) == (2, "")
     assert run("playpen list", tmp_path, "pipe", errors) == (0, "")
 
 
-@pytest.mark.parametrize(
-    ("output", "code"), share([("closed", 1), ("full", 1), ("unread", 128 + signal.SIGPIPE)], 3)
-)
+@pytest.mark.share(3)
+@pytest.mark.parametrize(("output", "code"), [("closed", 1), ("full", 1), ("unread", 128 + signal.SIGPIPE)])
 def test_a_server_that_cannot_print_its_path_serves_all_the_same(
     output: str, code: int, tmp_path: Path
 ) -> None:

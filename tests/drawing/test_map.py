@@ -17,7 +17,6 @@ from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
-from shares import share
 
 from khep_twin import playpen as playpens
 from khep_twin.drawing.map import POINT_LIMIT, draw, save
@@ -273,7 +272,8 @@ def test_a_track_is_finite_and_has_a_place_for_every_time(time_s: list[float], x
         DrawnPath("khepera0", np.array(time_s, float), np.array(xy_mm, float))
 
 
-@pytest.mark.parametrize("name", share(playpens.names(), 3))
+@pytest.mark.share(6)
+@pytest.mark.parametrize("name", playpens.names())
 def test_every_shipped_playpen_can_be_drawn(tmp_path: Path, name: str) -> None:
     file = tmp_path / f"{name}.png"
     save(draw(Playpen.load(name)), file)
@@ -286,6 +286,7 @@ def test_the_longest_arenas_can_be_drawn(tmp_path: Path, size: str) -> None:
     save(draw(playpens.parse(text, "long.toml")), tmp_path / "long.png")
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_the_same_arguments_give_the_same_bytes_whatever_matplotlib_is_set_to(
     tmp_path: Path, suffix: str

@@ -152,6 +152,7 @@ def test_on_macos_the_viewer_without_mjpython_is_refused_in_one_line(monkeypatch
     assert len(str(error.value).splitlines()) == 1
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("words", [["run"], ["serve"]])
 def test_without_a_screen_one_line_says_what_is_expected(words: list[str], tmp_path: Path) -> None:
     environment = {key: text for key, text in os.environ.items() if "DISPLAY" not in key}

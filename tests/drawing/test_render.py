@@ -54,6 +54,7 @@ def test_the_floor_has_a_shadow_beside_a_block_and_lines() -> None:
     assert max(max(colour) for colour in colours) < 250
 
 
+@pytest.mark.long
 def test_where_a_library_does_not_render_the_next_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
     floor = render_pixels("")
     monkeypatch.delenv("DISPLAY", raising=False)

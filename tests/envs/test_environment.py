@@ -316,6 +316,7 @@ def test_many_compiled_are_the_same_as_in_plain_python() -> None:
     plain.close()
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_what_follows_an_episode_of_many_is_as_gymnasium_has_it(mode: str) -> None:
     # A charge that runs out terminates an episode; the time limit truncates another one.

@@ -72,6 +72,7 @@ def drive_away(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[f
     return 10 - proximity[3] / 100, 10 - proximity[2] / 100
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_policy_for_many_robots_drives_like_a_function_for_each(compiled: bool) -> None:
     def decide_all(proximity: Any, ambient: Any, which: Any) -> Any:
@@ -83,6 +84,7 @@ def test_a_policy_for_many_robots_drives_like_a_function_for_each(compiled: bool
     assert are_equal(by_function, rollout(SCENE, Policy(decide_all), range(N), SECONDS, **options))
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_failed_episode_is_reported_by_seed_and_step_and_affects_no_other(compiled: bool) -> None:
     genes = np.array([[5.0, 1.0], [5.0, 0.0], [5.0, 2.0]])
@@ -169,6 +171,7 @@ def read_beyond(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[
     return memory[len(memory)], 1.0
 
 
+@pytest.mark.share(2)
 @with_numba
 @pytest.mark.parametrize("njit", [False, True])
 def test_a_function_that_reads_beyond_its_arrays_fails(njit: bool) -> None:

@@ -74,6 +74,7 @@ def compare(setup: EpisodeSetup, driver: Driver, seconds: float = PERIODS, **opt
     return results
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(("number", "term", "code"), [(4, "gyroscope", 250), (3, "ground", 0)])
 def test_further_readings_of_further_models_on_a_gpu_equal_those_on_the_cpu(
     number: int, term: str, code: int
@@ -151,6 +152,7 @@ def test_more_episodes_than_fill_a_gpu_run_in_bounded_batches(monkeypatch: pytes
     compare(planar("default"), NETWORK, genes=GENES)
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_environments_on_a_gpu_equal_those_on_the_cpu(mode: str) -> None:
     def steps(device: str) -> list[Any]:

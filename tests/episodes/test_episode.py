@@ -62,6 +62,7 @@ def episode_of(
     return episode
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize(
     ("scene", "options"),
@@ -245,12 +246,14 @@ def steer(proximity: Any, ambient: Any, memory: Any, genes: Any) -> tuple[float,
     return genes[0] + memory[0], -200.0 + ambient[0] * 0 + proximity[0] * 0
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_function_has_memory_and_genes_and_its_speeds_are_clipped_as_by_the_board(compiled: bool) -> None:
     episode = episode_of(arena(), 0.1, compiled, Function(steer, n_memory=1), genes=[2.5])
     assert episode.registers[SETPOINTS].tolist() == [round(2.5 + 5), -127]
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_controller_whose_speed_is_not_finite_ends_its_episode(compiled: bool) -> None:
     episode = Episode(
@@ -375,6 +378,7 @@ heading_deg = -20
 """
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize(
     ("scene", "faults"),

@@ -45,6 +45,7 @@ def assert_equal_to_single(setup: EpisodeSetup, batch: EpisodeBatch, n_steps: in
         assert batch.poses[index, 0] == pytest.approx(single.pose, abs=1e-12)
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize("planar", [False, True])

@@ -64,6 +64,7 @@ def without_light(
     return 12 - turn, 9 + turn
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize(("baud", "requests"), LINES)
 def test_a_function_at_a_line_drives_like_a_host(baud: int, requests: str, compiled: bool) -> None:
@@ -76,6 +77,7 @@ def test_a_function_at_a_line_drives_like_a_host(baud: int, requests: str, compi
     assert episode.metrics()["obstacle_avoidance"] == pytest.approx(fitness, rel=1e-12)
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("line", [9600, 38400, MeasuredCycle(0.013, 0.03)])

@@ -105,6 +105,7 @@ PUSHED = {
 }
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("case", PUSHED)
 def test_pushing_in_the_plane_is_similar_to_that_in_mujoco(case: str) -> None:
     ends = []

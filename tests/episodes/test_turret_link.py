@@ -62,6 +62,7 @@ def by_the_line() -> World:
     return world
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_function_grips_as_a_host_does(compiled: bool) -> None:
     world = by_the_line()

@@ -7,7 +7,6 @@ import pytest
 from forked import Forked, run_python
 from serial.tools import list_ports
 from served_twin import LISTS_PORTS, served
-from shares import share
 
 from khep_twin.cli import completion
 from khep_twin.errors import PortInUse, PortTimeout
@@ -62,8 +61,9 @@ def test_the_command_lists_and_asks() -> None:
         )
 
 
+@pytest.mark.share(3)
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
-@pytest.mark.parametrize("options", share(["", "--tcp :0", "--rfc2217 :0"], 3))
+@pytest.mark.parametrize("options", ["", "--tcp :0", "--rfc2217 :0"])
 def test_asking_leaves_a_running_session_undisturbed(options: str) -> None:
     command = [*LISTS_PORTS, "--probe"]
     with served("default", *options.split()) as (process, url):

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 import pytest
 from hosts import answer_once
 from served_twin import served
-from shares import share
 
 from khep_twin.errors import PortError, ProtocolError
 from khep_twin.host import Khepera, Khepera4, Vector3
@@ -93,8 +92,9 @@ def test_a_robot_of_the_other_kind_is_named_at_a_twin_and_by_its_replies() -> No
         Khepera4("khep://default")
 
 
+@pytest.mark.share(3)
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")  # pyserial calls setDaemon
-@pytest.mark.parametrize("kind", share([[], ["--tcp", ":0"], ["--rfc2217", ":0"]], 3))
+@pytest.mark.parametrize("kind", [[], ["--tcp", ":0"], ["--rfc2217", ":0"]])
 def test_a_served_twin_answers_at_each_kind_of_port(kind: list[str]) -> None:
     with served("arena4", "--noise", "off", *kind) as (_, url):
         with Khepera4(url, 2.0) as robot:

@@ -4,7 +4,6 @@ import zlib
 
 import numpy as np
 import pytest
-from shares import share
 
 from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.log.recorded import BranchPoint
@@ -143,7 +142,8 @@ def test_a_physical_state_with_a_number_that_is_none_or_within_a_step_is_refused
     )
 
 
-@pytest.mark.parametrize("count", share([60, 400], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("count", [60, 400])
 def test_a_damaged_text_is_refused_in_one_line_or_the_run_continues(world: World, count: int) -> None:
     world.reset(seed=3)
     world.advance(0.3)

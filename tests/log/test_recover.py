@@ -19,7 +19,6 @@ from log_contents import messages_of
 from log_rewriting import rewritten
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, Writer
-from shares import share
 
 from khep_twin.errors import LogError
 from khep_twin.log.cdr import CDR_HEADER
@@ -79,7 +78,8 @@ def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: P
     assert recover(path).path == tmp_path / "run.recovered.2.mcap"
 
 
-@pytest.mark.parametrize("cuts", share([20, 300], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("cuts", [20, 300])
 def test_more_bytes_never_give_fewer_messages(cuts: int, tmp_path: Path, long_log: Path) -> None:
     data = long_log.read_bytes()
     points = [*sorted(random.Random(1).sample(range(len(data)), cuts)), len(data)]
@@ -107,7 +107,8 @@ def test_more_bytes_never_give_fewer_messages(cuts: int, tmp_path: Path, long_lo
     assert before[0] == len(originals)
 
 
-@pytest.mark.parametrize("flips", share([40, 300], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("flips", [40, 300])
 def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(flips: int, long_log: Path) -> None:
     data = long_log.read_bytes()
     originals = {(topic, message.log_time, message.data) for topic, message in messages_of(long_log)}

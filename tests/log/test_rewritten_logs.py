@@ -6,7 +6,6 @@ import pytest
 import scenes
 from command_line import good, khep_twin
 from log_rewriting import BARE, REWRITINGS, rewritten
-from shares import share
 
 from khep_twin import playpen
 from khep_twin.envs.tasks import find_task
@@ -72,7 +71,8 @@ def test_each_command_gives_the_same_of_a_rewritten_log(
     assert [name for name in expected if contents[name] != expected[name]] == []
 
 
-@pytest.mark.parametrize("how", share(REWRITINGS, 2))
+@pytest.mark.share(4)
+@pytest.mark.parametrize("how", REWRITINGS)
 def test_a_rewritten_log_is_read_as_the_original(how: str, original: Path, tmp_path: Path) -> None:
     log = rewritten(original, tmp_path / "run.mcap", **REWRITINGS[how])
     assert read(log) == read(original)

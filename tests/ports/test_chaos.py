@@ -13,7 +13,6 @@ import pytest
 import serial
 from forked import Forked
 from served_twin import KHEPERA, KHEPERA4, Dialect, ask, exchange, robots, served, stop
-from shares import share
 
 CONNECTS = int(os.environ.get("KHEP_OPENINGS", "60"))
 PAUSE = 0.02
@@ -139,9 +138,10 @@ def line(request: pytest.FixtureRequest) -> Iterator[tuple[str, Dialect]]:
         yield path, robot
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     "misdeed",
-    share([leave_cooked, leave_exclusive, two_at_once, flow_control, wrong_speed, rubbish, never_reads], 2),
+    [leave_cooked, leave_exclusive, two_at_once, flow_control, wrong_speed, rubbish, never_reads],
     ids=lambda misdeed: misdeed.__name__,
 )
 def test_a_second_later_the_next_host_gets_its_first_reply(

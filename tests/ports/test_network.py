@@ -211,6 +211,7 @@ def test_no_descriptor_is_left_open() -> None:
     assert len(os.listdir("/proc/self/fd")) == before
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize("clock", [[], ["--clock", "wire"], ["--speed", "max"]], ids=" ".join)
 def test_a_host_that_reads_gets_all_replies_to_a_burst_on_a_line_without_time(
     clock: Sequence[str],

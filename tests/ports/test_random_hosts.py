@@ -121,6 +121,7 @@ def picocom(path: str) -> None:
 TOOLS = [stty, shell_and_stty, cat_and_printf, socat, picocom]
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(("relayed", "robot"), robots("KHEP_OPENINGS", [False, True]))
 def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(
     relayed: bool, robot: Dialect

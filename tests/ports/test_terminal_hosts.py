@@ -10,7 +10,6 @@ import termios
 
 import pytest
 from forked import Forked
-from shares import share
 
 from khep_twin.ports import pty as pty_module
 from khep_twin.ports.host_writes import Change
@@ -234,7 +233,8 @@ def test_a_host_that_is_still_closing_has_left_when_the_next_one_comes(
         os.close(host)
 
 
-@pytest.mark.parametrize("rounds", share([300, 2000], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("rounds", [300, 2000])
 def test_random_openings_and_closings_are_followed(rounds: int, port: PtyPort) -> None:
     rng = random.Random(1)
     descriptors: list[int] = []

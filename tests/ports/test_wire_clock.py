@@ -8,7 +8,6 @@ import pytest
 import serial
 from forked import run_python
 from served_twin import ask, served
-from shares import share
 
 from khep_twin.log.reader import read_log
 
@@ -21,7 +20,8 @@ def drive(log: Path, cycles: int) -> None:
         assert run_python([sys.executable, str(EXAMPLE), path, str(cycles)], timeout=600).returncode == 0
 
 
-@pytest.mark.parametrize("cycles", share([150, 1000], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("cycles", [150, 1000])
 def test_an_unmodified_host_takes_the_time_of_its_bytes_and_twice_the_same(
     cycles: int, tmp_path: Path
 ) -> None:

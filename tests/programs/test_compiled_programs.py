@@ -230,6 +230,7 @@ def test_a_program_may_leave_a_handler_by_longjmp_and_close_all_descriptors(
     assert output_of(programs / "ends", capfd, how) == [line]
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(("how", "code", "left"), [("outlive", 4, 1), ("kill", -signal.SIGKILL, 3)])
 def test_a_run_ends_with_the_program_and_its_surviving_children(
     programs: Path, tmp_path: Path, how: str, code: int, left: int
@@ -243,6 +244,7 @@ def test_a_run_ends_with_the_program_and_its_surviving_children(
     assert (result.stdout, result.stderr) == (f"{code}\n", message * left)
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     ("how", "number", "output"),
     [

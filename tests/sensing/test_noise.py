@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shares import share
 
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.sensing.noise import check_scale, draws, key_words, philox, plain_tables, quantiles
@@ -35,7 +34,8 @@ def test_what_a_robot_without_any_noise_reads_is_smooth(target: str) -> None:
     assert max(differences(quiet, order) for order in ORDERS) < 5
 
 
-@pytest.mark.parametrize("target", share(["wall", "cylinder"], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("target", ["wall", "cylinder"])
 def test_the_rooms_light_runs_through_the_sensors_in_the_order_of_the_scan(target: str) -> None:
     room_ripple = ripple(in_the_room(target))
     assert room_ripple.period == pytest.approx(PERIOD, rel=0.03)

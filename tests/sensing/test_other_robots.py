@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from shares import share
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
@@ -80,7 +79,8 @@ def test_it_sees_the_one_that_it_passes_as_that_one_sees_it() -> None:
     assert offset == pytest.approx(offset_back, abs=0.003)
 
 
-@pytest.mark.parametrize("gaps_mm", share([[4, 8, 40], [4, 8, 40, 6, 12]], 2), ids=len)
+@pytest.mark.share(2)
+@pytest.mark.parametrize("gaps_mm", [[4, 8, 40], [4, 8, 40, 6, 12]], ids=len)
 def test_a_robot_is_seen_the_more_the_nearer_it_passes(gaps_mm: list[int]) -> None:
     peaks = [pass_by(250 + 55 + gap_mm)[1][:, 0, 0].max() for gap_mm in sorted(gaps_mm)]
     assert peaks == sorted(peaks, reverse=True)

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pytest
 from radio_scene import Air, Message, playpen_with_radios
-from shares import share
 
 from khep_twin.board.radio import CAPACITY, TRANSMISSIONS, RadioRegister
 from khep_twin.units import RADIO_ALL, TICK_NS, RadioStatus
@@ -55,7 +54,8 @@ def senders(arrived: Sequence[Message]) -> Iterator[tuple[int, list[int]]]:
         yield sender, numbers
 
 
-@pytest.mark.parametrize("count", share([1000, 10_000], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("count", [1000, 10_000])
 def test_each_message_is_delivered_at_most_once_and_in_the_order_of_its_sender(
     world: World, count: int
 ) -> None:
@@ -74,8 +74,9 @@ def test_each_message_is_delivered_at_most_once_and_in_the_order_of_its_sender(
     assert failed / count == pytest.approx(0.5**TRANSMISSIONS, abs=4 * (0.0625 * 0.9375 / count) ** 0.5)
 
 
+@pytest.mark.share(6)
 @pytest.mark.parametrize(
-    ("loss", "count"), share([(0.3, 500), *((loss, 2000) for loss in (0.0, 0.02, 0.3, 0.9, 1.0))], 6)
+    ("loss", "count"), [(0.3, 500), *((loss, 2000) for loss in (0.0, 0.02, 0.3, 0.9, 1.0))]
 )
 def test_a_transmission_is_lost_to_each_receiver_as_often_as_the_playpen_has_it(
     world: World, loss: float, count: int
@@ -93,7 +94,8 @@ def test_a_transmission_is_lost_to_each_receiver_as_often_as_the_playpen_has_it(
         assert received_by_both == pytest.approx((1 - loss) ** 2, abs=4 * (0.25 / sent[1]) ** 0.5)
 
 
-@pytest.mark.parametrize("count", share([100, 300], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("count", [100, 300])
 def test_the_same_seed_gives_the_same_registers_and_another_seed_others(world: World, count: int) -> None:
     outcomes = []
     for seed in (7, 7, 8):
@@ -104,7 +106,8 @@ def test_the_same_seed_gives_the_same_registers_and_another_seed_others(world: W
     assert outcomes[0] != outcomes[2]
 
 
-@pytest.mark.parametrize("count", share([200, 1000], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("count", [200, 1000])
 def test_the_order_in_which_the_robots_of_a_period_run_changes_nothing(world: World, count: int) -> None:
     outcomes = []
     for shuffled in (False, True):
@@ -201,7 +204,8 @@ def test_a_turret_without_power_neither_sends_nor_receives(world: World) -> None
     assert air.status(2) == RadioStatus.READY
 
 
-@pytest.mark.parametrize("snapshots", share([40, 200], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("snapshots", [40, 200])
 def test_registers_out_of_a_damaged_snapshot_are_no_error(world: World, snapshots: int) -> None:
     rng = np.random.default_rng(6)
     extremes = np.array([-(2**63), -1, 0, 1, 2, 5, 255, TICK_NS, 2**63 - 1])

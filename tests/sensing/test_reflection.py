@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from shares import share
 
 from khep_twin.sensing import lobes
 from khep_twin.sensing.mujoco_scene import upright_shape
@@ -148,6 +147,7 @@ SCENES = {
 }
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("exponent", [1.26, 3.4])
 @pytest.mark.parametrize("name", SCENES)
 def test_light_is_that_of_rays_in_all_directions(name: str, exponent: float) -> None:
@@ -191,7 +191,8 @@ def random_things(rng: np.random.Generator, count: int = 6) -> list[Thing]:
     return things
 
 
-@pytest.mark.parametrize("scenes", share([30, 60], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("scenes", [30, 60])
 def test_in_random_scenes_light_is_within_few_per_cent_of_that_of_rays(scenes: int) -> None:
     rng = np.random.default_rng(1)
     errors: list[float] = []
@@ -206,7 +207,8 @@ def test_in_random_scenes_light_is_within_few_per_cent_of_that_of_rays(scenes: i
     assert max(errors) < 0.1
 
 
-@pytest.mark.parametrize("scenes", share([60, 300], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("scenes", [60, 300])
 def test_the_upper_bound_is_one_in_random_scenes(scenes: int) -> None:
     rng = np.random.default_rng(4)
     n_lit = 0
@@ -222,7 +224,8 @@ def test_the_upper_bound_is_one_in_random_scenes(scenes: int) -> None:
     assert n_lit > scenes * 0.8
 
 
-@pytest.mark.parametrize("scenes", share([60, 300], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("scenes", [60, 300])
 def test_what_is_sifted_out_sends_back_less_than_it_is_sifted_by(scenes: int) -> None:
     rng = np.random.default_rng(7)
     n_removed = 0

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from shares import share
 from twins import CIRCLE, SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin.episodes.planar import plane as plane_data
@@ -84,8 +83,9 @@ class Driven:
         return 7, 6
 
 
+@pytest.mark.share(5)
 @pytest.mark.parametrize(
-    ("seed", "seconds", "particles"), share([(0, 10, 300), *((seed, 20, 1000) for seed in range(4))], 5)
+    ("seed", "seconds", "particles"), [(0, 10, 300), *((seed, 20, 1000) for seed in range(4))]
 )
 def test_a_sound_robot_has_no_alarms(seed: int, seconds: int, particles: int) -> None:
     driven = Driven(seed, particles=particles)
@@ -94,7 +94,8 @@ def test_a_sound_robot_has_no_alarms(seed: int, seconds: int, particles: int) ->
     assert driven.off_mm < 10
 
 
-@pytest.mark.parametrize(("counters", "particles"), share([(True, 300), (False, 1000), (True, 1000)], 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize(("counters", "particles"), [(True, 300), (False, 1000), (True, 1000)])
 def test_a_motor_that_dies_is_named_until_it_runs_again(counters: bool, particles: int) -> None:
     driven, dead = Driven(2, counters, particles), "dead motor or blocked wheel left"
     driven.drive(4)
@@ -116,6 +117,7 @@ def test_a_motor_that_dies_is_named_until_it_runs_again(counters: bool, particle
     assert driven.off_mm < 20
 
 
+@pytest.mark.long
 def test_a_robot_that_was_put_elsewhere_is_told_for_a_second_and_lost_until_it_is_found() -> None:
     driven = Driven(2)
     driven.drive(4)
@@ -129,6 +131,7 @@ def test_a_robot_that_was_put_elsewhere_is_told_for_a_second_and_lost_until_it_i
     assert [alarm.fault for alarm in driven.ended] == ["robot lifted"]
 
 
+@pytest.mark.long
 def test_a_thing_that_is_not_in_the_playpen_is_no_fault_where_other_robots_drive() -> None:
     driven = Driven(2, has_others=True)
     driven.drive(4)

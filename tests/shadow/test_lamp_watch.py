@@ -87,6 +87,7 @@ def test_a_robot_in_the_shadow_whose_twins_are_partly_in_the_light_tells_nothing
     assert watched.watch.alarms == []
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(("changes", "fault"), [(OFF, "in-the-open off"), (ELSEWHERE, "in-the-open moved")])
 def test_a_lamp_that_is_off_or_elsewhere_is_named_until_it_is_back(
     changes: Mapping[str, float], fault: str

@@ -3,7 +3,6 @@
 import pytest
 from notes import Events
 from numba_marks import with_numba
-from shares import share
 
 from checks.branches import LAMPS, ROBOTS, arena
 from khep_twin.board.fault_injection import parse_fault
@@ -66,7 +65,8 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", share(CASES, 2))
+@pytest.mark.share(4)
+@pytest.mark.parametrize("case", CASES)
 def test_compiled_code_gives_the_bits_of_plain_code(case: str) -> None:
     scene, options = CASES[case]
     plain = driven(scene, False, **options)
@@ -76,7 +76,8 @@ def test_compiled_code_gives_the_bits_of_plain_code(case: str) -> None:
     assert unobserved[:4] == plain[:4]
 
 
-@pytest.mark.parametrize("case", share(["faults", "lamps by turns", "three robots"], 2))
+@pytest.mark.share(4)
+@pytest.mark.parametrize("case", ["faults", "lamps by turns", "three robots"])
 def test_a_run_that_changes_over_to_compiled_code_stays_what_it_is(case: str) -> None:
     scene, options = CASES[case]
     assert driven(scene, None, **options) == driven(scene, False, **options)

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from forked import run_python
 from served_twin import served
-from shares import share
 
 from khep_twin.log.reader import read_log
 
@@ -21,7 +20,8 @@ def convert(text: str) -> str:
     )
 
 
-@pytest.mark.parametrize("cycles", share([50, 500], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("cycles", [50, 500])
 def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(cycles: int, tmp_path: Path) -> None:
     program = convert(EXAMPLE.read_text()).replace("500, 2, 0", f"{cycles}, 2, 0")
     assert "sms(2, 1, 1)" in program

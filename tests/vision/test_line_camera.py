@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numba_marks import with_numba
-from shares import share
 
 from khep_twin.board.k213 import PIXELS, K213Register
 from khep_twin.playpen import Playpen
@@ -32,8 +31,9 @@ def camera_of(scene: World, robot: int) -> LineCamera:
     return body._camera  # type: ignore[attr-defined]
 
 
+@pytest.mark.share(2)
 @with_numba
-@pytest.mark.parametrize("noise", share([True, False], 2))
+@pytest.mark.parametrize("noise", [True, False])
 def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
     scene = world(CROWD, arena=ARENA, noise=noise, compiled=False)
     capture = function_of("vision")

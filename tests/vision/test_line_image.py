@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from shares import share
 
 from khep_twin.board.k213 import PIXELS, K213Register
 from khep_twin.sensing.line_faces import luminous_reflectance
@@ -214,7 +213,8 @@ def test_an_edge_that_is_too_near_is_blurred(distance_mm: float, low: float, hig
     assert low <= np.count_nonzero((part > 0.1) & (part < 0.9)) <= high
 
 
-@pytest.mark.parametrize(("scans", "max_correlation"), share([(100, 0.45), (400, 0.25)], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize(("scans", "max_correlation"), [(100, 0.45), (400, 0.25)])
 def test_noise_is_even_over_pixels_and_scans_and_has_the_stated_deviation(
     scans: int, max_correlation: float
 ) -> None:

@@ -123,6 +123,7 @@ def test_without_a_designer_or_an_open_page_no_process_is_left(
     assert is_gone(tmp_path)
 
 
+@pytest.mark.long
 def test_a_folder_is_scored_row_by_row_and_its_table_is_that_of_the_command(
     page: Challenges, inbox: Inbox, tmp_path: Path
 ) -> None:

@@ -117,6 +117,7 @@ def test_what_no_key_takes_is_refused_by_a_line_that_names_the_key(client: Clien
                 assert any(word in text for word in ("expected", "choices")), text
 
 
+@pytest.mark.long
 def test_any_value_of_any_key_is_answered(twin: Client) -> None:
     for action in ACTIONS:
         for key in keys(action):

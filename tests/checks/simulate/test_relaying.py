@@ -1,7 +1,6 @@
 """Hosts at the relay to a robot at a simulated cable, and faults of the machine's clocks."""
 
 import pytest
-from shares import share
 
 from checks.simulate.case import Case
 from checks.simulate.faults import Faults
@@ -10,7 +9,8 @@ from checks.simulate.relaying import MUTANTS
 from checks.simulate.system import System
 
 
-@pytest.mark.parametrize("seed", share([0, 3, 9, 17], 4))
+@pytest.mark.share(4)
+@pytest.mark.parametrize("seed", [0, 3, 9, 17])
 def test_hosts_at_a_relay_get_what_the_robot_says_or_an_error(seed: int) -> None:
     outcome = Case("relay", seed, 15.0).run()
     assert outcome.violation is None
@@ -23,16 +23,14 @@ def test_a_seed_repeats_every_turn_of_its_processes() -> None:
     assert first.faults
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     ("name", "seed", "seconds", "fault"),
-    share(
-        [
-            ("replies to the relay's own questions reach hosts", 0, 15.0, ""),
-            ("the log of a line misses replies", 0, 80.0, "server-stop/server/77"),
-            ("a relay goes on without its cable", 1, 120.0, "unplug/cable/56"),
-        ],
-        3,
-    ),
+    [
+        ("replies to the relay's own questions reach hosts", 0, 15.0, ""),
+        ("the log of a line misses replies", 0, 80.0, "server-stop/server/77"),
+        ("a relay goes on without its cable", 1, 120.0, "unplug/cable/56"),
+    ],
 )
 def test_a_broken_relay_is_caught_by_few_faults(name: str, seed: int, seconds: float, fault: str) -> None:
     case = Case("relay", seed, seconds, name, tuple(filter(None, [fault])))

@@ -1,13 +1,13 @@
 """Hosts at a served pseudo-terminal, simulated."""
 
 import pytest
-from shares import share
 
 from checks.simulate.serving import MUTANTS, SCENARIOS
 from checks.simulate.simulation import simulate
 
 
-@pytest.mark.parametrize("seed", share([4, 6], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("seed", [4, 6])
 def test_hosts_of_a_terminal_get_what_is_true_and_leave_the_motors_stopped(seed: int) -> None:
     first, second = (simulate("serve", SCENARIOS["serve"], seed, 60.0) for _ in range(2))
     assert first.violation is None

@@ -5,7 +5,6 @@ import random
 from pathlib import Path
 
 import pytest
-from shares import share
 
 from checks.simulate import files, recording, recording_mutants
 from checks.simulate.disk import Disk
@@ -29,7 +28,8 @@ CAUGHT = {
 """Seed and simulated time [s] of some of the broken builds: those that are caught soonest."""
 
 
-@pytest.mark.parametrize(("name", "seed"), share([("files", 1), ("files", 7), ("record", 1)], 2))
+@pytest.mark.share(4)
+@pytest.mark.parametrize(("name", "seed"), [("files", 1), ("files", 7), ("record", 1)])
 def test_a_seed_finds_nothing_and_gives_the_same_outcome_again(name: str, seed: int) -> None:
     seconds = 100.0 if name == "record" else 600.0
     first = simulate(name, SCENARIOS[name], seed, seconds)
@@ -39,7 +39,8 @@ def test_a_seed_finds_nothing_and_gives_the_same_outcome_again(name: str, seed: 
     assert simulate(name, SCENARIOS[name], seed, seconds) == first
 
 
-@pytest.mark.parametrize("name", share(CAUGHT, 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize("name", CAUGHT)
 def test_a_broken_build_is_caught(name: str) -> None:
     (seed, seconds), mutant = CAUGHT[name], MUTANTS[name]
     with mutant.broken():

@@ -1,7 +1,6 @@
 """Simulated pages of the designer: no acknowledged work is lost, and broken builds lose it."""
 
 import pytest
-from shares import share
 
 from checks.simulate.mutants import Mutant
 from checks.simulate.paging import MUTANTS, SCENARIOS
@@ -22,7 +21,8 @@ CAUGHT = {
 """Seed that catches each broken build, and simulated time [s] until then."""
 
 
-@pytest.mark.parametrize("seed", share([0, 4], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("seed", [0, 4])
 def test_whatever_happens_to_pages_no_work_is_lost(seed: int) -> None:
     outcome = simulate("page", SCENARIOS["page"], seed, 60)
     assert outcome.violation is None
@@ -33,7 +33,8 @@ def test_a_seed_is_the_same_pages_again() -> None:
     assert simulate("page", SCENARIOS["page"], 3, 30) == simulate("page", SCENARIOS["page"], 3, 30)
 
 
-@pytest.mark.parametrize(("name", "mutant"), share(MUTANTS.items(), 3))
+@pytest.mark.share(6)
+@pytest.mark.parametrize(("name", "mutant"), MUTANTS.items())
 def test_a_broken_page_is_caught(name: str, mutant: Mutant) -> None:
     seed, seconds = CAUGHT[name]
     with mutant.broken():

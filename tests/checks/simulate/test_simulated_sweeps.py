@@ -1,7 +1,6 @@
 """Simulated sweeps: no error in the product, and each mutant is caught."""
 
 import pytest
-from shares import share
 
 from checks.simulate.mutants import Mutant
 from checks.simulate.simulation import simulate
@@ -19,7 +18,8 @@ CAUGHT = {
 """Seed that catches each broken build, and simulated time [s] until then."""
 
 
-@pytest.mark.parametrize("seed", share([0, 5], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("seed", [0, 5])
 def test_whatever_happens_to_sweeps_each_result_is_there_once(seed: int) -> None:
     outcome = simulate("sweep", SCENARIOS["sweep"], seed, 60)
     assert outcome.violation is None
@@ -37,7 +37,8 @@ def test_a_study_outlives_a_simulation_that_ended_before_it_was_needed() -> None
     assert simulate("sweep", SCENARIOS["sweep"], 0, 20).violation is None
 
 
-@pytest.mark.parametrize(("name", "mutant"), share(MUTANTS.items(), 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize(("name", "mutant"), MUTANTS.items())
 def test_a_broken_sweep_is_caught(name: str, mutant: Mutant) -> None:
     seed, seconds = CAUGHT[name]
     with mutant.broken():

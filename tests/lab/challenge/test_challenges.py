@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from command_line import good, khep_twin
 from PIL import Image
-from shares import share
 
 from khep_twin.errors import ChallengeError, ControllerError, StoppedError
 from khep_twin.lab.challenge import results
@@ -175,6 +174,7 @@ def long_but(*short_names: str) -> list[Any]:
     return [pytest.param(name, marks=() if name in short_names else pytest.mark.long) for name in names()]
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("name", long_but("stop", "square"))
 def test_a_shipped_challenge_has_a_solution_that_passes_with_its_score(
     name: str, monkeypatch: pytest.MonkeyPatch
@@ -257,9 +257,10 @@ def test_attempts_that_are_stopped_leave_no_process(short: Path, tmp_path: Path)
             os.kill(pid, 0)
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     "broken",
-    share([["kills_its_parent"], [*BROKEN]], 2),
+    [["kills_its_parent"], [*BROKEN]],
     ids=["some", "all"],
 )
 def test_a_table_has_a_line_for_every_file_whatever_it_does(
@@ -282,15 +283,13 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
     assert len(output.splitlines()) == len(rows) + 2
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     "text",
-    share(
-        [
-            "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\ntime.sleep(600)\n",
-            "def controller(robot):\n    while True:\n        pass\n",
-        ],
-        2,
-    ),
+    [
+        "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\ntime.sleep(600)\n",
+        "def controller(robot):\n    while True:\n        pass\n",
+    ],
     ids=["waits", "loops"],
 )
 def test_a_file_that_hangs_is_ended_and_has_a_line(short: Path, tmp_path: Path, text: str) -> None:

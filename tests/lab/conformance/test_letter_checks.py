@@ -134,6 +134,7 @@ def test_each_check_is_listed_once_and_those_that_move_come_last(model: str) -> 
     assert moving == sorted(moving)
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     ("model", "start", "mutation"),
     [

@@ -6,7 +6,6 @@ from contextlib import closing
 from typing import Any
 
 import pytest
-from shares import share
 
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.host import Khepera
@@ -320,6 +319,7 @@ def is_caught(
         return any(run_check(check, line).deviation for check in candidates)
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize("name", [*GRIPPERS, "sound"])
 def test_a_gripper_that_answers_wrongly_is_caught(name: str) -> None:
     gripper = [check for check in checks(True) if check.turret == 1]
@@ -333,11 +333,13 @@ def test_a_sound_board_passes() -> None:
     assert not is_caught(lambda twin: None, checks(True))
 
 
-@pytest.mark.parametrize("name", share(ANSWERS, 3))
+@pytest.mark.share(9)
+@pytest.mark.parametrize("name", ANSWERS)
 def test_a_board_that_answers_wrongly_is_caught(name: str) -> None:
     assert is_caught(lambda twin: break_answers(twin, ANSWERS[name]), checks(True))
 
 
-@pytest.mark.parametrize("breaking", share(BOARDS, 3), ids=lambda breaking: breaking.__name__)
+@pytest.mark.share(9)
+@pytest.mark.parametrize("breaking", BOARDS, ids=lambda breaking: breaking.__name__)
 def test_a_board_that_is_broken_inside_is_caught(breaking: Callable[[Twin], None]) -> None:
     assert is_caught(breaking, checks(True))

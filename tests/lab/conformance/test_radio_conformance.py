@@ -8,7 +8,6 @@ import pytest
 from radio_scene import playpen_with_radios
 from scenes import hosted
 from served_twin import served
-from shares import share
 from test_mutants import Mutation, Receive, break_answers, is_caught, receive_by, replies, to
 from test_recording import changed, checked, failed
 from test_recording import to as recorded_to
@@ -85,12 +84,14 @@ def lost(twin: Twin) -> None:
     receive_by(twin, answer)
 
 
-@pytest.mark.parametrize("name", share(RADIOS, 3))
+@pytest.mark.share(9)
+@pytest.mark.parametrize("name", RADIOS)
 def test_a_radio_that_answers_wrongly_is_caught(name: str) -> None:
     assert is_caught(lambda twin: break_answers(twin, RADIOS[name]), CHECKS, hosted(PAIR, noise=False))
 
 
-@pytest.mark.parametrize("breaking", share([deaf_to_restarts, lost, without_power], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("breaking", [deaf_to_restarts, lost, without_power])
 def test_a_radio_that_is_broken_inside_is_caught(breaking: Callable[[Twin], None]) -> None:
     assert is_caught(breaking, CHECKS, hosted(PAIR, noise=False))
 
@@ -103,7 +104,8 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("mode", "baudrate"), share([(3, 38400), (1, 9600), (2, 19200)], 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize(("mode", "baudrate"), [(3, 38400), (1, 9600), (2, 19200)])
 def test_a_robot_with_a_radio_conforms(path: Path, mode: int, baudrate: int) -> None:
     with Khepera(f"khep://{path}?mode={mode}", baudrate=baudrate) as robot:
         report = examine(CheckedPort(robot.port), "a radio")

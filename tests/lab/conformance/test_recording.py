@@ -10,7 +10,6 @@ import pytest
 from command_line import khep_twin
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from shares import share
 
 from checks.recordings import Relay, findings, tour
 from khep_twin.interventions.move_robot import place_robot
@@ -225,6 +224,7 @@ FIRST = {statement: name for name, (_, statement) in reversed(WRONG.items())}
 """First wrong robot of each statement, for the suite."""
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in FIRST.values() else LONG) for name in WRONG]
 )
@@ -238,18 +238,16 @@ def test_a_copy_that_changes_nothing_has_no_finding(sound: Path, tmp_path: Path)
     assert failed(checked(changed(sound, tmp_path / "copy.mcap", lambda lines: lines))) == []
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     ("fault", "statement"),
-    share(
-        [
-            ("stuck:2@1", "no sensor repeats its reading"),
-            ("dead:left@2", "counters agree with the speeds that D"),
-            ("late:0.1:60", "replies start within 10 ms"),
-            ("drop:0.01", "a reply has as many plain integers"),
-            ("garble:0.01", "a reply has as many plain integers"),
-        ],
-        3,
-    ),
+    [
+        ("stuck:2@1", "no sensor repeats its reading"),
+        ("dead:left@2", "counters agree with the speeds that D"),
+        ("late:0.1:60", "replies start within 10 ms"),
+        ("drop:0.01", "a reply has as many plain integers"),
+        ("garble:0.01", "a reply has as many plain integers"),
+    ],
 )
 def test_a_faulty_robot_is_caught(fault: str, statement: str, tmp_path: Path) -> None:
     names = failed(checked(recorded(tmp_path / "run.mcap", faults=(fault,))))
@@ -274,12 +272,14 @@ def test_everything_but_scans_is_seen_in_the_tour(sound: Path) -> None:
     assert [statement.name for statement in robot.statements if not statement.seen] == [SCAN]
 
 
-@pytest.mark.parametrize("seed", share(range(3), 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize("seed", range(3))
 def test_no_host_makes_a_sound_robot_wrong(seed: int, tmp_path: Path) -> None:
     assert findings(seed, tmp_path, seconds=8.0) == []
 
 
-@pytest.mark.parametrize("rom", share(["4.06", "5.02", "khepera2"], 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize("rom", ["4.06", "5.02", "khepera2"])
 def test_a_relay_finds_the_rom_by_the_replies(rom: str, tmp_path: Path) -> None:
     path = tmp_path / "relay.mcap"
     with open_twin("obstacles", TwinOptions(seed=2, mode=2, rom=rom)) as twin:
@@ -291,7 +291,8 @@ def test_a_relay_finds_the_rom_by_the_replies(rom: str, tmp_path: Path) -> None:
     assert f"a robot, compared with ROM {rom}" in robot.text
 
 
-@pytest.mark.parametrize("controller", share(BUILT_IN, 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize("controller", BUILT_IN)
 def test_built_in_controllers_meet_a_sound_robot(controller: str, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     khep_twin("run", controller, "--playpen", "obstacles", "--seconds", "5", "--log", str(log))

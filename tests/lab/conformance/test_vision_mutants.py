@@ -4,7 +4,6 @@ from contextlib import closing
 
 import pytest
 from served_twin import served
-from shares import share
 
 from khep_twin.board.k213 import K213Register
 from khep_twin.host import Khepera
@@ -105,9 +104,10 @@ def test_there_are_checks_that_stand_and_one_that_moves() -> None:
     assert [check.moves for check in CHECKS].count("") == len(CHECKS) - 1
 
 
+@pytest.mark.share(4)
 @pytest.mark.parametrize(
     ("noise", "mode", "baudrate"),
-    share([("on", 3, 38400), ("on", 1, 9600), ("on", 2, 19200), ("off", 3, 38400)], 4),
+    [("on", 3, 38400), ("on", 1, 9600), ("on", 2, 19200), ("off", 3, 38400)],
 )
 def test_a_sound_k213_passes(noise: str, mode: int, baudrate: int) -> None:
     with closing(Khepera(f"khep://stripes?noise={noise}&mode={mode}", baudrate=baudrate)) as robot:
@@ -127,12 +127,14 @@ def test_a_sound_k213_on_a_pseudo_terminal_passes() -> None:
     assert [text for text in texts if " ms" not in text] == []
 
 
-@pytest.mark.parametrize("name", share(ANSWERS, 3))
+@pytest.mark.share(9)
+@pytest.mark.parametrize("name", ANSWERS)
 def test_a_k213_that_answers_wrongly_is_caught(name: str) -> None:
     assert is_caught(lambda twin: break_answers(twin, ANSWERS[name]), CHECKS, STRIPES)
 
 
-@pytest.mark.parametrize("breaking", share(BOARDS, 2), ids=lambda breaking: breaking.__name__)
+@pytest.mark.share(2)
+@pytest.mark.parametrize("breaking", BOARDS, ids=lambda breaking: breaking.__name__)
 def test_a_k213_that_is_broken_inside_is_caught(breaking) -> None:
     def broken(twin: Twin) -> None:
         twin.advance_to(300_000_000)

@@ -49,6 +49,7 @@ def refusal(path: Path, name: str = "ObstacleAvoidance", period_ns: int = 50 * M
     return line
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     ("name", "period_ms"),
     [

@@ -7,7 +7,6 @@ import pytest
 from command_line import khep_twin
 from log_rewriting import rewritten
 from served_twin import served
-from shares import share
 
 from checks.branches import check, content_before, messages
 from khep_twin.errors import KhepTwinError, LogError, PlaypenError
@@ -54,7 +53,8 @@ def branch_at(parent: Path, tmp_path: Path, **changes: object) -> Path:
     return path
 
 
-@pytest.mark.parametrize("number", share(SHARE, 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize("number", SHARE)
 def test_a_share_of_the_search_finds_nothing(number: int, tmp_path: Path) -> None:
     assert check(number, tmp_path) == []
 
@@ -78,23 +78,17 @@ def test_without_a_change_the_parents_run_goes_on(parent: Path, tmp_path: Path) 
     assert '"at_ns": 11234567890' in label.attachments["branch.json"]
 
 
+@pytest.mark.share(6)
 @pytest.mark.parametrize(
     "changes",
-    share(
-        [
-            {"seed": 9},
-            {"faults": ("stuck:2", "dead:left@12")},
-            {"edits": ("block.1.height_mm=5", "lamp.1.power_w=2")},
-            {"edits": ("block.9.x_mm=500", "robot.1.heading_deg=0")},
-            {"edits": ("lamp.1.dim=0.1",)},
-            {
-                "calibrations": {
-                    "khepera0": Path("khep_twin/assets/calibration/khepera1-manual.toml").read_text()
-                }
-            },
-        ],
-        2,
-    ),
+    [
+        {"seed": 9},
+        {"faults": ("stuck:2", "dead:left@12")},
+        {"edits": ("block.1.height_mm=5", "lamp.1.power_w=2")},
+        {"edits": ("block.9.x_mm=500", "robot.1.heading_deg=0")},
+        {"edits": ("lamp.1.dim=0.1",)},
+        {"calibrations": {"khepera0": Path("khep_twin/assets/calibration/khepera1-manual.toml").read_text()}},
+    ],
     ids=["seed", "faults", "playpen", "things put elsewhere", "what no scene holds", "calibration"],
 )
 def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
-from shares import share
 
 from khep_twin.board.kernel import SETPOINTS
 from khep_twin.errors import ControllerError
@@ -46,7 +45,8 @@ def test_the_motors_stop_when_a_controller_fails() -> None:
         assert robot.port.twin.robot.registers[SETPOINTS].tolist() == [0, 0]
 
 
-@pytest.mark.parametrize(("seed", "seconds"), share([(1, 30), (1, 120), (2, 120)], 3))
+@pytest.mark.share(3)
+@pytest.mark.parametrize(("seed", "seconds"), [(1, 30), (1, 120), (2, 120)])
 def test_the_vehicle_wanders_and_never_stands_for_five_seconds(
     seed: int, seconds: int, tmp_path: Path
 ) -> None:

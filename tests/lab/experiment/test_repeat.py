@@ -14,7 +14,6 @@ from command_line import good, khep_twin
 from log_rewriting import rewritten
 from relay_logs import relayed
 from served_twin import served
-from shares import share
 
 from khep_twin import playpen
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
@@ -81,7 +80,8 @@ def _log_time(message: Any) -> int:
     return message[2].log_time
 
 
-@pytest.mark.parametrize("seconds", share([8, 60], 2))
+@pytest.mark.share(2)
+@pytest.mark.parametrize("seconds", [8, 60])
 def test_a_run_with_noise_spread_and_faults_is_the_same_in_another_process(
     seconds: int, tmp_path: Path
 ) -> None:
@@ -106,6 +106,7 @@ def test_a_run_with_noise_spread_and_faults_is_the_same_in_another_process(
     assert completed.stdout.startswith(f"identical: {seconds}.")
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     "options",
     [

@@ -255,6 +255,7 @@ def test_a_test_is_given_once_and_no_output_takes_its_place(
     assert not (folder / "x.png").exists()
 
 
+@pytest.mark.long
 def test_a_wrong_distance_is_asked_about(recorded: tuple[list[str], list[str], Path]) -> None:
     walls = [word for word in recorded[0] if "wall" in word]
     output = good("fit", *walls[:2], walls[2].replace("23mm", "18mm"), walls[3])

@@ -126,6 +126,7 @@ def test_what_cannot_be_drawn_is_reported_in_one_line(
         check(runs, **options)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_the_same_runs_give_the_same_bytes_whatever_matplotlib_is_set_to(suffix: str, tmp_path: Path) -> None:
     runs = [run(), run(counts=200)]
