@@ -68,10 +68,6 @@ class Odometry:
         # Pose, angles of the wheels, variance of the place, and sums of the noise of headings over the way.
         self._state = np.zeros(12)
 
-    def forget_counters(self) -> None:
-        """Take the next counts as a new start of the counters, at the present pose."""
-        self._counts[:] = np.nan
-
     def advance(self, times_ns: NDArray[np.int64], counts: ArrayLike) -> Track:
         """Return the track for later samples: times (n,) [ns], counts of left and right wheel (n, 2)."""
         values = np.asarray(counts, np.float64)
@@ -81,7 +77,7 @@ class Odometry:
         passed_s = np.diff(times_ns, prepend=self._time_ns) / NS_PER_S
         steps = np.diff(values, axis=0, prepend=self._counts[None]) * self._pulse
         largest = self._top_rate * passed_s[:, None] + _JUMP_MARGIN_RAD
-        # A counter that is set jumps, or starts anew after NaN: no wheel has turned.
+        # A counter that is set jumps: no wheel has turned.
         steps[~(np.abs(steps) <= largest).all(axis=1)] = 0
         self._time_ns, self._counts = int(times_ns[-1]), values[-1].copy()
 
