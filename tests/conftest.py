@@ -21,8 +21,9 @@ from khep_twin.process.machine import name_glfw
 # What a card would run, numba's simulator of CUDA runs: before anything imports numba.
 os.environ["NUMBA_ENABLE_CUDASIM"] = "1"
 
-# The many processes of the suite start faster.
+# The many processes of the suite start faster: pydantic would search all packages for plugins.
 name_glfw()
+os.environ["PYDANTIC_DISABLE_PLUGINS"] = "__all__"
 
 # Machines are as slow as they are: no example fails for the time that it takes.
 hypothesis.settings.register_profile("patient", deadline=None)
