@@ -58,7 +58,8 @@ class Body:
         sensor_height: Height of these sensors above the ground [m].
         idle_current: Current with the motors at rest [A].
         height: Height [m].
-        scene: MJCF file of the robot, in the folder of the shipped ones if it has no folder.
+        scene: MJCF file of the robot, in the folder of the shipped ones if it has no folder; `robots.to_mjcf`
+            adds wheels, motors and infrared sensors that it lacks.
         sensors: Names of the infrared sensors, those that look at the floor last.
         wheel_radius: Radius of the wheels [m].
         wheel_width: Width of the wheels [m].
@@ -66,10 +67,14 @@ class Body:
         pulses_per_turn: Pulses of an encoder in a turn of its wheel.
         near_counts: Proximity above which something is near [counts].
         support_solref: Contact of the supports with the floor, as MuJoCo's `solref`; None for stiff ones.
-        fits_scene: True if the file has another size of the robot, or lacks its infrared sensors, and this
-            body sets them; e.g. for "two_wheels.xml".
+        fits_scene: True if the file has another size of the robot, and this body sets it; e.g. for
+            "two_wheels.xml".
         ground_positions: Positions of the sensors that look at the floor, as `sensor_positions`.
+        ground_height: Height of these sensors above the ground [m].
         sonar: Ultrasonic sensors; None without.
+        wheel_mass: Mass of a wheel that the file lacks [kg].
+        rotor_inertia: Inertia of the motor's rotor seen at this wheel [kg m^2].
+        voltage_limit: Largest voltage of its motor [V].
     """
 
     radius: float
@@ -89,7 +94,11 @@ class Body:
     support_solref: tuple[float, float] | None = None
     fits_scene: bool = False
     ground_positions: tuple[tuple[float, float], ...] = ()
+    ground_height: float = 0.0
     sonar: SonarRing | None = None
+    wheel_mass: float = 0.01
+    rotor_inertia: float = 1e-5
+    voltage_limit: float = 6.0
 
     @property
     def ring_sensors(self) -> tuple[str, ...]:
@@ -100,6 +109,12 @@ class Body:
     def cameras(self) -> tuple[str, ...]:
         """Names of its infrared sensors in its scene."""
         return tuple(name.replace(" ", "_") for name in self.sensors)
+
+    @property
+    def sensor_places(self) -> list[tuple[float, float, float]]:
+        """Positions of its infrared sensors [m], in the order of their names."""
+        around = [(x, y, self.sensor_height) for x, y in self.sensor_positions]
+        return around + [(x, y, self.ground_height) for x, y in self.ground_positions]
 
     @property
     def fault_sensors(self) -> tuple[str, ...]:

@@ -52,6 +52,7 @@ def add_robot(
         Names of the turrets' colliding geoms, and the initial controls of all its motors.
     """
     child = mujoco.MjSpec.from_file(str(ASSETS / robot.body.scene))
+    _add_parts(child, robot.body)
     controls = _remove_keyframes(child)
     measured = calibration.read_for(robot.calibration, robot.robot_model)
     _fit_body(child, robot.body)
@@ -116,6 +117,31 @@ def _remove_keyframes(part: mujoco.MjSpec) -> list[float]:
     return controls
 
 
+def _add_parts(robot: mujoco.MjSpec, body: Body) -> None:
+    """Add the infrared sensors, wheels and motors that a model's file lacks; calibrations set their sizes."""
+    base = robot.body("base")
+    for name, position in zip(body.cameras, body.sensor_places, strict=True):
+        if robot.camera(name) is None:
+            base.add_camera(name=name, pos=position, resolution=[9, 1], fovy=12.680383)
+    for side in ("left", "right") if robot.body("left_wheel") is None else ():
+        wheel = base.add_body(name=f"{side}_wheel", mass=body.wheel_mass, explicitinertial=True)
+        wheel.ipos, wheel.iquat = [0, 0, 0], [0.7071067812, 0.7071067812, 0, 0]
+        wheel.add_joint(
+            name=f"{side}_axle",
+            axis=[0, 1, 0],
+            armature=body.rotor_inertia,
+            # Stiff, so that a wheel that friction holds creeps by micrometres a second only.
+            solref_friction=[0.00625, 1],
+            solimp_friction=[0.999, 0.999, 0.001, 0.5, 2],
+        )
+        tyre = wheel.add_geom(name=f"{side}_tyre", size=[body.wheel_radius, 0, 0], group=3, mass=0)
+        tyre.contype, tyre.conaffinity, tyre.rgba = 0, 0, [0.5, 0.5, 0.5, 0]
+        limit, joint = body.voltage_limit, mujoco.mjtTrn.mjTRN_JOINT
+        robot.add_actuator(
+            name=f"{side}_motor", target=f"{side}_axle", trntype=joint, ctrlrange=[-limit, limit]
+        )
+
+
 def _fit_body(robot: mujoco.MjSpec, body: Body) -> None:
     """Set the body of a model whose file has that of another one."""
     if not body.fits_scene:
@@ -130,9 +156,8 @@ def _fit_body(robot: mujoco.MjSpec, body: Body) -> None:
         support = robot.geom(name)
         support.pos = [side * body.support_position, 0, support.pos[2]]
     base = robot.body("base")
-    for name, (x, y) in zip(body.cameras, body.sensor_positions, strict=False):
-        camera = robot.camera(name) or base.add_camera(robot.default, name=name)
-        camera.pos = [x, y, body.sensor_height]
+    for name, position in zip(body.cameras, body.sensor_places, strict=True):
+        robot.camera(name).pos = position
     base.mass = mass = body.mass - 2 * robot.body("left_wheel").mass
     base.ipos = [*base.ipos[:2], scale * base.ipos[2]]
     across = mass * (3 * body.radius**2 + body.height**2) / 12

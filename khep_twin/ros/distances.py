@@ -71,11 +71,10 @@ class InfraredLaw:
         ends = self._invert(np.vstack([np.full(len(self._gain), float(self._full)), self._dark + 1]))
         views = map(view_of, exponents.tolist())
         headings = map(math.radians, measured.heading_deg)
-        places = [(*position, body.sensor_height) for position in body.sensor_positions]
         self.beams = [
             Beam(f"ps{k}", place, heading, view, nearest, reach, True)
             for k, (place, heading, view, (nearest, reach)) in enumerate(
-                zip(places, headings, views, ends.T.tolist(), strict=True)
+                zip(body.sensor_places, headings, views, ends.T.tolist(), strict=False)
             )
         ]
 
@@ -100,18 +99,18 @@ class GroundLaw:
     Args:
         model: Model of the robot.
         measured: Its calibration.
-        heights: Heights of the sensors above the floor (n,) [m].
     """
 
-    def __init__(self, model: RobotModel, measured: Calibration, heights: list[float]) -> None:
-        ground = measured.ground
+    def __init__(self, model: RobotModel, measured: Calibration) -> None:
+        ground, body = measured.ground, model.body
         self._middle = np.zeros(0)
         self.beams: list[Beam] = []
         if ground is not None:
             self._middle = (np.array(ground.white_counts) + ground.nothing_counts) / 2
-            for k, (position, height) in enumerate(zip(model.body.ground_positions, heights, strict=True)):
-                view = 2 * math.atan2(ground.spot_mm * 1e-3, height)
-                self.beams.append(Beam(f"gs{k}", (*position, height), math.nan, view, height, height, True))
+            height = body.ground_height
+            view = 2 * math.atan2(ground.spot_mm * 1e-3, height)
+            for k, place in enumerate(body.sensor_places[len(body.sensor_positions) :]):
+                self.beams.append(Beam(f"gs{k}", place, math.nan, view, height, height, True))
 
     def distances(self, counts: Floats) -> Floats:
         """Return minus infinity over a light floor, infinity over a dark one or none (n, n_sensors)."""
@@ -137,7 +136,7 @@ class SonarLaw:
     def distances(self, readings: Floats) -> Floats:
         """Return the distances of readings (n, n_sensors) [m]; NaN for a disabled sensor."""
         distances = readings * self._unit
-        # Where codes are equal, as on a Khepera III, they mean no echo.
+        # Codes that are equal mean no echo.
         for index, meaning in ((2, np.nan), (0, -np.inf), (1, np.inf)):
             if index < len(self._codes):
                 distances[readings == self._codes[index]] = meaning

@@ -20,7 +20,6 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +28,6 @@ from khep_twin.log.channels import BASE_FRAME, IMAGE, PLANAR_ROWS, TRANSFORMS, T
 from khep_twin.log.message_types import Message, MessageFields
 from khep_twin.log.transforms import from_planar
 from khep_twin.robots.model import RobotModel
-from khep_twin.robots.to_mjcf import ASSETS
 from khep_twin.ros.distances import Beam, Floats, GroundLaw, InfraredLaw, SonarLaw
 from khep_twin.ros.odometry import Odometry, Track
 from khep_twin.ros.quantities import columns_of
@@ -101,7 +99,7 @@ class StandardMessages:
         self._base, self._odom = BASE_FRAME.format(name), ODOM_FRAME.format(name)
         self.odometry = Odometry(model.body, calibration)
         self._infrared = InfraredLaw(model, calibration)
-        self._ground = GroundLaw(model, calibration, _ground_heights(model))
+        self._ground = GroundLaw(model, calibration)
         self._sonar = SonarLaw(model)
         self._ranges = {beam.name: _range_frame(name, beam) for beam in self.beams}
         light = calibration.ambient
@@ -307,12 +305,3 @@ def _shorten(covariances: Floats) -> Floats:
     """
     mantissas, exponents = np.frexp(covariances * (1 + 2**-9 * np.eye(6)))
     return np.ldexp(np.rint(mantissas * 2**11) / 2**11, exponents).reshape(-1, 36)
-
-
-def _ground_heights(model: RobotModel) -> list[float]:
-    """Return the heights of the sensors that look at the floor [m], from the model's scene."""
-    if not model.body.ground_positions:
-        return []
-    scene = mujoco.MjSpec.from_file(str(ASSETS / model.body.scene))
-    cameras = model.body.cameras[len(model.body.sensor_positions) :]
-    return [float(scene.camera(camera).pos[2]) for camera in cameras]

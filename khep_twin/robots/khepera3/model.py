@@ -38,9 +38,6 @@ ASSETS = Path(__file__).parent / "assets"
 COUNTS_LIMIT = 4095
 """Largest count of the converter, of 12 bits (toolbox)."""
 
-GROUND_HEIGHT = 0.0117
-"""Height of the sensors of the ground [m] (webots)."""
-
 SERVER = "kh3server"
 """Firmware with a KoreBot on top, which runs K-Team's server on the line."""
 
@@ -62,17 +59,14 @@ SONAR = SonarRing(
 """Places: webots; the age of a distance follows from the period of the bursts. 20 cm (19 here: programs stop
 below 20) to 4 m: manual; half the amplitude at 35 degrees (a simulator)."""
 
-_RING = (
-    *((-40.4, 49.6), (14.8, 63.0), (48.8, 45.4), (65.6, 15.5), (65.6, -15.5)),
-    *((48.8, -45.4), (14.8, -63.0), (-40.4, -49.6), (-55.0, 0.0)),
-)
-"""Positions of the infrared sensors around [mm] (webots)."""
-
 BODY = Body(
     radius=0.0675,  # from the middle of the axle to the front
     mass=0.710,
     support_position=0.0449,
-    sensor_positions=tuple((x * 1e-3, y * 1e-3) for x, y in _RING),
+    sensor_positions=(
+        *((-0.0404, 0.0496), (0.0148, 0.0630), (0.0488, 0.0454), (0.0656, 0.0155), (0.0656, -0.0155)),
+        *((0.0488, -0.0454), (0.0148, -0.0630), (-0.0404, -0.0496), (-0.0550, 0.0)),
+    ),
     sensor_height=0.0237,
     idle_current=1.4 / 4,
     height=0.070,
@@ -84,7 +78,11 @@ BODY = Body(
     pulses_per_turn=4198.4,
     near_counts=300,
     ground_positions=((0.060, -0.0099), (0.060, 0.0099)),
+    ground_height=0.0117,
     sonar=SONAR,
+    wheel_mass=0.010,
+    rotor_inertia=2.15e-4,
+    voltage_limit=9.0,
 )
 """Mass and sensors: webots; wheels: manual; wheel base: toolbox; pulses of firmware 3.0: a public program;
 1400 mAh that last 4 hours: manual; diameter and height: K-Team's product page (remembered)."""

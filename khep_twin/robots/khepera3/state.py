@@ -11,7 +11,7 @@ from khep_twin.board import lithium_cells
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.khepera3 import motor_control
 from khep_twin.robots.khepera3.channels import ULTRASONIC
-from khep_twin.robots.khepera3.model import GROUND_HEIGHT, KHEPERA_3, SONAR
+from khep_twin.robots.khepera3.model import KHEPERA_3, SONAR
 from khep_twin.robots.khepera3.motor_control import MotorState
 from khep_twin.robots.khepera3.registers import SETTINGS
 from khep_twin.robots.vehicle import N_VEHICLE
@@ -120,7 +120,7 @@ def make_state(
         is_discharged=int(entry.battery_used_min is not None),
         pulses_per_radian=entry.body.pulses_per_turn / math.tau,
         first_moment=first_moment,
-        ground=Ground.of(measured, GROUND_HEIGHT, 0.002),
+        ground=Ground.of(measured, entry.body.ground_height, 0.002),
         sonar=sonar,
         beams=Beams.of(len(sonar.gains)),
         left=motor_control.power_up(-1),

@@ -51,7 +51,7 @@ BODY = Body(
     mass=0.540,
     support_position=0.050,
     sensor_positions=tuple(
-        (0.068 * math.cos(heading), 0.068 * math.sin(heading))
+        (round(0.068 * math.cos(heading), 6), round(0.068 * math.sin(heading), 6))
         for heading in map(math.radians, (135, 90, 45, 0, -45, -90, -135, 180))
     ),
     sensor_height=0.01435,
@@ -66,7 +66,11 @@ BODY = Body(
     near_counts=150,
     support_solref=(-600.0, -50.0),
     ground_positions=((0.020, 0.059), (0.0613, 0.010), (0.0613, -0.010), (0.020, -0.059)),
+    ground_height=0.0047,
     sonar=SONAR,
+    wheel_mass=0.025,
+    rotor_inertia=8e-5,
+    voltage_limit=9.0,
 )
 """Its manual, see `assets/khepera4.xml`; 3400 mAh that last 7 hours without motors; casters on
 springs of some 100 N/m, without which wheels would leave the floor at the foot of any ramp (assumed)."""

@@ -100,7 +100,7 @@ def make_state(
         idle_current=entry.body.idle_current,
         is_discharged=int(entry.battery_used_min is not None),
         first_moment=first_moment,
-        ground=Ground.of(measured, height=0.0047, lens=0.002),  # manual; lens assumed
+        ground=Ground.of(measured, entry.body.ground_height, lens=0.002),  # assumed
         sonar=(sonar := ultrasonic.make_sonar()),
         beams=Beams.of(len(sonar.gains)),
         dspic=dspic.power_up(),

@@ -62,6 +62,7 @@ BODY = Body(
     pulses_per_turn=1024,
     near_counts=200,
     ground_positions=((0.07, 0.03), (0.07, -0.03)),
+    ground_height=0.008,
     sonar=SonarRing(SONAR, (60, 0, -60), radius=0.095, height=0.035, codes=(0, NO_ECHO)),
 )
 
