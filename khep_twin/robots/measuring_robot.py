@@ -1,6 +1,5 @@
 """Robot of a world whose measurements are evaluated when a program, a log or its line reads them."""
 
-from abc import abstractmethod
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 from khep_twin import step
 from khep_twin.robots.line_server import VehicleServer
 from khep_twin.robots.robot import Robot, RobotSetup
-from khep_twin.sensing.bursts import BURST, NONE, RobotState
+from khep_twin.sensing.bursts import BURST, ECHO, INFRARED, NONE, RobotState
 from khep_twin.simulation.robot_arrays import Part, read
 from khep_twin.simulation.world_state import POSITIONS, RobotSnapshot
 
@@ -41,9 +40,10 @@ class MeasuringRobot(Robot):
         self.registers = self._record["registers"]
         setup.context.observers.evaluations.append(self.refresh)
 
-    @abstractmethod
     def evaluate_all(self) -> None:
         """Evaluate all pending measurements."""
+        self._evaluate(INFRARED)
+        self._evaluate_echoes()
 
     def act_after(self, reason: int) -> None:
         """Update faults before a control period, and act after it if the stepping core has asked for it."""
@@ -93,6 +93,10 @@ class MeasuringRobot(Robot):
         """Positions of all joints at the last burst."""
         row = self._context.moments.rows[self._state.first_moment + BURST]
         return row[: len(self._context.data.qpos)]
+
+    def _evaluate_echoes(self) -> None:
+        """Evaluate the pending bursts of the ultrasonic sensors."""
+        self._evaluate(*range(ECHO, len(self._state.times)))
 
     def _evaluate(self, *moments: int) -> None:
         """Evaluate those of these moments of the robot that are pending."""

@@ -119,11 +119,11 @@ def _remove_keyframes(part: mujoco.MjSpec) -> list[float]:
 
 def _add_parts(robot: mujoco.MjSpec, body: Body) -> None:
     """Add the infrared sensors, wheels and motors that a model's file lacks; calibrations set their sizes."""
-    base = robot.body("base")
+    base, names = robot.body("base"), [part.name for part in (*robot.cameras, *robot.bodies)]
     for name, position in zip(body.cameras, body.sensor_places, strict=True):
-        if robot.camera(name) is None:
+        if name not in names:
             base.add_camera(name=name, pos=position, resolution=[9, 1], fovy=12.680383)
-    for side in ("left", "right") if robot.body("left_wheel") is None else ():
+    for side in ("left", "right") if "left_wheel" not in names else ():
         wheel = base.add_body(name=f"{side}_wheel", mass=body.wheel_mass, explicitinertial=True)
         wheel.ipos, wheel.iquat = [0, 0, 0], [0.7071067812, 0.7071067812, 0, 0]
         wheel.add_joint(
@@ -136,9 +136,11 @@ def _add_parts(robot: mujoco.MjSpec, body: Body) -> None:
         )
         tyre = wheel.add_geom(name=f"{side}_tyre", size=[body.wheel_radius, 0, 0], group=3, mass=0)
         tyre.contype, tyre.conaffinity, tyre.rgba = 0, 0, [0.5, 0.5, 0.5, 0]
-        limit, joint = body.voltage_limit, mujoco.mjtTrn.mjTRN_JOINT
         robot.add_actuator(
-            name=f"{side}_motor", target=f"{side}_axle", trntype=joint, ctrlrange=[-limit, limit]
+            name=f"{side}_motor",
+            target=f"{side}_axle",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            ctrlrange=[-body.voltage_limit, body.voltage_limit],
         )
 
 

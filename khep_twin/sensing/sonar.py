@@ -67,8 +67,8 @@ class Sonar(NamedTuple):
     no_echo: int
 
     @classmethod
-    def of(cls, ring: SonarRing, reach: float, nearest: float, exponent: float, noise_cm: float) -> Self:
-        """Return the sensors of a ring; `exponent` is k of the beam."""
+    def of(cls, ring: SonarRing, noise_cm: float) -> Self:
+        """Return the sensors of a ring."""
         angles = [(el, az) for el in _ELEVATIONS.tolist() for az in _AZIMUTHS.tolist()]
         positions: list[float] = []
         rays: list[float] = []
@@ -76,8 +76,8 @@ class Sonar(NamedTuple):
             positions += position
             for el, az in angles:
                 rays += cos(el) * cos(heading + az), cos(el) * sin(heading + az), sin(el)
-        gains = [(cos(el) * cos(az)) ** (2 * exponent) for el, az in angles]
-        return cls(positions, rays, gains, reach, nearest, noise_cm, *ring.codes[:2])
+        gains = [(cos(el) * cos(az)) ** (2 * ring.exponent) for el, az in angles]
+        return cls(positions, rays, gains, ring.reach, ring.nearest, noise_cm, *ring.codes[:2])
 
 
 @compilable

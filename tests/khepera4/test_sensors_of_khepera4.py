@@ -14,9 +14,9 @@ from khep_twin.programs.computer import Machine
 from khep_twin.robots.khepera4.channels import COUNTS_PER_G, DEGREES_PER_COUNT
 from khep_twin.robots.khepera4.core import PULSES_PER_TURN
 from khep_twin.robots.khepera4.inertial import at_rest, measure
+from khep_twin.robots.khepera4.measurements import BURST_NS as PERIOD_NS
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
-from khep_twin.robots.khepera4.ultrasonic import PERIOD_NS
 from khep_twin.units import GRAVITY, TICK_NS
 from khep_twin.world import World
 

@@ -13,9 +13,13 @@ from khep_twin.sensing.scene import Beams
 from khep_twin.sensing.sonar import Sonar, cast, next_echo, reading_of
 from khep_twin.world import World
 
-RING = SonarRing(("left", "front"), (90, 0), 0.0, 0.04, (0, 999), positions=((0.0048, 0.0596), (0.0564, 0.0)))
+RING = SonarRing(
+    *(("left", "front"), (90, 0), 0.0, 0.04, (0, 999)),
+    positions=((0.0048, 0.0596), (0.0564, 0.0)),
+    **{"reach": 4.0, "nearest": 0.2, "exponent": 3.47},
+)
 LEFT, FRONT = 0, 1
-SONAR = Sonar.of(RING, reach=4.0, nearest=0.2, exponent=3.47, noise_cm=0.4)
+SONAR = Sonar.of(RING, noise_cm=0.4)
 SILENT = plain_tables(0.0)
 
 

@@ -11,21 +11,20 @@ from khep_twin.board.kernel import wrap
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, register
-from khep_twin.robots.khepera3 import measurements, motor_control, state
+from khep_twin.robots.khepera3 import motor_control, state
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.letters import Letters, program_of
+from khep_twin.robots.khepera3.measurements import MEASUREMENTS
 from khep_twin.robots.khepera3.model import KHEPERA_3, version_of
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
 from khep_twin.robots.khepera3.registers import SINGLE_COUNT, ControlType, MotorRegister, PicMode
 from khep_twin.robots.khepera3.state import Khepera3State
+from khep_twin.robots.measuring_core import measuring_core
 from khep_twin.robots.vehicle import WANDERING
-from khep_twin.sensing.bursts import MODULES, scan
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
-from khep_twin.sensing.sonar import cast_level_rays
 from khep_twin.units import TICK_NS
 
 CUT_OFF = 6.0
@@ -38,14 +37,12 @@ _L, _F, _P = map(ord, "LFP")
 
 
 @compilable
-def _start(robot: Khepera3State, simulated: Simulated, inputs: StepInputs) -> bool:
-    """Count from the wheels' present angles, and measure at time 0."""
+def _start(robot: Khepera3State, simulated: Simulated) -> None:
+    """Count from the wheels' present angles."""
     scene = simulated.scene
     robot.left.numbers[Pic.PULSES] = wheel_pulses(robot, joint_position(scene, robot.angles[0]))
     robot.right.numbers[Pic.PULSES] = wheel_pulses(robot, joint_position(scene, robot.angles[1]))
     robot.battery[state.CURRENT] = robot.battery[state.AVERAGE] = robot.idle_current
-    measurements.record(robot, simulated, inputs, 0, simulated.timing.step_ns)
-    return False
 
 
 @compilable
@@ -139,33 +136,19 @@ def _program(entry: RobotEntry, robot: Khepera3State) -> Letters:
     return letters
 
 
-_PARTS = "motor_control", "measurements", "core"
-
-CORE = register(
-    Core(
-        name="khepera3",
-        state=Khepera3State,
-        make_state=state.make_state,
-        changing=(
-            *("left", "right", "board", "echoes", "burst", "burst_echoes", "times", "battery"),
-            *("vehicle", "beams", "registers"),
-        ),
-        n_moments=state.N_MOMENTS,
-        modules=(*MODULES, *(f"khep_twin.robots.khepera3.{name}" for name in _PARTS)),
-        sense=measurements.sense,
-        tick=_tick,
-        start=_start,
-        evaluate=measurements.evaluate,
-        scan=scan,
-        interface=KHEPERA_3.interface,
-        request_terms=measurements.request_terms,
-        update_registers=measurements.update_registers,
-        set_speeds=_set_speeds,
-        is_powered=_is_powered,
-        commands="DFLP",
-        command=_command,
-        counter_commands="IM",
-        echo=cast_level_rays,
-        program=_program,
-    )
+CORE = measuring_core(
+    KHEPERA_3,
+    Khepera3State,
+    state.make_state,
+    MEASUREMENTS,
+    _start,
+    changing=("left", "right", "board", "echoes", "burst_echoes", "battery"),
+    modules=("motor_control", "measurements", "core"),
+    tick=_tick,
+    set_speeds=_set_speeds,
+    is_powered=_is_powered,
+    commands="DFLP",
+    command=_command,
+    counter_commands="IM",
+    program=_program,
 )

@@ -1,10 +1,8 @@
-"""Measurements of a Khepera III: moments of its sensors, their evaluation, and the registers of a log.
+"""Measurements of a Khepera III, and the registers of a log.
 
 Infrared sensors record a moment every 33 ms (manual), active ultrasonic ones in turn every 50 ms (assumed).
-A moment is evaluated when its readings are read. The functions are `compilable`, see `robots.core`.
+The functions are `compilable`, see `robots.measuring_core`.
 """
-
-from collections.abc import Collection, Sequence
 
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
@@ -14,14 +12,12 @@ from khep_twin.robots.khepera3.model import FIRST
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
 from khep_twin.robots.khepera3.registers import ControlType, MotorRegister, Setting
 from khep_twin.robots.khepera3.state import MAX_ECHOES, N_ECHO, N_ULTRASONIC, SETTING, Khepera3State
+from khep_twin.robots.measuring_core import Measurements
 from khep_twin.sensing import sonar
-from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.bursts import ECHO, INFRARED, NONE, RobotState, record_scan, start_burst
-from khep_twin.sensing.device_faults import DEAD, STUCK, set_reading
-from khep_twin.sensing.ground import convert_any
-from khep_twin.sensing.noise import draws
-from khep_twin.sensing.scene import BeamScene, update_frames
-from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
+from khep_twin.sensing.bursts import INFRARED
+from khep_twin.sensing.device_faults import set_reading
+from khep_twin.sensing.scene import BeamScene
+from khep_twin.sensing.simulated import StepInputs
 
 SCAN_NS, BURST_NS = 33_000_000, 50_000_000
 """Periods of the infrared sensors and of bursts [ns]."""
@@ -35,51 +31,6 @@ _N_INFRARED = len(RING) + len(GROUND)
 _PROXIMITY, _AMBIENT, _ULTRASONIC = FIRST["proximity"], FIRST["ambient"], FIRST["ultrasonic"]
 _SPEED, _POSITION, _DUTY, _CURRENT = (FIRST[name] for name in ("speed", "position", "duty", "current"))
 _LEDS, _BATTERY, _CONTROL = FIRST["leds"], FIRST["battery"], FIRST["control"]
-
-
-@compilable
-def sense(robot: Khepera3State, simulated: Simulated, inputs: StepInputs, start: int) -> None:
-    """Record the moments of a step, if any are due."""
-    if start >= 0:
-        step_ns = simulated.timing.step_ns
-        record(robot, simulated, inputs, simulated.counters[STEPS] * step_ns, step_ns)
-
-
-@compilable
-def record(
-    robot: Khepera3State, simulated: Simulated, inputs: StepInputs, time_ns: int, step_ns: int
-) -> None:
-    """Record the moments that have become due in a step that ends at a time [ns]."""
-    if time_ns % SCAN_NS < step_ns:
-        record_scan(robot, simulated, inputs, time_ns)
-    if time_ns % BURST_NS >= step_ns:
-        return
-    last, active_mask = robot.burst[0], robot.board[SETTING + Setting.ULTRASONIC]
-    if robot.is_eager[0] and last != NONE:
-        for index in range(N_ECHO):
-            robot.echoes[last * N_ECHO + index] = robot.burst_echoes[index]
-    if start_burst(robot, simulated, inputs, time_ns, active_mask):
-        _measure_echoes(robot, simulated.scene, inputs, robot.burst[0], time_ns, robot.burst_echoes, 0)
-
-
-@compilable
-def evaluate(robot: Khepera3State, simulated: Simulated, inputs: StepInputs, part: int) -> None:
-    """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
-    if part == INFRARED:
-        _evaluate_infrared(robot, simulated, inputs, inputs.powers[0])
-    else:
-        sensor, time_ns = part - ECHO, robot.times[part]
-        _measure_echoes(robot, simulated.scene, inputs, sensor, time_ns, robot.echoes, sensor * N_ECHO)
-        robot.times[part] = NONE
-
-
-@compilable
-def update_registers(robot: Khepera3State, simulated: Simulated, inputs: StepInputs) -> None:
-    """Evaluate the infrared sensors, whose moment is the present, and set the registers."""
-    if robot.times[INFRARED] != NONE:
-        update_frames(simulated.scene)
-        _evaluate_infrared(robot, simulated, inputs, inputs.powers[powers_row(simulated, inputs)])
-    fill_registers(robot)
 
 
 @compilable
@@ -115,57 +66,55 @@ def _fill_motor(robot: Khepera3State, side: int, motor: MotorState) -> None:
     registers[_CONTROL + 4 + side] = memory[MotorRegister.ERRORS]
 
 
-def request_terms(record: RobotState, names: Collection[str]) -> None:
-    """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
-    record["is_eager"] = "ultrasonic" in names
+@compilable
+def _active_mask(robot: Khepera3State) -> int:
+    """Return the mask of the active ultrasonic sensors."""
+    return robot.board[SETTING + Setting.ULTRASONIC]
 
 
 @compilable
 def _measure_echoes(
-    robot: Khepera3State,
-    scene: BeamScene,
-    inputs: StepInputs,
-    sensor: int,
-    time_ns: int,
-    reading: Vector[int],
-    first: int,
+    robot: Khepera3State, scene: BeamScene, inputs: StepInputs, sensor: int, time_ns: int
 ) -> None:
-    """Set the reading of an ultrasonic sensor, from an index on, in a scene at its burst."""
-    fault, ultrasonic, number = robot.faults.sensors[_N_INFRARED + sensor], robot.sonar, time_ns // BURST_NS
-    if fault == STUCK:
-        return
+    """Measure with an ultrasonic sensor in a scene at its burst."""
+    ultrasonic, reading, number = robot.sonar, robot.burst_echoes, time_ns // BURST_NS
     for index in range(N_ECHO):
-        reading[first + index] = 0
-    n_echoes = min(max(robot.board[SETTING + Setting.N_ECHOES], 0), MAX_ECHOES) if fault != DEAD else 0
+        reading[index] = 0
     sonar.cast(scene, robot.sensors, robot.pose, ultrasonic, robot.beams, sensor, 0)
     distance = -1.0
-    for index in range(n_echoes):
+    for index in range(min(max(robot.board[SETTING + Setting.N_ECHOES], 0), MAX_ECHOES)):
         distance, loudness = sonar.next_echo(ultrasonic, robot.beams, distance)
         draw = number * MAX_ECHOES + index
         distance_cm = sonar.reading_of(ultrasonic, distance, inputs.tables, robot.noise, draw)
         if distance_cm == NO_ECHO:
             return
-        echo = first + 1 + 3 * index
-        reading[first] = index + 1
+        echo = 1 + 3 * index
+        reading[0] = index + 1
         reading[echo] = distance_cm
         reading[echo + 1] = min(round(AMPLITUDE * loudness), MAX_AMPLITUDE)
         reading[echo + 2] = max(time_ns // _MS - robot.board[state.TIMER_ZERO_MS], 0)
 
 
 @compilable
-def _evaluate_infrared(
-    robot: Khepera3State, simulated: Simulated, inputs: StepInputs, powers: Sequence[float]
-) -> None:
-    """Measure with the infrared sensors in a scene at their moment."""
-    time_ns, number = robot.times[INFRARED], robot.times[INFRARED] // SCAN_NS
-    scene, sensors, ground, light = simulated.scene, robot.sensors, robot.ground, simulated.light
-    registers, faults, active_mask = robot.registers, robot.faults, robot.board[SETTING + Setting.INFRARED]
-    for channel in range(_N_INFRARED):
-        random = draws(inputs.tables, robot.noise, number * _N_INFRARED + channel)
-        proximity, ambient = convert_any(scene, sensors, ground, light, powers, time_ns, channel, random)
-        if not active_mask >> channel & 1:
-            proximity = ambient = 0
-        set_reading(registers, _PROXIMITY + channel, faults, channel, proximity, 0)
-        set_reading(registers, _AMBIENT + channel, faults, channel, ambient, ground.darkest)
-    robot.board[state.SCAN_MS] = number * (SCAN_NS // _MS)
-    robot.times[INFRARED] = NONE
+def _keep_echoes(robot: Khepera3State, sensor: int) -> None:
+    """Make the reading of the last burst that of its sensor."""
+    for index in range(N_ECHO):
+        number, reading = sensor * N_ECHO + index, robot.burst_echoes[index]
+        set_reading(robot.echoes, number, robot.faults, _N_INFRARED + sensor, reading, 0)
+
+
+@compilable
+def _set_infrared(robot: Khepera3State, channel: int, proximity: int, ambient: int) -> None:
+    """Set the registers of an infrared sensor, and the time of the readings."""
+    registers, faults = robot.registers, robot.faults
+    if not robot.board[SETTING + Setting.INFRARED] >> channel & 1:
+        proximity = ambient = 0
+    set_reading(registers, _PROXIMITY + channel, faults, channel, proximity, 0)
+    set_reading(registers, _AMBIENT + channel, faults, channel, ambient, robot.ground.darkest)
+    robot.board[state.SCAN_MS] = robot.times[INFRARED] // SCAN_NS * (SCAN_NS // _MS)
+
+
+MEASUREMENTS = Measurements(
+    *(SCAN_NS, BURST_NS, _set_infrared),
+    *(_active_mask, _measure_echoes, _keep_echoes, fill_registers),
+)

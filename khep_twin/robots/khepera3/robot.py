@@ -11,7 +11,8 @@ from khep_twin.robots.khepera3.registers import N_BYTES, SETTINGS
 from khep_twin.robots.khepera3.state import Khepera3State
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
-from khep_twin.sensing.bursts import ECHO, INFRARED, NONE
+from khep_twin.robots.vehicle import N_VEHICLE
+from khep_twin.sensing.bursts import INFRARED, NONE
 from khep_twin.simulation.robot_arrays import Layout, Part
 
 _MEMORY, _NUMBERS = (
@@ -33,7 +34,7 @@ LAYOUT = Layout(
         "burst": [Part("last ultrasonic sensor", 1, NONE, state.N_ULTRASONIC - 1)],
         "echoes": [Part("ultrasonic reading", state.N_ULTRASONIC * state.N_ECHO)],
         "battery": [Part("used charge", 1, 0, state.CAPACITY), Part("current", 2)],
-        "vehicle": [Part("number of the vehicle", state.N_VEHICLE, -(2**31), 2**31)],
+        "vehicle": [Part("number of the vehicle", N_VEHICLE, -(2**31), 2**31)],
         "registers": [Part("register", SAMPLED[-1].registers[-1] + 1)],
     },
 )
@@ -74,13 +75,9 @@ class Khepera3Robot(MeasuringRobot):
             motor.numbers[Pic.PULSES] = wheel_pulses(self._state, self._context.data.qpos[joint])
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
 
-    def evaluate_all(self) -> None:
-        """Evaluate all pending measurements."""
-        self._evaluate(INFRARED, *range(ECHO, state.N_MOMENTS))
-
     def _evaluate_pending(self, letter: str) -> None:
         """Evaluate the pending measurements that a command reads, by its letter."""
         if letter == "G":
-            self._evaluate(*range(ECHO, state.N_MOMENTS))
+            self._evaluate_echoes()
         elif letter in "NO":
             self._evaluate(INFRARED)

@@ -7,7 +7,7 @@ GROUND = ("ground left", "ground front left", "ground front right", "ground righ
 ULTRASONIC = ("left", "front left", "front", "front right", "right")
 """Names of the ultrasonic sensors, in the order of the registers."""
 
-ULTRASONIC_CODES = (0, 1000, 2000)
+ULTRASONIC_CODES = TOO_NEAR, NO_ECHO, DISABLED = 0, 1000, 2000
 """Ultrasonic readings without a distance: too near, no echo, disabled (library)."""
 
 BAUD = 115_200

@@ -14,19 +14,18 @@ import math
 from khep_twin.board.memory import write_number
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.core import Core, register
-from khep_twin.robots.khepera4 import dspic, gauge, inertial, measurements
+from khep_twin.robots.khepera4 import dspic, gauge, inertial
+from khep_twin.robots.khepera4.measurements import MEASUREMENTS
 from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
 from khep_twin.robots.khepera4.motor_control import LEFT_PWM, N_MOTOR, PWM_LIMIT, RIGHT_PWM, Motor, stop
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
-from khep_twin.robots.khepera4.state import N_MOMENTS, Khepera4State, make_state
+from khep_twin.robots.khepera4.state import Khepera4State, make_state
+from khep_twin.robots.measuring_core import measuring_core
 from khep_twin.robots.vehicle import WANDERING
-from khep_twin.sensing.bursts import MODULES, scan
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
-from khep_twin.sensing.sonar import cast_level_rays
 
 PULSES_PER_TURN = BODY.pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""
@@ -39,13 +38,11 @@ _D, _L, _F = map(ord, "DLF")
 
 
 @compilable
-def _start(robot: Khepera4State, simulated: Simulated, inputs: StepInputs) -> bool:
-    """Count from the wheels' present angles, and measure at time 0."""
+def _start(robot: Khepera4State, simulated: Simulated) -> None:
+    """Count from the wheels' present angles."""
     robot.zeros[0] = wheel_pulses(joint_position(simulated.scene, robot.angles[0]))
     robot.zeros[1] = wheel_pulses(joint_position(simulated.scene, robot.angles[1]))
     gauge.write_block(robot.dspic.memory, robot.gauge)
-    measurements.record(robot, simulated, inputs, 0)
-    return False
 
 
 @compilable
@@ -161,33 +158,19 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
     set_motor(scene, robot.motors[1], 0.0)
 
 
-_PARTS = "motor_control", "dspic", "inertial", "gauge", "ultrasonic", "measurements", "core"
-
-CORE = register(
-    Core(
-        name="khepera4",
-        state=Khepera4State,
-        make_state=make_state,
-        changing=(
-            *("dspic", "inertial", "gauge", "zeros", "burst", "distances", "burst_distance"),
-            *("times", "vehicle", "beams", "registers"),
-        ),
-        n_moments=N_MOMENTS,
-        modules=(*MODULES, *(f"khep_twin.robots.khepera4.{name}" for name in _PARTS)),
-        sense=measurements.sense,
-        tick=_tick,
-        start=_start,
-        evaluate=measurements.evaluate,
-        scan=scan,
-        interface=KHEPERA_4.interface,
-        request_terms=measurements.request_terms,
-        update_registers=measurements.update_registers,
-        set_speeds=_set_speeds,
-        is_powered=_is_powered,
-        commands="DLF",
-        command=_command,
-        counter_commands="IZ",
-        echo=cast_level_rays,
-        program=_program,
-    )
+CORE = measuring_core(
+    KHEPERA_4,
+    Khepera4State,
+    make_state,
+    MEASUREMENTS,
+    _start,
+    changing=("dspic", "inertial", "gauge", "zeros", "distances", "burst_distance"),
+    modules=("motor_control", "dspic", "inertial", "gauge", "measurements", "core"),
+    tick=_tick,
+    set_speeds=_set_speeds,
+    is_powered=_is_powered,
+    commands="DLF",
+    command=_command,
+    counter_commands="IZ",
+    program=_program,
 )

@@ -4,12 +4,12 @@ The stepping core runs it (`khepera4.core`). Its measurements are evaluated when
 log reads them.
 """
 
-from khep_twin.robots.khepera4 import gauge, ultrasonic
-from khep_twin.robots.khepera4.channels import PACKET_SIZE, ULTRASONIC_CODES
+from khep_twin.robots.khepera4 import gauge
+from khep_twin.robots.khepera4.channels import DISABLED, PACKET_SIZE, ULTRASONIC_CODES
 from khep_twin.robots.khepera4.core import wheel_pulses
 from khep_twin.robots.khepera4.dspic import N_MEMORY, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS
-from khep_twin.robots.khepera4.measurements import fill_registers
+from khep_twin.robots.khepera4.measurements import BURST_NS, fill_registers
 from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import DspicRegister
@@ -17,7 +17,7 @@ from khep_twin.robots.khepera4.server import Kh4Server
 from khep_twin.robots.khepera4.state import Khepera4State
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
-from khep_twin.sensing.bursts import ECHO, INFRARED, NONE
+from khep_twin.sensing.bursts import INFRARED, NONE
 from khep_twin.simulation.number_reader import LARGEST
 from khep_twin.simulation.robot_arrays import Layout, Part
 from khep_twin.simulation.world_state import RobotSnapshot
@@ -80,7 +80,7 @@ class Khepera4Robot(MeasuringRobot):
     def __init__(self, setup: RobotSetup) -> None:
         state: Khepera4State = setup.context.simulation.robots.state_of(setup.index)
         self.dspic = Dspic(state.dspic)
-        super().__init__(setup, Kh4Server(self.dspic, state.vehicle), fill_registers, ultrasonic.PERIOD_NS)
+        super().__init__(setup, Kh4Server(self.dspic, state.vehicle), fill_registers, BURST_NS)
         self.dspic.before_read = self._evaluate_pending
 
     def set_state(self, state: RobotSnapshot) -> None:
@@ -113,11 +113,11 @@ class Khepera4Robot(MeasuringRobot):
         if end > DspicRegister.AMBIENT and first < DspicRegister.ULTRASONIC:
             self._evaluate(INFRARED)
         if end > DspicRegister.ULTRASONIC and first < DspicRegister.ULTRASONIC_ENABLED:
-            self._evaluate(*range(ECHO, ECHO + N_ULTRASONIC))
+            self._evaluate_echoes()
             enabled_mask = self.dspic.ultrasonic_enabled
             distances = self._state.distances
             readings = [
-                distances[channel] if enabled_mask >> channel & 1 else ultrasonic.DISABLED
+                distances[channel] if enabled_mask >> channel & 1 else DISABLED
                 for channel in range(N_ULTRASONIC)
             ]
             self.dspic.set_words(DspicRegister.ULTRASONIC, readings)

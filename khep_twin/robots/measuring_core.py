@@ -1,0 +1,199 @@
+"""Core of a robot whose measurements are evaluated when a program, a log or its line reads them.
+
+Its infrared sensors record a moment once in a period, its active ultrasonic sensors in turn, see
+`sensing.bursts`. `measuring_core` adds the functions for them to those of a model.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from khep_twin.compilable import compilable
+from khep_twin.playpen import RobotEntry
+from khep_twin.robots.core import Core, register
+from khep_twin.robots.model import RobotModel
+from khep_twin.robots.vehicle import N_VEHICLE
+from khep_twin.sensing.bursts import ECHO, INFRARED, MODULES, NONE, RobotState, record_scan, scan, start_burst
+from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.ground import Ground, convert_any
+from khep_twin.sensing.noise import draws
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.scene import Beams, update_frames
+from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
+from khep_twin.sensing.sonar import Sonar, cast_level_rays
+from khep_twin.sensors import core_fields
+
+
+def measuring_fields(
+    model: mujoco.MjModel,
+    indices: RobotIndices,
+    measured: Calibration,
+    entry: RobotEntry,
+    first_moment: int,
+) -> dict[str, Any]:
+    """Return the fields of a state, besides those of `core_fields`, whose arguments these are.
+
+    idle_current: Current with the motors at rest [A].
+    is_discharged: 1 if the battery is discharged during the run.
+    first_moment: Number of its first moment.
+    ground: Sensors that look at the floor; the length of their lens is assumed.
+    sonar: Ultrasonic sensors; their noise is assumed.
+    beams: Buffers for their rays.
+    burst: Sensor of the last burst, or NONE (1,).
+    is_eager: 1 if a burst is evaluated immediately, without a moment (1,).
+    times: Time of each moment, NONE if there is nothing to evaluate (n_moments,) [ns].
+    vehicle: State of the vehicle of the program on its line (N_VEHICLE,).
+    registers: Registers as in logs (n_registers,).
+    """
+    body = entry.body
+    assert body.sonar is not None
+    sonar = Sonar.of(body.sonar, noise_cm=0.4)
+    return {
+        **core_fields(model, indices, measured, entry, first_moment),
+        "idle_current": body.idle_current,
+        "is_discharged": int(entry.battery_used_min is not None),
+        "first_moment": first_moment,
+        "ground": Ground.of(measured, body.ground_height, lens=0.002),
+        "sonar": sonar,
+        "beams": Beams.of(len(sonar.gains)),
+        "burst": np.full(1, NONE),
+        "is_eager": np.zeros(1, np.int64),
+        "times": np.full(ECHO + len(body.sonar.names), NONE),
+        "vehicle": np.zeros(N_VEHICLE, np.int64),
+        "registers": np.zeros(entry.robot_model.episode_interface.n_registers, np.int64),
+    }
+
+
+class Measurements(NamedTuple):
+    """Measurements of a model; the functions are `compilable`.
+
+    Attributes:
+        scan_ns: Period of the infrared sensors [ns].
+        burst_ns: Time from one burst to the next [ns].
+        set_infrared: Sets proximity and ambient counts of an infrared sensor of a robot, by its number.
+        active_mask: Returns the mask of a robot's active ultrasonic sensors.
+        measure_burst: Measures with an ultrasonic sensor, by a robot, a scene, inputs, its number and a time.
+        keep_burst: Makes this measurement of a robot the reading of the sensor, by its number.
+        fill_registers: Sets the other registers of a robot.
+    """
+
+    scan_ns: int
+    burst_ns: int
+    set_infrared: Callable[..., None]
+    active_mask: Callable[..., int]
+    measure_burst: Callable[..., None]
+    keep_burst: Callable[..., None]
+    fill_registers: Callable[..., None]
+
+
+def measuring_core(
+    model: RobotModel,
+    state: type[Any],
+    make_state: Callable[..., Any],
+    measurements: Measurements,
+    start: Callable[..., None],
+    *,
+    changing: tuple[str, ...],
+    modules: Collection[str],
+    **functions: Any,
+) -> Core:
+    """Return the registered core of a family of models.
+
+    Args:
+        model: One of them.
+        state: Class of a robot's state.
+        make_state: See `Core`.
+        measurements: Its measurements.
+        start: Starts a run, before the first measurement.
+        changing: Fields that change, besides those of `measuring_fields`.
+        modules: Names of the compiled modules in the folder of `state`.
+        functions: Further fields of the core.
+    """
+    scan_ns, burst_ns, set_infrared, active_mask, measure_burst, keep_burst, fill_registers = measurements
+
+    @compilable
+    def record(robot: RobotState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
+        """Record the moments that have become due in a step that ends at a time [ns]."""
+        step_ns = simulated.timing.step_ns
+        if time_ns % scan_ns < step_ns:
+            record_scan(robot, simulated, inputs, time_ns)
+        if time_ns % burst_ns >= step_ns:
+            return
+        if robot.is_eager[0] and robot.burst[0] != NONE:
+            keep_burst(robot, robot.burst[0])
+        if start_burst(robot, simulated, inputs, time_ns, active_mask(robot)):
+            measure_burst(robot, simulated.scene, inputs, robot.burst[0], time_ns)
+
+    @compilable
+    def start_recording(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> bool:
+        """Start the run, and record the moments of time 0."""
+        start(robot, simulated)
+        record(robot, simulated, inputs, 0)
+        return False
+
+    @compilable
+    def sense(robot: RobotState, simulated: Simulated, inputs: StepInputs, start: int) -> None:
+        """Record the moments of a step, if any are due."""
+        if start >= 0:
+            record(robot, simulated, inputs, simulated.counters[STEPS] * simulated.timing.step_ns)
+
+    @compilable
+    def evaluate_scan(
+        robot: RobotState, simulated: Simulated, inputs: StepInputs, powers: Sequence[float]
+    ) -> None:
+        """Measure with the infrared sensors in a scene at their moment."""
+        scene, sensors, time_ns = simulated.scene, robot.sensors, robot.times[INFRARED]
+        n_sensors = len(sensors.cameras)
+        for channel in range(n_sensors):
+            random = draws(inputs.tables, robot.noise, time_ns // scan_ns * n_sensors + channel)
+            proximity, ambient = convert_any(
+                scene, sensors, robot.ground, simulated.light, powers, time_ns, channel, random
+            )
+            set_infrared(robot, channel, proximity, ambient)
+        robot.times[INFRARED] = NONE
+
+    @compilable
+    def evaluate(robot: RobotState, simulated: Simulated, inputs: StepInputs, part: int) -> None:
+        """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
+        if part == INFRARED:
+            evaluate_scan(robot, simulated, inputs, inputs.powers[0])
+        else:
+            measure_burst(robot, simulated.scene, inputs, part - ECHO, robot.times[part])
+            keep_burst(robot, part - ECHO)
+            robot.times[part] = NONE
+
+    @compilable
+    def update_registers(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> None:
+        """Evaluate the infrared sensors, whose moment is the present, and set the registers."""
+        if robot.times[INFRARED] != NONE:
+            update_frames(simulated.scene)
+            evaluate_scan(robot, simulated, inputs, inputs.powers[powers_row(simulated, inputs)])
+        fill_registers(robot)
+
+    folder = state.__module__.rpartition(".")[0]
+    return register(
+        Core(
+            name=model.family,
+            state=state,
+            make_state=make_state,
+            changing=("beams", "burst", "times", "vehicle", "registers", *changing),
+            n_moments=ECHO + len(model.body.fault_sensors) - len(model.body.sensors),
+            modules=(*MODULES, __name__, *(f"{folder}.{name}" for name in modules)),
+            sense=sense,
+            start=start_recording,
+            evaluate=evaluate,
+            scan=scan,
+            interface=model.interface,
+            request_terms=_request_terms,
+            update_registers=update_registers,
+            echo=cast_level_rays,
+            **functions,
+        )
+    )
+
+
+def _request_terms(record: RobotState, names: Collection[str]) -> None:
+    """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
+    record["is_eager"] = "ultrasonic" in names
