@@ -100,6 +100,12 @@ def summary(kind: str, name: str) -> str:
         return file.readline().removeprefix("# ").strip().partition(". ")[0].removesuffix(".")
 
 
+def path_of(kind: str, name: str | Path, paths: Mapping[str, str] = {}) -> Path:
+    """Return the path of a file given by bare name or path; `paths` are those of further bare names."""
+    source = str(name)
+    return folder(kind) / f"{source}.toml" if source in names(kind) else Path(paths.get(source, name))
+
+
 def read(
     kind: str, name: str | Path, error_type: type[KhepTwinError], paths: Mapping[str, str] = {}
 ) -> tuple[str, str]:
@@ -111,9 +117,8 @@ def read(
         error_type: The file does not exist, exceeds the size limit, or is not text.
     """
     source = str(name)
-    path = folder(kind) / f"{name}.toml" if source in names(kind) else Path(paths.get(source, name))
     try:
-        with open_regular(path) as file:
+        with open_regular(path_of(kind, name, paths)) as file:
             data = file.read(SIZE_LIMIT + 1)
     except FileNotFoundError:
         expected = "the path of a file"
@@ -142,10 +147,19 @@ def validate(
     Raises:
         error_type: The text is no TOML, or does not fit the model; one line per problem.
     """
+    return check(model, parse(text, source, error_type), source, error_type, text, context)
+
+
+def parse(text: str, source: str, error_type: type[KhepTwinError]) -> dict[str, Any]:
+    """Return the tables of a file, with arrays as tuples.
+
+    Raises:
+        error_type: The text is no TOML.
+    """
     if _DEEP_KEY.search(text):
         raise error_type("a key has more than 32 parts", file=source)
     try:
-        data = freeze(tomllib.loads(text))
+        return freeze(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         hint = f"; to run a controller: {command('run', source)}" if source.endswith(".py") else ""
         raise error_type(f"not TOML: {error}", hint, file=source) from None
@@ -153,7 +167,6 @@ def validate(
         raise error_type("not TOML that can be read: a number has thousands of digits", file=source) from None
     except RecursionError:
         raise error_type("not TOML that can be read: nested too deeply", file=source) from None
-    return check(model, data, source, error_type, text, context)
 
 
 def check(

@@ -5,7 +5,7 @@ Its infrared sensors record a moment once in a period, its active ultrasonic sen
 """
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -66,52 +66,39 @@ def measuring_fields(
     }
 
 
-class Measurements(NamedTuple):
-    """Measurements of a model; the functions are `compilable`.
-
-    Attributes:
-        scan_ns: Period of the infrared sensors [ns].
-        burst_ns: Time from one burst to the next [ns].
-        set_infrared: Sets proximity and ambient counts of an infrared sensor of a robot, by its number.
-        active_mask: Returns the mask of a robot's active ultrasonic sensors.
-        measure_burst: Measures with an ultrasonic sensor, by a robot, a scene, inputs, its number and a time.
-        keep_burst: Makes this measurement of a robot the reading of the sensor, by its number.
-        fill_registers: Sets the other registers of a robot.
-    """
-
-    scan_ns: int
-    burst_ns: int
-    set_infrared: Callable[..., None]
-    active_mask: Callable[..., int]
-    measure_burst: Callable[..., None]
-    keep_burst: Callable[..., None]
-    fill_registers: Callable[..., None]
-
-
 def measuring_core(
     model: RobotModel,
     state: type[Any],
-    make_state: Callable[..., Any],
-    measurements: Measurements,
     start: Callable[..., None],
+    scan_ns: int,
+    set_infrared: Callable[..., None],
+    burst_ns: int,
+    active_mask: Callable[..., int],
+    measure_burst: Callable[..., None],
+    keep_burst: Callable[..., None],
+    fill_registers: Callable[..., None],
     *,
     changing: tuple[str, ...],
     modules: Collection[str],
-    **functions: Any,
+    **fields: Any,
 ) -> Core:
-    """Return the registered core of a family of models.
+    """Return the registered core of a family of models. The functions are `compilable`.
 
     Args:
         model: One of them.
         state: Class of a robot's state.
-        make_state: See `Core`.
-        measurements: Its measurements.
-        start: Starts a run, before the first measurement.
-        changing: Fields that change, besides those of `measuring_fields`.
+        start: Starts a robot's run, before the first measurement.
+        scan_ns: Period of the infrared sensors [ns].
+        set_infrared: Sets proximity and ambient counts of an infrared sensor of a robot, by its number.
+        burst_ns: Time from one burst to the next [ns].
+        active_mask: Returns the mask of a robot's active ultrasonic sensors.
+        measure_burst: Measures with an ultrasonic sensor, by a robot, a scene, inputs, its number and a time.
+        keep_burst: Makes this measurement of a robot the reading of the sensor, by its number.
+        fill_registers: Sets the other registers of a robot.
+        changing: Fields of the state that change, besides those of `measuring_fields`.
         modules: Names of the compiled modules in the folder of `state`.
-        functions: Further fields of the core.
+        fields: Further fields of the core.
     """
-    scan_ns, burst_ns, set_infrared, active_mask, measure_burst, keep_burst, fill_registers = measurements
 
     @compilable
     def record(robot: RobotState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
@@ -177,7 +164,6 @@ def measuring_core(
         Core(
             name=model.family,
             state=state,
-            make_state=make_state,
             changing=("beams", "burst", "times", "vehicle", "registers", *changing),
             n_moments=ECHO + len(model.body.fault_sensors) - len(model.body.sensors),
             modules=(*MODULES, __name__, *(f"{folder}.{name}" for name in modules)),
@@ -189,7 +175,7 @@ def measuring_core(
             request_terms=_request_terms,
             update_registers=update_registers,
             echo=cast_level_rays,
-            **functions,
+            **fields,
         )
     )
 

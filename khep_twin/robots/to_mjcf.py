@@ -119,7 +119,8 @@ def _remove_keyframes(part: mujoco.MjSpec) -> list[float]:
 
 def _add_parts(robot: mujoco.MjSpec, body: Body) -> None:
     """Add the infrared sensors, wheels and motors that a model's file lacks; calibrations set their sizes."""
-    base, names = robot.body("base"), [part.name for part in (*robot.cameras, *robot.bodies)]
+    parts: list[Any] = [*robot.cameras, *robot.bodies]
+    base, names = robot.body("base"), {part.name for part in parts}
     for name, position in zip(body.cameras, body.sensor_places, strict=True):
         if name not in names:
             base.add_camera(name=name, pos=position, resolution=[9, 1], fovy=12.680383)

@@ -1,13 +1,15 @@
 """Calibrations: parameters of the sensors, wheels and motors of one named robot, in a TOML file.
 
 Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and names its source. The files in
-assets/calibration are used by bare name, others by path. `khep_twin.sensors` explains the parameters.
+assets/calibration are used by bare name, others by path. `khep_twin.sensors` explains the parameters. A
+file may have only the keys in which it differs from another one, its `base`: a name, or a path from its folder.
 """
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from statistics import mode
-from typing import Annotated, Literal, Self, TypeVar, cast
+from typing import Annotated, Any, Literal, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -355,17 +357,35 @@ def names() -> list[str]:
     return toml_files.names("calibration")
 
 
-def read(name: str) -> tuple[Calibration, str]:
-    """Return a calibration by bare name or path, and the text of its file.
+def read(name: str, users: tuple[Path, ...] = ()) -> tuple[Calibration, str]:
+    """Return a calibration by bare name or path, and its text: that of its file, without a `base` complete.
 
-    Bare names are those of `names`, and of the usual calibrations of installed models.
+    Bare names are those of `names`, and of the usual calibrations of installed models. `users` are the files
+    whose `base` this is.
 
     Raises:
         CalibrationError: The file is missing or unusable; one line per problem.
     """
     usual = {model.calibration_name: model.calibration for model in installed_models().values()}
     text, source = toml_files.read("calibration", name, CalibrationError, usual)
-    return toml_files.validate(Calibration, text, source, CalibrationError), text
+    data = toml_files.parse(text, source, CalibrationError)
+    if "base" not in data:
+        return toml_files.check(Calibration, data, source, CalibrationError, text), text
+    base_name, path = data.pop("base"), toml_files.path_of("calibration", name, usual).resolve()
+    is_bare = base_name in usual or base_name in names()
+    base_path = base_name if is_bare else str(path.parent / str(base_name))
+    if not isinstance(base_name, str) or not toml_files.path_of("calibration", base_path, usual).is_file():
+        reason, expected = f"base = {toml_files.format_value(base_name)}", "a calibration's name or path"
+        raise CalibrationError(f"{reason}: no such file", file=source, expected=expected)
+    if path in users:
+        raise CalibrationError(f'base = "{base_name}": a circle; expected another file', file=source)
+    base, base_text = read(base_path, (*users, path))
+    merged: dict[str, Any] = base.model_dump(exclude_unset=True)
+    for key, value in data.items():
+        is_table = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = merged[key] | value if is_table else value
+    calibration = toml_files.check(Calibration, merged, source, CalibrationError, text)
+    return calibration, toml_files.edit(base_text, base, calibration)
 
 
 def read_for(name: str, model: RobotModel) -> Calibration:

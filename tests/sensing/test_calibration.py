@@ -1,6 +1,7 @@
 """Calibration files: the built-in ones are valid, and errors are reported with their position."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -160,3 +161,55 @@ def test_counts_out_of_the_range_of_12_bits_are_refused(old: str, new: str, prob
     assert old in text
     with pytest.raises(CalibrationError, match=re.escape(problem)):
         toml_files.validate(calibration.Calibration, text.replace(old, new), "mine.toml", CalibrationError)
+
+
+BASE = {"mine": 'name = "mine"\nbase = "theirs.toml"\n[proximity]\nidle_counts = 3\n', "theirs": TEXT}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a file and its base, beside the present one."""
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    for name, text in BASE.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+    return tmp_path
+
+
+def test_the_keys_of_a_file_replace_those_of_its_base_and_the_text_is_complete(folder: Path) -> None:
+    (folder / "third.toml").write_text('base = "mine.toml"\n[wheels]\nbase_mm = 54\n')
+    measured, text = calibration.read("../third.toml")
+    theirs = calibration.read("khepera1")[0]
+    assert (measured.name, measured.proximity.idle_counts, measured.wheels.base_mm) == ("mine", 3, 54)
+    assert (measured.heading_deg, measured.ambient) == (theirs.heading_deg, theirs.ambient)
+    assert "base =" not in text
+    assert toml_files.validate(calibration.Calibration, text, "log", CalibrationError) == measured
+
+
+def test_a_base_may_be_a_calibration_by_its_name(folder: Path) -> None:
+    (folder / "mine.toml").write_text('base = "khepera3"\n[motors]\nsupply_v = 7.0\n')
+    assert calibration.read("../mine.toml")[0].motors.supply_v == 7
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"theirs.toml"', '"none.toml"', r"mine.toml: base = \"none.toml\": no such file; expected a calibr"),
+        ('"theirs.toml"', "3", "mine.toml: base = 3: no such file; expected a calibration's name or path"),
+        ('"theirs.toml"', '"mine.toml"', r"mine.toml: base = \"mine.toml\": a circle; expected another file"),
+        ('"theirs.toml"', '"../"', 'base = "../": no such file'),
+        ("idle_counts", "idle_count", r"mine.toml:4: proximity: idle_count = 3: unknown key; did you mean"),
+        ("[proximity]", "[[proximity]]", "mine.toml: proximity; expected a table"),
+    ],
+)
+def test_a_wrong_base_or_key_is_named_in_one_line(old: str, new: str, message: str, folder: Path) -> None:
+    (folder / "mine.toml").write_text(BASE["mine"].replace(old, new))
+    with pytest.raises(CalibrationError, match=message) as caught:
+        calibration.read("../mine.toml")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_problem_of_a_base_is_reported_in_its_own_file(folder: Path) -> None:
+    (folder / "theirs.toml").write_text(TEXT.replace("dark_counts = 484.8", "dark_counts = true"))
+    with pytest.raises(CalibrationError, match=r"theirs.toml:\d+: ambient: dark_counts = true; expected"):
+        calibration.read("../mine.toml")

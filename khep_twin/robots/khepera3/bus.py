@@ -1,6 +1,6 @@
 """Devices of a Khepera III on its I2C bus: dsPIC, two motor controllers and real-time clock.
 
-    bus = Bus(state, version=(3, 0))
+    bus = Bus(state, KHEPERA_3)
     bus.dspic.write(bytes([2, ord("N")]))
     count = bus.dspic.read(1)[0]
     letter, *numbers = bus.dspic.read(count)
@@ -17,16 +17,19 @@ others (assumed).
 
 import struct
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partialmethod
 
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.board.memory import read_signed, write_number
 from khep_twin.programs.computer import Slave
 from khep_twin.robots.khepera3 import registers, state
 from khep_twin.robots.khepera3.channels import GROUND, RING
-from khep_twin.robots.khepera3.model import FIRST
+from khep_twin.robots.khepera3.model import FIRST, SERVER
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, halt, reset
 from khep_twin.robots.khepera3.registers import MotorRegister, PicMode, Setting
 from khep_twin.robots.khepera3.state import N_ECHO, SETTING, Khepera3State
+from khep_twin.robots.model import RobotModel
 
 FRAMES = {
     **{"B": "<2H", "C": "<", "G": f"<H{5 * 'HHI'}H", "K": "<", "N": "<11hI", "O": "<11HI", "V": "<2H"},
@@ -58,43 +61,34 @@ _READ_ONLY = {
 }
 
 
+@dataclass
 class _Device:
-    """A device that the robot's supply feeds.
+    """A device that the robot's supply feeds."""
 
-    Args:
-        robot: State of the robot.
-    """
-
-    def __init__(self, robot: Khepera3State) -> None:
-        self._robot = robot
+    robot: Khepera3State
 
     @property
     def is_powered(self) -> bool:
         """True if the supply suffices; otherwise the bus gets no reply."""
-        return bool(self._robot.board[state.POWERED])
+        return bool(self.robot.board[state.POWERED])
 
 
+@dataclass
 class MotorController(_Device):
-    """One of the motor controllers.
+    """One of the motor controllers."""
 
-    Args:
-        robot: State of the robot.
-        motor: State of the controller.
-    """
-
-    def __init__(self, robot: Khepera3State, motor: MotorState) -> None:
-        super().__init__(robot)
-        self._motor = motor
-        self._register = 0
+    motor: MotorState
+    register: int = 0
+    """Selected register."""
 
     def write(self, message: bytes) -> None:
         """Select a register, and write a byte to it if the message has one."""
-        register = self._register = message[0]
+        register = self.register = message[0]
         if len(message) == 1 or register >= registers.N_BYTES or register in _READ_ONLY:
             return
-        memory, numbers, byte = self._motor.memory, self._motor.numbers, message[1]
+        memory, numbers, byte = self.motor.memory, self.motor.numbers, message[1]
         if register == MotorRegister.CONTROL and byte != memory[register]:
-            halt(self._motor)
+            halt(self.motor)
         memory[register] = byte
         if register == MotorRegister.SET_POINT:
             numbers[Pic.SET_POINT] = read_signed(memory, register, 4)
@@ -104,17 +98,17 @@ class MotorController(_Device):
         elif register == MotorRegister.MODE and byte == PicMode.STOP:
             numbers[Pic.HOLD_POSITION] = numbers[Pic.POSITION]
         elif register == MotorRegister.MODE and byte == PicMode.RESET:
-            reset(self._motor)
+            reset(self.motor)
         elif register == MotorRegister.MODE and byte in (PicMode.SAVE, PicMode.SEARCH):
             # A search of limits ends immediately, and settings are not saved (assumed).
             memory[register] = PicMode.IDLE
 
     def read(self, count: int) -> bytes:
         """Return the byte of the selected register, `count` times."""
-        register, memory = self._register, self._motor.memory
+        register, memory = self.register, self.motor.memory
         if register in _LATCHES:
             size, number = _LATCHES[register]
-            write_number(memory, register - size + 1, size, self._motor.numbers[number])
+            write_number(memory, register - size + 1, size, self.motor.numbers[number])
         return bytes([memory[register] if register < registers.N_BYTES else 0]) * count
 
     def get(self, register: int, size: int) -> int:
@@ -131,39 +125,28 @@ class MotorController(_Device):
             self.write(bytes([register + offset, value >> 8 * offset & 0xFF]))
 
 
+@dataclass
 class DspicDevice(_Device):
-    """The dsPIC.
+    """The dsPIC."""
 
-    Args:
-        robot: State of the robot.
-        version: Version and revision of its firmware.
-
-    Attributes:
-        before_read: Function that is called before readings are read, with the command's letter.
-        time_ms: Function that returns the present time [ms].
-    """
-
-    def __init__(self, robot: Khepera3State, version: tuple[int, int]) -> None:
-        super().__init__(robot)
-        self._version = version
-        self.before_read: Callable[[str], None] = lambda letter: None
-        self.time_ms: Callable[[], int] = lambda: 0
-        self._frame = b""
-
-    @property
-    def vehicle_gain(self) -> int:
-        """Gain of the vehicle of letter A in the configuration."""
-        return self._robot.board[SETTING + Setting.VEHICLE_GAIN]
+    version: Sequence[int]
+    """Version and revision of its firmware."""
+    before_read: Callable[[str], None] = lambda letter: None
+    """Function that is called before readings are read, with the command's letter."""
+    time_ms: Callable[[], int] = lambda: 0
+    """Function that returns the present time [ms]."""
+    frame: bytes = b""
+    """Unread part of the last frame."""
 
     def write(self, message: bytes) -> None:
         """Execute a command; one whose first byte is not its length has no effect (assumed)."""
         if 1 < message[0] == len(message):
             reply = self.execute(message[1:])
-            self._frame = bytes([len(reply), 0]) + reply if reply else b""
+            self.frame = bytes([len(reply), 0]) + reply if reply else b""
 
     def read(self, count: int) -> bytes:
         """Return the next bytes of the frame, zeros after its end (assumed)."""
-        content, self._frame = self._frame[:count], self._frame[count + 1 :]
+        content, self.frame = self.frame[:count], self.frame[count + 1 :]
         return content.ljust(count, b"\0")
 
     def execute(self, command: bytes) -> bytes:
@@ -181,37 +164,31 @@ class DspicDevice(_Device):
         return getattr(self, f"_on_{letter.lower()}")(*arguments[:n_arguments])
 
     def _on_b(self) -> Sequence[int]:
-        return self._version
+        return self.version
 
     def _on_c(self, index: int, high: int, low: int) -> Sequence[int]:
         index = Setting.N_ECHOES if index == _ECHO_COUNT_SETTING else index
         if index < len(registers.SETTINGS):
-            self._robot.board[SETTING + index] = high << 8 | low
+            self.robot.board[SETTING + index] = high << 8 | low
         return ()
 
     def _on_g(self, number: int) -> Sequence[int] | None:
         if not 1 <= number <= state.N_ULTRASONIC:
             return None
-        is_active = self._robot.board[SETTING + Setting.ULTRASONIC] >> number - 1 & 1
+        is_active = self.robot.board[SETTING + Setting.ULTRASONIC] >> number - 1 & 1
         start = (number - 1) * N_ECHO
-        return *(self._robot.echoes[start + index] * is_active for index in range(N_ECHO)), _NOISE
+        return *(self.robot.echoes[start + index] * is_active for index in range(N_ECHO)), _NOISE
 
     def _on_k(self, led: int, order: int) -> Sequence[int]:
         """Switch an LED off or on, or toggle it for 2."""
         if led < 2:
-            is_lit = self._robot.board[state.LEDS + led]
-            self._robot.board[state.LEDS + led] = 1 - is_lit if order == 2 else int(order > 0)
+            is_lit = self.robot.board[state.LEDS + led]
+            self.robot.board[state.LEDS + led] = 1 - is_lit if order == 2 else int(order > 0)
         return ()
-
-    def _on_n(self) -> Sequence[int]:
-        return self._read_infrared("proximity")
-
-    def _on_o(self) -> Sequence[int]:
-        return self._read_infrared("ambient")
 
     def _on_v(self, kind: int) -> Sequence[int]:
         """Return integer part and fraction in 1/10,000, of degrees in tenths, of a value (manual)."""
-        battery = self._robot.battery
+        battery = self.robot.battery
         level = charge_level(battery[state.USED], state.CAPACITY)
         values = (
             *((cells_voltage(level), 10_000), (-battery[state.CURRENT], 10_000)),
@@ -224,38 +201,37 @@ class DspicDevice(_Device):
         return integer | (value < 0) << 15, fraction
 
     def _on_z(self) -> Sequence[int]:
-        self._robot.board[state.TIMER_ZERO_MS] = self.time_ms()
+        self.robot.board[state.TIMER_ZERO_MS] = self.time_ms()
         return ()
 
     def _read_infrared(self, channel: str) -> Sequence[int]:
         """Return the readings of a channel, and their time [ms]."""
-        readings, board, first = self._robot.registers, self._robot.board, FIRST[channel]
+        readings, board, first = self.robot.registers, self.robot.board, FIRST[channel]
         time_ms = max(board[state.SCAN_MS] - board[state.TIMER_ZERO_MS], 0)
         return *(readings[first + sensor] for sensor in range(_N_INFRARED)), time_ms & 0xFFFFFFFF
 
+    _on_n = partialmethod(_read_infrared, "proximity")
+    _on_o = partialmethod(_read_infrared, "ambient")
 
+
+@dataclass
 class RealTimeClock(_Device):
-    """Seconds, minutes and hours since the start in decimal digits, from register 0 on (assumed).
+    """Seconds, minutes and hours since the start in decimal digits, from register 0 on (assumed)."""
 
-    Args:
-        robot: State of the robot.
-        dspic: Its dsPIC, which has the time.
-    """
-
-    def __init__(self, robot: Khepera3State, dspic: DspicDevice) -> None:
-        super().__init__(robot)
-        self._dspic, self._register = dspic, 0
+    dspic: DspicDevice
+    """The dsPIC, which has the time."""
+    register: int = 0
 
     def write(self, message: bytes) -> None:
         """Select a register; the clock cannot be set (assumed)."""
-        self._register = message[0]
+        self.register = message[0]
 
     def read(self, count: int) -> bytes:
         """Return bytes from the selected register on, zeros after the hours."""
-        seconds = self._dspic.time_ms() // 1000
+        seconds = self.dspic.time_ms() // 1000
         digits = (divmod(field, 10) for field in (seconds % 60, seconds // 60 % 60, seconds // 3600 % 24))
         content = bytes(ten << 4 | one for ten, one in digits)
-        return content[self._register : self._register + count].ljust(count, b"\0")
+        return content[self.register : self.register + count].ljust(count, b"\0")
 
 
 class Bus:
@@ -263,16 +239,18 @@ class Bus:
 
     Args:
         robot: State of the robot.
-        version: Version and revision of the dsPIC's firmware.
+        model: Its model.
 
     Attributes:
+        robot: State of the robot.
         dspic: The dsPIC.
         motors: Motor controllers, left and right.
         devices: Devices by their addresses.
     """
 
-    def __init__(self, robot: Khepera3State, version: tuple[int, int]) -> None:
-        self.dspic = DspicDevice(robot, version)
+    def __init__(self, robot: Khepera3State, model: RobotModel) -> None:
+        self.robot = robot
+        self.dspic = DspicDevice(robot, [*map(int, model.roms[SERVER].bios.split("."))])
         self.motors = MotorController(robot, robot.left), MotorController(robot, robot.right)
         self.devices: dict[int, Slave] = {
             registers.DSPIC: self.dspic,

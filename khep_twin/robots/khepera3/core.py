@@ -11,12 +11,11 @@ from khep_twin.board.kernel import wrap
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.khepera3 import motor_control, state
+from khep_twin.robots.khepera3 import measurements, motor_control, state
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.letters import Letters, program_of
-from khep_twin.robots.khepera3.measurements import MEASUREMENTS
-from khep_twin.robots.khepera3.model import KHEPERA_3, version_of
+from khep_twin.robots.khepera3.model import KHEPERA_3
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
 from khep_twin.robots.khepera3.registers import SINGLE_COUNT, ControlType, MotorRegister, PicMode
 from khep_twin.robots.khepera3.state import Khepera3State
@@ -131,7 +130,7 @@ def _is_powered(robot: Khepera3State) -> bool:
 
 def _program(entry: RobotEntry, robot: Khepera3State) -> Letters:
     """Return the program on the line of a state, started."""
-    letters = program_of(Bus(robot, version_of(entry.robot_model)), robot.vehicle, entry.rom)
+    letters = program_of(Bus(robot, entry.robot_model), entry.rom)
     letters.receive(b"\n")
     return letters
 
@@ -139,9 +138,15 @@ def _program(entry: RobotEntry, robot: Khepera3State) -> Letters:
 CORE = measuring_core(
     KHEPERA_3,
     Khepera3State,
-    state.make_state,
-    MEASUREMENTS,
     _start,
+    measurements.SCAN_NS,
+    measurements.set_infrared,
+    measurements.BURST_NS,
+    measurements.active_mask,
+    measurements.measure_burst,
+    measurements.keep_burst,
+    measurements.fill_registers,
+    make_state=state.make_state,
     changing=("left", "right", "board", "echoes", "burst_echoes", "battery"),
     modules=("motor_control", "measurements", "core"),
     tick=_tick,

@@ -1,6 +1,6 @@
 r"""Programs that answer letters on the line of a Khepera III: its firmware, and kh3server on a KoreBot.
 
-    letters = Letters(Bus(state, (3, 0)), state.vehicle, "3.0")
+    letters = Letters(Bus(state, KHEPERA_3), "3.0")
     reply = letters.receive(b"D,l20000,l-20000\n")
 
 A command is a capital letter and numbers, separated by commas; the reply is the small letter and values. Both
@@ -30,10 +30,11 @@ from khep_twin.robots.khepera3.registers import (
     MotorRegister,
     Option,
     PicMode,
+    Setting,
 )
+from khep_twin.robots.khepera3.state import SETTING
 from khep_twin.robots.line_server import LONGEST_REQUEST, Command, Reply, VehicleServer
 from khep_twin.robots.vehicle import WANDERING
-from khep_twin.sensing.buffers import Vector
 
 _ORDERS = {
     "D": ControlType.SPEED,
@@ -70,7 +71,6 @@ class Letters(VehicleServer):
 
     Args:
         bus: Devices of the robot.
-        state: State of the vehicle (N_VEHICLE,).
         rom: Name of the firmware.
     """
 
@@ -82,9 +82,9 @@ class Letters(VehicleServer):
     silence: bytes | None = None  # reply to a command that the dsPIC does not answer
     count_mask, value_mask = -1, 0xFFFF  # of a count of N, and of a value of C
 
-    def __init__(self, bus: Bus, state: Vector[int], rom: str) -> None:
+    def __init__(self, bus: Bus, rom: str) -> None:
         self._bus, self.program = bus, rom
-        super().__init__(KHEPERA_3.dialect, self.vehicle, state, lambda: bus.dspic.is_powered)
+        super().__init__(KHEPERA_3.dialect, self.vehicle, bus.robot.vehicle, lambda: bus.dspic.is_powered)
 
     def reset(self) -> bytes:
         """Reset robot and program; return its banner, which is empty."""
@@ -98,7 +98,7 @@ class Letters(VehicleServer):
     def tick(self) -> None:
         """Run the vehicle of A for a control period; it has rounds of 20 ms (library)."""
         if not self._bus.dspic.time_ms() % 20:
-            self._gain = None if self.nests else self._bus.dspic.vehicle_gain
+            self._gain = None if self.nests else self._bus.robot.board[SETTING + Setting.VEHICLE_GAIN]
             super().tick()
 
     def _readings(self) -> Sequence[int]:
@@ -227,6 +227,6 @@ class Kh3Server(Letters):
         return letter, [min(max(int(match[0]), low), high) if match else 0 for match in matches]
 
 
-def program_of(bus: Bus, state: Vector[int], rom: str) -> Letters:
-    """Return the program of a firmware's name; the arguments are those of `Letters`."""
-    return (Kh3Server if rom == SERVER else Letters)(bus, state, rom)
+def program_of(bus: Bus, rom: str) -> Letters:
+    """Return the program of a firmware's name."""
+    return (Kh3Server if rom == SERVER else Letters)(bus, rom)

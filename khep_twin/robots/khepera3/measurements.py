@@ -12,7 +12,6 @@ from khep_twin.robots.khepera3.model import FIRST
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
 from khep_twin.robots.khepera3.registers import ControlType, MotorRegister, Setting
 from khep_twin.robots.khepera3.state import MAX_ECHOES, N_ECHO, N_ULTRASONIC, SETTING, Khepera3State
-from khep_twin.robots.measuring_core import Measurements
 from khep_twin.sensing import sonar
 from khep_twin.sensing.bursts import INFRARED
 from khep_twin.sensing.device_faults import set_reading
@@ -67,13 +66,13 @@ def _fill_motor(robot: Khepera3State, side: int, motor: MotorState) -> None:
 
 
 @compilable
-def _active_mask(robot: Khepera3State) -> int:
+def active_mask(robot: Khepera3State) -> int:
     """Return the mask of the active ultrasonic sensors."""
     return robot.board[SETTING + Setting.ULTRASONIC]
 
 
 @compilable
-def _measure_echoes(
+def measure_burst(
     robot: Khepera3State, scene: BeamScene, inputs: StepInputs, sensor: int, time_ns: int
 ) -> None:
     """Measure with an ultrasonic sensor in a scene at its burst."""
@@ -96,7 +95,7 @@ def _measure_echoes(
 
 
 @compilable
-def _keep_echoes(robot: Khepera3State, sensor: int) -> None:
+def keep_burst(robot: Khepera3State, sensor: int) -> None:
     """Make the reading of the last burst that of its sensor."""
     for index in range(N_ECHO):
         number, reading = sensor * N_ECHO + index, robot.burst_echoes[index]
@@ -104,7 +103,7 @@ def _keep_echoes(robot: Khepera3State, sensor: int) -> None:
 
 
 @compilable
-def _set_infrared(robot: Khepera3State, channel: int, proximity: int, ambient: int) -> None:
+def set_infrared(robot: Khepera3State, channel: int, proximity: int, ambient: int) -> None:
     """Set the registers of an infrared sensor, and the time of the readings."""
     registers, faults = robot.registers, robot.faults
     if not robot.board[SETTING + Setting.INFRARED] >> channel & 1:
@@ -112,9 +111,3 @@ def _set_infrared(robot: Khepera3State, channel: int, proximity: int, ambient: i
     set_reading(registers, _PROXIMITY + channel, faults, channel, proximity, 0)
     set_reading(registers, _AMBIENT + channel, faults, channel, ambient, robot.ground.darkest)
     robot.board[state.SCAN_MS] = robot.times[INFRARED] // SCAN_NS * (SCAN_NS // _MS)
-
-
-MEASUREMENTS = Measurements(
-    *(SCAN_NS, BURST_NS, _set_infrared),
-    *(_active_mask, _measure_echoes, _keep_echoes, fill_registers),
-)

@@ -202,9 +202,3 @@ KHEPERA_3_V2 = replace(
 """Before firmware 3.0: motors of another gear, 43.2:1, with 64 pulses a turn (manual)."""
 
 MODELS = KHEPERA_3, KHEPERA_3_V2
-
-
-def version_of(model: RobotModel) -> tuple[int, int]:
-    """Return version and revision of the dsPIC's firmware."""
-    version, revision = model.roms[SERVER].bios.split(".")
-    return int(version), int(revision)

@@ -5,7 +5,7 @@ from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.core import wheel_pulses
 from khep_twin.robots.khepera3.letters import program_of
 from khep_twin.robots.khepera3.measurements import BURST_NS, fill_registers
-from khep_twin.robots.khepera3.model import SAMPLED, version_of
+from khep_twin.robots.khepera3.model import SAMPLED
 from khep_twin.robots.khepera3.motor_control import Pic
 from khep_twin.robots.khepera3.registers import N_BYTES, SETTINGS
 from khep_twin.robots.khepera3.state import Khepera3State
@@ -58,8 +58,8 @@ class Khepera3Robot(MeasuringRobot):
     def __init__(self, setup: RobotSetup) -> None:
         context, entry = setup.context, setup.context.playpen.robots[setup.index]
         robot: Khepera3State = context.simulation.robots.state_of(setup.index)
-        self.bus = Bus(robot, version_of(entry.robot_model))
-        super().__init__(setup, program_of(self.bus, robot.vehicle, entry.rom), fill_registers, BURST_NS)
+        self.bus = Bus(robot, entry.robot_model)
+        super().__init__(setup, program_of(self.bus, entry.rom), fill_registers, BURST_NS)
         self.bus.dspic.before_read = self._evaluate_pending
         self.bus.dspic.time_ms = lambda: context.time_ns // 1_000_000
 

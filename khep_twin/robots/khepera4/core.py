@@ -14,8 +14,7 @@ import math
 from khep_twin.board.memory import write_number
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.khepera4 import dspic, gauge, inertial
-from khep_twin.robots.khepera4.measurements import MEASUREMENTS
+from khep_twin.robots.khepera4 import dspic, gauge, inertial, measurements
 from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
 from khep_twin.robots.khepera4.motor_control import LEFT_PWM, N_MOTOR, PWM_LIMIT, RIGHT_PWM, Motor, stop
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
@@ -161,9 +160,15 @@ def _cut_off(scene: Scene, robot: Khepera4State) -> None:
 CORE = measuring_core(
     KHEPERA_4,
     Khepera4State,
-    make_state,
-    MEASUREMENTS,
     _start,
+    measurements.INFRARED_NS,
+    measurements.set_infrared,
+    measurements.BURST_NS,
+    measurements.active_mask,
+    measurements.measure_burst,
+    measurements.keep_burst,
+    measurements.fill_all,
+    make_state=make_state,
     changing=("dspic", "inertial", "gauge", "zeros", "distances", "burst_distance"),
     modules=("motor_control", "dspic", "inertial", "gauge", "measurements", "core"),
     tick=_tick,

@@ -14,7 +14,6 @@ from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import LEFT_PWM, RIGHT_PWM
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.robots.khepera4.state import Khepera4State
-from khep_twin.robots.measuring_core import Measurements
 from khep_twin.sensing import sonar
 from khep_twin.sensing.device_faults import sensor_reading, set_reading
 from khep_twin.sensing.scene import BeamScene
@@ -66,7 +65,7 @@ def fill_registers(robot: Khepera4State) -> None:
 
 
 @compilable
-def _fill_all(robot: Khepera4State) -> None:
+def fill_all(robot: Khepera4State) -> None:
     """Set the registers, those of the ultrasonic sensors to the distances of eager ones."""
     for sensor in range(N_ULTRASONIC):
         is_enabled = robot.dspic.memory[_ENABLED] >> sensor & 1 and robot.is_eager[0]
@@ -76,13 +75,13 @@ def _fill_all(robot: Khepera4State) -> None:
 
 
 @compilable
-def _active_mask(robot: Khepera4State) -> int:
+def active_mask(robot: Khepera4State) -> int:
     """Return the mask of the enabled ultrasonic sensors."""
     return robot.dspic.memory[_ENABLED]
 
 
 @compilable
-def _measure_distance(
+def measure_burst(
     robot: Khepera4State, scene: BeamScene, inputs: StepInputs, sensor: int, time_ns: int
 ) -> None:
     """Measure with an ultrasonic sensor in a scene at its burst."""
@@ -92,23 +91,17 @@ def _measure_distance(
 
 
 @compilable
-def _keep_distance(robot: Khepera4State, sensor: int) -> None:
+def keep_burst(robot: Khepera4State, sensor: int) -> None:
     """Set the reading of an ultrasonic sensor; a dead one receives no echo (assumed)."""
     number, distance = N_INFRARED + sensor, robot.burst_distance[0]
     set_reading(robot.distances, sensor, robot.faults, number, distance, NO_ECHO)
 
 
 @compilable
-def _set_infrared(robot: Khepera4State, channel: int, proximity: int, ambient: int) -> None:
+def set_infrared(robot: Khepera4State, channel: int, proximity: int, ambient: int) -> None:
     """Set the registers of an infrared sensor."""
     memory, darkest = robot.dspic.memory, robot.ground.darkest
     for word, reading, dead in ((_PROXIMITY, proximity, 0), (_AMBIENT, ambient, darkest)):
         start = word + 2 * channel
         reading = sensor_reading(robot.faults, channel, reading, read_signed(memory, start, 2), dead)
         write_number(memory, start, 2, reading)
-
-
-MEASUREMENTS = Measurements(
-    *(INFRARED_NS, BURST_NS, _set_infrared),
-    *(_active_mask, _measure_distance, _keep_distance, _fill_all),
-)

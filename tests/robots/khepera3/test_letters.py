@@ -57,8 +57,8 @@ def robot(rom: str = FIRMWARE) -> Robot:
         registers=np.zeros(KHEPERA_3.interface.n_registers, np.int64),
     )
     state.echoes[2 * indices.N_ECHO :][:4] = 1, 27, 2900, 100_000
-    bus = Bus(state, (3, 0))
-    new_robot = Robot(state, bus, program_of(bus, state.vehicle, rom))
+    bus = Bus(state, KHEPERA_3)
+    new_robot = Robot(state, bus, program_of(bus, rom))
     new_robot.set_proximity(PROXIMITY)
     return new_robot
 
