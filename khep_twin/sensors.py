@@ -20,6 +20,7 @@ modelled: light reflected more than once, except by the floor.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -28,6 +29,7 @@ import numpy as np
 from khep_twin.playpen import RobotEntry
 from khep_twin.sensing import lobes
 from khep_twin.sensing.ambient import ambient_optics
+from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.device_faults import DeviceFaults
 from khep_twin.sensing.mujoco_scene import visible_geoms
@@ -46,6 +48,32 @@ def robot_sensors(model: mujoco.MjModel, robot: RobotIndices, calibration: Calib
     return RobotSensors(robot.base, list(robot.cameras), *optics)
 
 
+class RobotFields:
+    """Fields of a core's state that most models have.
+
+    Attributes:
+        angles: Indices of the wheels' positions, left and right (2,).
+        speeds: Indices of the wheels' speeds (2,).
+        motors: Indices of the motors (2,).
+        pose: Index of the robot's pose.
+        radius: Radius of the robot [m].
+        motor_constant: Torque per current [N m/A].
+        sensors: Infrared sensors.
+        faults: Faults of sensors and motors.
+        noise: Key of the robot's random draws, as two words (2,).
+    """
+
+    angles: Sequence[int]
+    speeds: Sequence[int]
+    motors: Sequence[int]
+    pose: int
+    radius: float
+    motor_constant: float
+    sensors: RobotSensors
+    faults: DeviceFaults
+    noise: Vector[int]
+
+
 def core_fields(
     model: mujoco.MjModel,
     robot: RobotIndices,
@@ -53,11 +81,7 @@ def core_fields(
     entry: RobotEntry,
     first_moment: int,
 ) -> dict[str, Any]:
-    """Return the fields of a core's state that most models have; the arguments are those of `make_state`.
-
-    They are indices of the left and right `angles`, `speeds` and `motors`, and of the `pose`; `radius` [m],
-    `motor_constant` [N m/A], `sensors`, `faults`, and `noise`, the key of the random draws.
-    """
+    """Return the `RobotFields` of a core's state; the arguments are those of `make_state`."""
     return {
         "angles": list(robot.wheel_qpos),
         "speeds": list(robot.wheel_dofs),

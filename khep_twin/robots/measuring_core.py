@@ -15,43 +15,65 @@ from khep_twin.playpen import RobotEntry
 from khep_twin.robots.core import Core, register
 from khep_twin.robots.model import RobotModel
 from khep_twin.robots.vehicle import N_VEHICLE
-from khep_twin.sensing.bursts import ECHO, INFRARED, MODULES, NONE, RobotState, record_scan, scan, start_burst
+from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.bursts import BURST, ECHO, INFRARED, NONE, RobotState
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.ground import Ground, convert_any
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.scene import Beams, update_frames
+from khep_twin.sensing.scene import Beams, copy_moment, save_moment, update_frames
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 from khep_twin.sensing.sonar import Sonar, cast_level_rays
-from khep_twin.sensors import core_fields
+from khep_twin.sensors import RobotFields, core_fields
+
+_BOARD, _SENSING = ("kernel", "memory", "lithium_cells"), ("ground", "sonar")
+_MODULES = (
+    *(f"khep_twin.board.{name}" for name in _BOARD),
+    *(f"khep_twin.sensing.{name}" for name in _SENSING),
+    __name__,
+)
+"""Modules that these cores compile besides their own."""
+
+
+class MeasuringFields(RobotFields):
+    """Fields of the state of a robot with a measuring core.
+
+    Attributes (see also `RobotFields`):
+        idle_current: Current with the motors at rest [A].
+        is_discharged: 1 if the battery is discharged during the run.
+        first_moment: Number of its first moment.
+        ground: Sensors that look at the floor.
+        sonar: Ultrasonic sensors.
+        beams: Buffers for their rays.
+        burst: Sensor of the last burst, or NONE (1,).
+        is_eager: 1 if a burst is evaluated immediately, without a moment (1,).
+        times: Time of each moment, NONE if there is nothing to evaluate (n_moments,) [ns].
+        vehicle: State of the vehicle of the program on its line (N_VEHICLE,).
+        registers: Registers as in logs (n_registers,).
+    """
+
+    idle_current: float
+    is_discharged: int
+    first_moment: int
+    ground: Ground
+    sonar: Sonar
+    beams: Beams
+    burst: Vector[int]
+    is_eager: Vector[int]
+    times: Vector[int]
+    vehicle: Vector[int]
+    registers: Vector[int]
 
 
 def measuring_fields(
-    model: mujoco.MjModel,
-    indices: RobotIndices,
-    measured: Calibration,
-    entry: RobotEntry,
-    first_moment: int,
+    model: mujoco.MjModel, robot: RobotIndices, measured: Calibration, entry: RobotEntry, first_moment: int
 ) -> dict[str, Any]:
-    """Return the fields of a state, besides those of `core_fields`, whose arguments these are.
-
-    idle_current: Current with the motors at rest [A].
-    is_discharged: 1 if the battery is discharged during the run.
-    first_moment: Number of its first moment.
-    ground: Sensors that look at the floor; the length of their lens is assumed.
-    sonar: Ultrasonic sensors; their noise is assumed.
-    beams: Buffers for their rays.
-    burst: Sensor of the last burst, or NONE (1,).
-    is_eager: 1 if a burst is evaluated immediately, without a moment (1,).
-    times: Time of each moment, NONE if there is nothing to evaluate (n_moments,) [ns].
-    vehicle: State of the vehicle of the program on its line (N_VEHICLE,).
-    registers: Registers as in logs (n_registers,).
-    """
+    """Return the `MeasuringFields` of a state; the arguments are those of `make_state`."""
     body = entry.body
     assert body.sonar is not None
-    sonar = Sonar.of(body.sonar, noise_cm=0.4)
+    sonar = Sonar.of(body.sonar, noise_cm=0.4)  # noise and lens are assumed
     return {
-        **core_fields(model, indices, measured, entry, first_moment),
+        **core_fields(model, robot, measured, entry, first_moment),
         "idle_current": body.idle_current,
         "is_discharged": int(entry.battery_used_min is not None),
         "first_moment": first_moment,
@@ -95,7 +117,7 @@ def measuring_core(
         measure_burst: Measures with an ultrasonic sensor, by a robot, a scene, inputs, its number and a time.
         keep_burst: Makes this measurement of a robot the reading of the sensor, by its number.
         fill_registers: Sets the other registers of a robot.
-        changing: Fields of the state that change, besides those of `measuring_fields`.
+        changing: Fields of the state that change, besides those of `MeasuringFields`.
         modules: Names of the compiled modules in the folder of `state`.
         fields: Further fields of the core.
     """
@@ -103,15 +125,27 @@ def measuring_core(
     @compilable
     def record(robot: RobotState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
         """Record the moments that have become due in a step that ends at a time [ns]."""
+        scene, first, times, last = simulated.scene, robot.first_moment, robot.times, robot.burst[0]
         step_ns = simulated.timing.step_ns
         if time_ns % scan_ns < step_ns:
-            record_scan(robot, simulated, inputs, time_ns)
+            save_moment(scene, first + INFRARED, inputs.powers[powers_row(simulated, inputs)])
+            times[INFRARED] = time_ns
         if time_ns % burst_ns >= step_ns:
             return
-        if robot.is_eager[0] and robot.burst[0] != NONE:
-            keep_burst(robot, robot.burst[0])
-        if start_burst(robot, simulated, inputs, time_ns, active_mask(robot)):
-            measure_burst(robot, simulated.scene, inputs, robot.burst[0], time_ns)
+        if last != NONE and robot.is_eager[0]:
+            keep_burst(robot, last)
+        elif last != NONE:
+            copy_moment(scene, first + BURST, first + ECHO + last)
+            times[ECHO + last] = times[BURST]
+        sensor = robot.burst[0] = _next_sensor(last, active_mask(robot), len(times) - ECHO)
+        if sensor == NONE:
+            return
+        times[BURST] = time_ns
+        if robot.is_eager[0]:
+            update_frames(scene)
+            measure_burst(robot, scene, inputs, sensor, time_ns)
+        else:
+            save_moment(scene, first + BURST, inputs.powers[powers_row(simulated, inputs)])
 
     @compilable
     def start_recording(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> bool:
@@ -166,11 +200,11 @@ def measuring_core(
             state=state,
             changing=("beams", "burst", "times", "vehicle", "registers", *changing),
             n_moments=ECHO + len(model.body.fault_sensors) - len(model.body.sensors),
-            modules=(*MODULES, __name__, *(f"{folder}.{name}" for name in modules)),
+            modules=(*_MODULES, *(f"{folder}.{name}" for name in modules)),
             sense=sense,
             start=start_recording,
             evaluate=evaluate,
-            scan=scan,
+            scan=_scan,
             interface=model.interface,
             request_terms=_request_terms,
             update_registers=update_registers,
@@ -183,3 +217,19 @@ def measuring_core(
 def _request_terms(record: RobotState, names: Collection[str]) -> None:
     """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
     record["is_eager"] = "ultrasonic" in names
+
+
+def _scan(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> None:
+    """Measure with all infrared sensors now."""
+    save_moment(simulated.scene, robot.first_moment + INFRARED, inputs.powers[0])
+    robot.times[INFRARED] = simulated.counters[STEPS] * simulated.timing.step_ns
+
+
+@compilable
+def _next_sensor(last: int, active_mask: int, n_sensors: int) -> int:
+    """Return the active ultrasonic sensor after the last one, or NONE."""
+    for offset in range(1, n_sensors + 1):
+        sensor = (last + offset) % n_sensors
+        if active_mask >> sensor & 1:
+            return sensor
+    return NONE

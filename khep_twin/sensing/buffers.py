@@ -1,13 +1,16 @@
 """State of a simulation: named tuples in plain code, NumPy records with the same fields in compiled code."""
 
+from collections import namedtuple
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, TypeVar, cast
+from inspect import get_annotations
+from typing import Any, NamedTuple, Protocol, TypeVar, cast, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 
 Value = TypeVar("Value", int, float)
 Numbers = TypeVar("Numbers", bound=NamedTuple)
+State = TypeVar("State")
 
 _RECORD_TYPES: dict[np.dtype[np.void], np.dtype[np.void]] = {}
 """Record types, one object for each: numba compares different objects field by field at every call."""
@@ -31,6 +34,16 @@ class Matrix(Protocol):
     def __getitem__(self, index: tuple[int, int], /) -> float: ...
 
     def __setitem__(self, index: tuple[int, int], value: float, /) -> None: ...
+
+
+@dataclass_transform(kw_only_default=True)
+def state_class(template: type[State]) -> type[State]:
+    """Return a class of named tuples with the fields that a class and its bases annotate."""
+    fields = [name for base in reversed(template.__mro__) for name in get_annotations(base)]
+    make: Any = namedtuple
+    tuple_class = make(template.__name__, fields, module=template.__module__)
+    tuple_class.__doc__ = template.__doc__
+    return tuple_class
 
 
 def view(array: NDArray[np.float64]) -> "memoryview[float]":

@@ -2,7 +2,8 @@
 
 Two Kheperas differ by 40 % in range, so a calibration belongs to one robot and names its source. The files in
 assets/calibration are used by bare name, others by path. `khep_twin.sensors` explains the parameters. A
-file may have only the keys in which it differs from another one, its `base`: a name, or a path from its folder.
+file may have only the keys in which it differs from another one, its `base`: a name, or a path from its
+folder.
 """
 
 import math

@@ -4,8 +4,7 @@ A step converts the next sensor, a control tick runs from encoders to motor volt
 `compilable`, see `robots.core`.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -19,16 +18,15 @@ from khep_twin.firmware import SPEED_LIMIT_PULSES, TARGET_LIMIT_PULSES, Firmware
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.core import Core, register
 from khep_twin.robots.khepera.model import KHEPERA_1
-from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.buffers import Vector, state_class
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, sensor_reading
+from khep_twin.sensing.device_faults import drive_motor, sensor_reading
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Scene, joint_position, motor_torque
 from khep_twin.sensing.simulated import N_CONVERSIONS, STEPS, Simulated, StepInputs, powers_row
-from khep_twin.sensors import core_fields
+from khep_twin.sensors import RobotFields, core_fields
 
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
@@ -36,40 +34,23 @@ _D, _P, _C = map(ord, "DPC")
 _LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(kernel.Wheel.ENCODER)
 
 
-class KheperaState(NamedTuple):
+@state_class
+class KheperaState(RobotFields):
     """State of one robot.
 
-    Attributes:
-        angles: Indices of the wheels' positions, left and right (2,).
-        speeds: Indices of the wheels' speeds (2,).
-        motors: Indices of the motors (2,).
-        pose: Index of the robot's pose.
-        radius: Radius of the robot [m].
-        motor_constant: Torque per current [N m/A].
+    Attributes (see also `RobotFields`):
         idle_current: Supply current with the motors at rest [A].
         used_min: Use of the cells before the run [min]; or `battery.CHARGER`.
-        sensors: Sensors of the robot.
         registers: State of the board (N_REGISTERS,).
         processor: State of the processor (N_PROCESSOR,).
-        faults: Faults of sensors and motors.
         voltage: Last measured supply voltage (1,) [V].
-        noise: Key of the robot's random draws, as two words (2,).
     """
 
-    angles: Sequence[int]
-    speeds: Sequence[int]
-    motors: Sequence[int]
-    pose: int
-    radius: float
-    motor_constant: float
     idle_current: float
     used_min: float
-    sensors: RobotSensors
     registers: kernel.Registers
     processor: Vector[int]
-    faults: DeviceFaults
     voltage: Vector[float]
-    noise: Vector[int]
 
 
 def _make_state(

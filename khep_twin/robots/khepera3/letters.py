@@ -21,17 +21,10 @@ import re
 import struct
 from collections.abc import Sequence
 
+from khep_twin.robots.khepera3 import registers
 from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.model import KHEPERA_3, SERVER, SERVER_VEHICLE, VEHICLE
-from khep_twin.robots.khepera3.registers import (
-    DEFAULTS,
-    SETTINGS,
-    ControlType,
-    MotorRegister,
-    Option,
-    PicMode,
-    Setting,
-)
+from khep_twin.robots.khepera3.registers import ControlType, MotorRegister, Option, PicMode
 from khep_twin.robots.khepera3.state import SETTING
 from khep_twin.robots.line_server import LONGEST_REQUEST, Command, Reply, VehicleServer
 from khep_twin.robots.vehicle import WANDERING
@@ -88,7 +81,7 @@ class Letters(VehicleServer):
 
     def reset(self) -> bytes:
         """Reset robot and program; return its banner, which is empty."""
-        for index, value in enumerate(SETTINGS):
+        for index, value in enumerate(registers.SETTINGS):
             self._bus.dspic.ask("C", index, *divmod(value, 256))
         for led in range(2):
             self._bus.dspic.ask("K", led, 0)
@@ -98,7 +91,9 @@ class Letters(VehicleServer):
     def tick(self) -> None:
         """Run the vehicle of A for a control period; it has rounds of 20 ms (library)."""
         if not self._bus.dspic.time_ms() % 20:
-            self._gain = None if self.nests else self._bus.robot.board[SETTING + Setting.VEHICLE_GAIN]
+            self._gain = (
+                None if self.nests else self._bus.robot.board[SETTING + registers.Setting.VEHICLE_GAIN]
+            )
             super().tick()
 
     def _readings(self) -> Sequence[int]:
@@ -155,7 +150,7 @@ class Letters(VehicleServer):
 
     def _on_m(self, values: Sequence[int]) -> Sequence[int]:
         self._set(MotorRegister.MODE, 1, PicMode.IDLE)
-        for register, size, value in DEFAULTS:
+        for register, size, value in registers.DEFAULTS:
             self._set(register, size, value)
         self._set(MotorRegister.HARDWARE_OPTIONS, 1, 0)
         self._set(MotorRegister.OPTIONS, 1, _OPTIONS | Option.INVERTED, _OPTIONS)

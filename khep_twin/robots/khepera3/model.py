@@ -10,15 +10,7 @@ from pathlib import Path
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.framing import Lines
-from khep_twin.robots.khepera3.channels import (
-    BAUD,
-    CHANNELS,
-    GROUND,
-    NO_ECHO,
-    PULSES_PER_SPEED,
-    RING,
-    ULTRASONIC,
-)
+from khep_twin.robots.khepera3.channels import BAUD, CHANNELS, GROUND, PULSES_PER_SPEED, RING, ULTRASONIC
 from khep_twin.robots.khepera3.registers import ControlType, PicMode
 from khep_twin.robots.model import (
     Dialect,
@@ -46,12 +38,9 @@ SONAR = SonarRing(
     headings_deg=(90, 46, 0, -46, -90),
     radius=0.0,
     height=0.0425,
-    codes=(NO_ECHO, NO_ECHO, NO_ECHO),
+    codes=(0, 0, 0),
     lag=0.05,
-    positions=(
-        *((0.0048, 0.0596), (0.0427, 0.0444), (0.0564, 0.0)),
-        *((0.0427, -0.0444), (0.0048, -0.0596)),
-    ),
+    positions=((0.0048, 0.0596), (0.0427, 0.0444), (0.0564, 0.0), (0.0427, -0.0444), (0.0048, -0.0596)),
     nearest=0.19,
     reach=4.0,
     exponent=3.5,
@@ -135,11 +124,10 @@ _TERMS = (
 _FRAMING = Lines(number=re.compile("[dl]?(-?[0-9]{1,10})"), has_reversed_ends=True)
 """Numbers in requests have a prefix of their size. Replies end in LF CR (a host), of kh3server in CR LF."""
 
+_SIZES = {"proximity": ("N", 12), "ambient": ("O", 12), "speed": ("E", 2), "position": ("R", 2)}
 _READS = {
-    name: Read(letter, n_values, _REGISTERS[name][:n_values], range(min(n_values, len(_REGISTERS[name]))))
-    for name, letter, n_values in (
-        *(("proximity", "N", 12), ("ambient", "O", 12), ("speed", "E", 2), ("position", "R", 2)),
-    )
+    name: Read(letter, size, _REGISTERS[name][:size], range(min(size, len(_REGISTERS[name]))))
+    for name, (letter, size) in _SIZES.items()
 } | {
     f"ultrasonic {number}": Read(f"G,{number}", 17, [register], [1])
     for number, register in enumerate(_REGISTERS["ultrasonic"], 1)
@@ -183,10 +171,7 @@ KHEPERA_3 = RobotModel(
     plots={"ultrasonic": "ultrasonic [cm]"},
     interface=_INTERFACE,
     terms=_TERMS,
-    speed_modes={
-        FIRST["control"] + index: value
-        for index, value in enumerate((PicMode.NORMAL, PicMode.NORMAL, ControlType.SPEED, ControlType.SPEED))
-    },
+    speed_modes=dict(enumerate([PicMode.NORMAL] * 2 + [ControlType.SPEED] * 2, FIRST["control"])),
     vehicle=VEHICLE.speeds,
     template=str(ASSETS / "template.py"),
 )

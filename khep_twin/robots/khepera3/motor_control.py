@@ -123,11 +123,8 @@ def halt(motor: MotorState) -> None:
 def control_motor(motor: MotorState) -> None:
     """Run one control period of a motor."""
     memory, numbers = motor.memory, motor.numbers
-    mode, control, order = (
-        memory[MotorRegister.MODE],
-        memory[MotorRegister.CONTROL],
-        numbers[Pic.SET_POINT],
-    )
+    mode, control = memory[MotorRegister.MODE], memory[MotorRegister.CONTROL]
+    order = numbers[Pic.SET_POINT]
     if mode == PicMode.STOP:
         control, order = ControlType.POSITION.value, numbers[Pic.HOLD_POSITION]
     if (mode != PicMode.NORMAL and mode != PicMode.STOP) or memory[MotorRegister.ERRORS]:
@@ -215,11 +212,7 @@ def _approach(motor: MotorState, distance: int) -> None:
 def _protect(motor: MotorState) -> int:
     """Stop a motor at a soft stop, and one that is blocked, as the options say; return its status."""
     memory, numbers, status = motor.memory, motor.numbers, 0
-    options, pwm, position = (
-        memory[MotorRegister.OPTIONS],
-        numbers[Pic.PWM],
-        numbers[Pic.POSITION],
-    )
+    options, pwm, position = memory[MotorRegister.OPTIONS], numbers[Pic.PWM], numbers[Pic.POSITION]
     is_low = pwm < 0 and position < read_signed(memory, MotorRegister.LOWEST, 4)
     is_high = pwm > 0 and position > read_signed(memory, MotorRegister.HIGHEST, 4)
     if (is_low and options & Option.STOP_AT_LOWEST) or (is_high and options & Option.STOP_AT_HIGHEST):

@@ -15,16 +15,13 @@ from khep_twin.robots.vehicle import N_VEHICLE
 from khep_twin.sensing.bursts import INFRARED, NONE
 from khep_twin.simulation.robot_arrays import Layout, Part
 
-_MEMORY, _NUMBERS = (
-    [Part("byte of a motor controller", N_BYTES, 0, 255)],
-    [Part("number of a motor", len(Pic))],
-)
+_MEMORY, _NUMBERS = Part("byte of a motor controller", N_BYTES, 0, 255), Part("number of a motor", len(Pic))
 
 LAYOUT = Layout(
     1,
     {
-        **{f"{side}.memory": _MEMORY for side in ("left", "right")},
-        **{f"{side}.numbers": _NUMBERS for side in ("left", "right")},
+        **{f"{side}.memory": [_MEMORY] for side in ("left", "right")},
+        **{f"{side}.numbers": [_NUMBERS] for side in ("left", "right")},
         "board": [
             Part("flag of the supply", 1, 0, 1),
             Part("time of the dsPIC", 2),

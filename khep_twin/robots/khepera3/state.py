@@ -1,8 +1,7 @@
 """State of a Khepera III in the stepping core."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -13,15 +12,10 @@ from khep_twin.robots.khepera3 import motor_control
 from khep_twin.robots.khepera3.channels import ULTRASONIC
 from khep_twin.robots.khepera3.motor_control import MotorState
 from khep_twin.robots.khepera3.registers import SETTINGS
-from khep_twin.robots.measuring_core import measuring_fields
-from khep_twin.sensing.buffers import Vector
+from khep_twin.robots.measuring_core import MeasuringFields, measuring_fields
+from khep_twin.sensing.buffers import Vector, state_class
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.sensing.device_faults import DeviceFaults
-from khep_twin.sensing.ground import Ground
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import Beams
-from khep_twin.sensing.sonar import Sonar
 
 N_ULTRASONIC = len(ULTRASONIC)
 
@@ -42,10 +36,11 @@ CAPACITY, FULL_MIN = 1.4 * 3600, 240
 """Charge of a full battery [C], and its time of use [min] (manual)."""
 
 
-class Khepera3State(NamedTuple):
+@state_class
+class Khepera3State(MeasuringFields):
     """State of one robot.
 
-    Attributes (the others are in `core_fields` and `measuring_fields`):
+    Attributes (see also `MeasuringFields`):
         pulses_per_radian: Pulses of an encoder per angle of its wheel [1/rad].
         left: Left motor controller.
         right: Right motor controller.
@@ -55,33 +50,13 @@ class Khepera3State(NamedTuple):
         battery: State of the battery (N_BATTERY,).
     """
 
-    angles: Sequence[int]
-    speeds: Sequence[int]
-    motors: Sequence[int]
-    pose: int
-    radius: float
-    motor_constant: float
-    idle_current: float
-    is_discharged: int
     pulses_per_radian: float
-    first_moment: int
-    sensors: RobotSensors
-    faults: DeviceFaults
-    ground: Ground
-    sonar: Sonar
-    beams: Beams
     left: MotorState
     right: MotorState
     board: Vector[int]
     echoes: Vector[int]
-    burst: Vector[int]
-    is_eager: Vector[int]
     burst_echoes: Vector[int]
-    times: Vector[int]
     battery: Vector[float]
-    vehicle: Vector[int]
-    registers: Vector[int]
-    noise: Vector[int]
 
 
 def make_state(

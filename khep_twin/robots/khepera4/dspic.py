@@ -22,7 +22,6 @@ from khep_twin.robots.khepera4.motor_control import (
     N_MOTOR,
     RIGHT_PWM,
     Motor,
-    Settings,
     control_motor,
     stop,
 )
@@ -55,11 +54,10 @@ _RESET_BYTES = tuple(
 
 _SPEED, _POSITION, _ON_TARGET = map(int, (Motor.SPEED, Motor.POSITION, Motor.ON_TARGET))
 _CONTROL, _OPEN_LOOP, _MOVE = int(DspicRegister.CONTROL), int(Control.OPEN_LOOP), int(Control.POSITION)
-_FIRST_KEPT, _SETTINGS = int(DspicRegister.AMBIENT), int(DspicRegister.KP)
+_FIRST_KEPT = int(DspicRegister.AMBIENT)
 _SPEED_ORDER, _PWM_ORDER = int(DspicRegister.SPEED_ORDER_LEFT), int(DspicRegister.PWM_ORDER_LEFT)
 _POSITION_ORDER, _TARGET_FLAGS = int(DspicRegister.POSITION_ORDER_LEFT), int(DspicRegister.ON_TARGET)
 _LEFT_SPEED, _LEFT_POSITION = int(DspicRegister.SPEED_LEFT), int(DspicRegister.POSITION_LEFT)
-_MARGIN, _POSITION_SPEED = int(DspicRegister.POSITION_MARGIN), int(DspicRegister.POSITION_SPEED)
 
 
 class DspicState(NamedTuple):
@@ -101,8 +99,7 @@ def reset(dspic: DspicState) -> None:
 def tick(dspic: DspicState, left_pulses: int, right_pulses: int) -> None:
     """Run a control period of 10 ms with the encoders' pulses since power-up."""
     memory, motors = dspic.memory, dspic.motors
-    control, settings = memory[_CONTROL], _read_settings(memory)
-    first_order, size = _SPEED_ORDER, 2
+    control, first_order, size = memory[_CONTROL], _SPEED_ORDER, 2
     if control == _MOVE:
         first_order, size = _POSITION_ORDER, 4
     elif control == _OPEN_LOOP:
@@ -112,7 +109,7 @@ def tick(dspic: DspicState, left_pulses: int, right_pulses: int) -> None:
         motors[motor + _SPEED] = pulses - dspic.counts[side]
         motors[motor + _POSITION] = wrap(motors[motor + _POSITION] + motors[motor + _SPEED])
         order = read_signed(memory, first_order + side * size, size)
-        control_motor(motors, motor, settings, control, order)
+        control_motor(motors, motor, memory, control, order)
         dspic.counts[side] = pulses
     update_registers(dspic)
 
@@ -125,21 +122,6 @@ def update_registers(dspic: DspicState) -> None:
     for side in range(2):
         write_number(memory, _LEFT_SPEED + 2 * side, 2, motors[side * N_MOTOR + _SPEED])
         write_number(memory, _LEFT_POSITION + 4 * side, 4, motors[side * N_MOTOR + _POSITION])
-
-
-@compilable
-def _read_settings(memory: Vector[int]) -> Settings:
-    return Settings(
-        memory[_SETTINGS],
-        memory[_SETTINGS + 1],
-        memory[_SETTINGS + 2],
-        memory[_SETTINGS + 3],
-        memory[_SETTINGS + 4],
-        memory[_SETTINGS + 5],
-        memory[_SETTINGS + 6],
-        read_signed(memory, _MARGIN, 2),
-        read_signed(memory, _POSITION_SPEED, 2),
-    )
 
 
 class Dspic:

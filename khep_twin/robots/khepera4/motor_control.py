@@ -9,11 +9,11 @@ constant 195 ms), a no-load speed of 0.625 pulses/10 ms per unit of PWM, and fri
 """
 
 from enum import IntEnum
-from typing import NamedTuple
 
 from khep_twin.board.kernel import clip, divide, square_root
+from khep_twin.board.memory import read_signed
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4.registers import Control
+from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.sensing.buffers import Vector
 
 PWM_LIMIT = 2940
@@ -31,20 +31,6 @@ takes 3.01 s and ends within 10 pulses; with 2 it takes 3.24 s)."""
 
 _LOST_MARGINS = 10
 """Distance from a reached target at which it counts as lost, in margins (assumed)."""
-
-
-class Settings(NamedTuple):
-    """Settings of both motors, named as the registers."""
-
-    kp: int
-    ki: int
-    kd: int
-    acceleration: int
-    acceleration_divider: int
-    least_accelerating: int
-    least_decelerating: int
-    position_margin: int
-    position_speed: int
 
 
 class Motor(IntEnum):
@@ -68,6 +54,10 @@ LEFT_PWM, RIGHT_PWM = int(Motor.PWM), N_MOTOR + int(Motor.PWM)
 # Plain integers, as each use of an enum as an index costs a look-up.
 _POSITION, _SPEED, _PWM, _ON_TARGET, _RAMP, _WAIT, _ERROR, _ERROR_SUM = range(N_MOTOR)
 _SPEED_CONTROL, _PROFILE, _MOVE, _OPEN = map(int, list(Control)[1:])
+_KP, _KI, _KD, _STEP, _DIVIDER, _LEAST_UP, _LEAST_DOWN = range(
+    DspicRegister.KP, DspicRegister.POSITION_MARGIN
+)
+_MARGIN, _TOP_SPEED = int(DspicRegister.POSITION_MARGIN), int(DspicRegister.POSITION_SPEED)
 
 
 @compilable
@@ -78,23 +68,23 @@ def stop(motors: Vector[int], motor: int) -> None:
 
 
 @compilable
-def control_motor(motors: Vector[int], motor: int, settings: Settings, control: int, order: int) -> None:
+def control_motor(motors: Vector[int], motor: int, memory: Vector[int], control: int, order: int) -> None:
     """Run one control period of a motor.
 
     Args:
         motors: Numbers of the motors, changed in place.
         motor: Index of its first number.
-        settings: Settings.
+        memory: Registers of the dsPIC, which have the settings of both motors.
         control: Control type.
         order: Speed [pulses/10 ms], position [pulses] or PWM, by the control type.
     """
     if control == _SPEED_CONTROL:
-        _regulate(motors, motor, settings, order)
+        _regulate(motors, motor, memory, order)
     elif control == _PROFILE:
-        _ramp_to(motors, motor, settings, order)
-        _regulate(motors, motor, settings, motors[motor + _RAMP])
+        _ramp_to(motors, motor, memory, order)
+        _regulate(motors, motor, memory, motors[motor + _RAMP])
     elif control == _MOVE:
-        _approach(motors, motor, settings, order - motors[motor + _POSITION])
+        _approach(motors, motor, memory, order - motors[motor + _POSITION])
     elif control == _OPEN:
         stop(motors, motor)
         motors[motor + _PWM] = clip(order, PWM_LIMIT)
@@ -103,20 +93,20 @@ def control_motor(motors: Vector[int], motor: int, settings: Settings, control: 
 
 
 @compilable
-def _regulate(motors: Vector[int], motor: int, settings: Settings, order: int) -> None:
+def _regulate(motors: Vector[int], motor: int, memory: Vector[int], order: int) -> None:
     """Set the PWM for a speed; the sum of errors is limited to full PWM (anti-windup)."""
     error = order - motors[motor + _SPEED]
-    if settings.ki:
-        limit = PWM_LIMIT * GAIN_SCALE // settings.ki
+    if memory[_KI]:
+        limit = PWM_LIMIT * GAIN_SCALE // memory[_KI]
         motors[motor + _ERROR_SUM] = clip(motors[motor + _ERROR_SUM] + error, limit)
-    control_sum = settings.kp * error + settings.ki * motors[motor + _ERROR_SUM]
-    control_sum += settings.kd * (error - motors[motor + _ERROR])
+    control_sum = memory[_KP] * error + memory[_KI] * motors[motor + _ERROR_SUM]
+    control_sum += memory[_KD] * (error - motors[motor + _ERROR])
     motors[motor + _ERROR] = error
     motors[motor + _PWM] = clip(divide(control_sum, GAIN_SCALE), PWM_LIMIT)
 
 
 @compilable
-def _ramp_to(motors: Vector[int], motor: int, settings: Settings, order: int) -> None:
+def _ramp_to(motors: Vector[int], motor: int, memory: Vector[int], order: int) -> None:
     """Change the ramp's speed by one step towards an order, unless it waits.
 
     A ramp from rest starts at the minimum speed, a ramp to rest ends there, and both hold it for
@@ -125,7 +115,7 @@ def _ramp_to(motors: Vector[int], motor: int, settings: Settings, order: int) ->
     if motors[motor + _WAIT]:
         motors[motor + _WAIT] -= 1
         return
-    ramp, min_speed = motors[motor + _RAMP], settings.least_accelerating
+    ramp, min_speed = motors[motor + _RAMP], memory[_LEAST_UP]
     is_reversal = ramp * order <= 0
     if ramp == 0:
         motors[motor + _RAMP] = clip(order, min_speed)
@@ -136,29 +126,29 @@ def _ramp_to(motors: Vector[int], motor: int, settings: Settings, order: int) ->
         goal = order
         if is_reversal:
             goal = min_speed if ramp > 0 else -min_speed
-        ramp += clip(goal - ramp, max(settings.acceleration, 1))
+        ramp += clip(goal - ramp, max(memory[_STEP], 1))
         motors[motor + _RAMP] = ramp
         holds = is_reversal and ramp == goal
-        motors[motor + _WAIT] = HOLD_TICKS if holds else settings.acceleration_divider
+        motors[motor + _WAIT] = HOLD_TICKS if holds else memory[_DIVIDER]
 
 
 @compilable
-def _approach(motors: Vector[int], motor: int, settings: Settings, distance: int) -> None:
+def _approach(motors: Vector[int], motor: int, memory: Vector[int], distance: int) -> None:
     """Follow a trapezoidal speed profile to a target at a distance [pulses], and stop there."""
-    margin = settings.position_margin
+    margin = read_signed(memory, _MARGIN, 2)
     if abs(distance) <= (_LOST_MARGINS if motors[motor + _ON_TARGET] else 1) * margin:
         motors[motor + _ON_TARGET] = 1
         stop(motors, motor)
         return
     motors[motor + _ON_TARGET] = 0
-    step, period = max(settings.acceleration, 1), settings.acceleration_divider + 1
+    step, period = max(memory[_STEP], 1), memory[_DIVIDER] + 1
     # A ramp down from a speed v takes v (v + a) / (2 a) times its period.
     remaining = max(abs(distance) - LEAD_TICKS * abs(motors[motor + _SPEED]), 0)
     braking_speed = (square_root(step * step + 8 * step * remaining // period) - step) // 2
     wait, ramp = motors[motor + _WAIT], motors[motor + _RAMP]
     approach_speed = ramp if distance > 0 else -ramp
-    next_speed = max(approach_speed + (0 if wait else step), settings.least_accelerating)
+    next_speed = max(approach_speed + (0 if wait else step), memory[_LEAST_UP])
     motors[motor + _WAIT] = wait - 1 if wait else period - 1
-    speed = max(min(next_speed, braking_speed, settings.position_speed), settings.least_decelerating)
+    speed = max(min(next_speed, braking_speed, read_signed(memory, _TOP_SPEED, 2)), memory[_LEAST_DOWN])
     motors[motor + _RAMP] = speed if distance > 0 else -speed
-    _regulate(motors, motor, settings, motors[motor + _RAMP])
+    _regulate(motors, motor, memory, motors[motor + _RAMP])

@@ -1,7 +1,6 @@
 """State of a Khepera IV in the stepping core."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -11,21 +10,17 @@ from khep_twin.robots.khepera4 import dspic, gauge, inertial
 from khep_twin.robots.khepera4.channels import NO_ECHO
 from khep_twin.robots.khepera4.dspic import N_ULTRASONIC, DspicState
 from khep_twin.robots.khepera4.inertial import InertialState
-from khep_twin.robots.measuring_core import measuring_fields
-from khep_twin.sensing.buffers import Vector
+from khep_twin.robots.measuring_core import MeasuringFields, measuring_fields
+from khep_twin.sensing.buffers import Vector, state_class
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.sensing.device_faults import DeviceFaults
-from khep_twin.sensing.ground import Ground
 from khep_twin.sensing.robot_indices import RobotIndices
-from khep_twin.sensing.robot_sensors import RobotSensors
-from khep_twin.sensing.scene import Beams
-from khep_twin.sensing.sonar import Sonar
 
 
-class Khepera4State(NamedTuple):
+@state_class
+class Khepera4State(MeasuringFields):
     """State of one robot.
 
-    Attributes (the others are in `core_fields` and `measuring_fields`):
+    Attributes (see also `MeasuringFields`):
         velocity: Index of the robot's velocity.
         dspic: State of the microcontroller.
         inertial: State of accelerometer and gyroscope.
@@ -35,33 +30,13 @@ class Khepera4State(NamedTuple):
         burst_distance: Distance by the last burst that was evaluated (1,) [cm].
     """
 
-    angles: Sequence[int]
-    speeds: Sequence[int]
-    motors: Sequence[int]
-    pose: int
     velocity: int
-    radius: float
-    motor_constant: float
-    idle_current: float
-    is_discharged: int
-    first_moment: int
-    sensors: RobotSensors
-    faults: DeviceFaults
-    ground: Ground
-    sonar: Sonar
-    beams: Beams
     dspic: DspicState
     inertial: InertialState
     gauge: Vector[float]
     zeros: Vector[int]
-    burst: Vector[int]
     distances: Vector[int]
-    is_eager: Vector[int]
     burst_distance: Vector[int]
-    times: Vector[int]
-    registers: Vector[int]
-    vehicle: Vector[int]
-    noise: Vector[int]
 
 
 def make_state(
