@@ -10,8 +10,8 @@ import pytest
 
 from khep_twin import playpen as playpens
 from khep_twin.playpen import Playpen
-from khep_twin.robots.khepera4.channels import GROUND, RING
 from khep_twin.robots.khepera4.model import KHEPERA_4
+from khep_twin.robots.khepera4.registers import GROUND, RING
 from khep_twin.robots.registry import installed_models
 from khep_twin.sensing import calibration
 

@@ -138,7 +138,7 @@ def test_read_only_registers_stay_and_a_reset_restores_the_others() -> None:
     dspic.write(bytes([DspicRegister.LEDS, *range(9)]))
     assert dspic.leds == bytes(range(9))
     dspic.write(bytes([DspicRegister.ULTRASONIC_ENABLED, 0b101]))
-    assert dspic.ultrasonic_enabled == 0b101
+    assert dspic.read(DspicRegister.ULTRASONIC_ENABLED, 1) == bytes([0b101])
     dspic.reset()
     assert dspic.read(0, 256) == before
 

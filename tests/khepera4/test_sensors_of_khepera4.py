@@ -11,12 +11,11 @@ from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
 from khep_twin.programs.computer import Machine
-from khep_twin.robots.khepera4.channels import COUNTS_PER_G, DEGREES_PER_COUNT
 from khep_twin.robots.khepera4.core import PULSES_PER_TURN
 from khep_twin.robots.khepera4.inertial import at_rest, measure
-from khep_twin.robots.khepera4.measurements import BURST_NS as PERIOD_NS
-from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.robots.khepera4.registers import COUNTS_PER_G, DEGREES_PER_COUNT, Control, DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
+from khep_twin.robots.khepera4.state import BURST_NS as PERIOD_NS
 from khep_twin.units import GRAVITY, TICK_NS
 from khep_twin.world import World
 

@@ -12,11 +12,10 @@ from khep_twin.board.fault_injection import parse_fault
 from khep_twin.episodes.episode import Episode
 from khep_twin.errors import FaultError
 from khep_twin.playpen import Playpen, parse
-from khep_twin.robots.khepera4.channels import NO_ECHO
 from khep_twin.robots.khepera4.gauge import battery_voltage
 from khep_twin.robots.khepera4.model import BODY
 from khep_twin.robots.khepera4.motor_control import PWM_LIMIT
-from khep_twin.robots.khepera4.registers import Control, DspicRegister
+from khep_twin.robots.khepera4.registers import NO_ECHO, Control, DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.robots.registry import find_model
 from khep_twin.sensing import calibration

@@ -24,10 +24,9 @@ from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.board.memory import read_signed, write_number
 from khep_twin.programs.computer import Slave
 from khep_twin.robots.khepera3 import registers, state
-from khep_twin.robots.khepera3.channels import GROUND, RING
 from khep_twin.robots.khepera3.model import FIRST, SERVER
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, halt, reset
-from khep_twin.robots.khepera3.registers import MotorRegister, PicMode, Setting
+from khep_twin.robots.khepera3.registers import GROUND, RING, MotorRegister, PicMode, Setting
 from khep_twin.robots.khepera3.state import N_ECHO, SETTING, Khepera3State
 from khep_twin.robots.model import RobotModel
 

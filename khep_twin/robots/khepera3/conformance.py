@@ -2,8 +2,8 @@
 
 from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, Numbers, check, expect_range, replies
 from khep_twin.lab.conformance.port.letters import LetterChecks, is_server
-from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, ULTRASONIC
 from khep_twin.robots.khepera3.model import COUNTS_LIMIT
+from khep_twin.robots.khepera3.registers import PULSES_PER_SPEED, ULTRASONIC
 
 _ROUND_S = 0.6
 """Time in which every ultrasonic sensor measures more than twice [s]."""
@@ -82,9 +82,7 @@ KHEPERA_3_CHECKS = LetterChecks(
 ).catalogue(
     _ends,
     replies(
-        "an unknown command is answered with $",
-        "server",
-        ("$", "Q", "S", "T", "W", "Y", "b", "hello", "0", "?", "$", "V,6", "V"),
+        "an unknown command is answered with $", "server", ("$", *"Q S T W Y b hello 0 ? $ V,6 V".split())
     ),
     _prefixes,
     replies(

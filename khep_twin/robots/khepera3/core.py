@@ -1,7 +1,7 @@
 """Core of the Khepera III: motor controllers and battery of a robot.
 
 At the end of a control period of 10 ms it updates pulses of the encoders, controllers, voltage of the motors,
-and the battery's charge; an empty one stops the robot. `measurements` has the sensors. The functions are
+and the battery's charge; an empty one stops the robot. `state` has the sensors. The functions are
 `compilable`, see `robots.core`.
 """
 
@@ -11,13 +11,12 @@ from khep_twin.board.kernel import wrap
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.khepera3 import measurements, motor_control, state
+from khep_twin.robots.khepera3 import motor_control, state
 from khep_twin.robots.khepera3.bus import Bus
-from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.letters import Letters, program_of
 from khep_twin.robots.khepera3.model import KHEPERA_3
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
-from khep_twin.robots.khepera3.registers import SINGLE_COUNT, ControlType, MotorRegister, PicMode
+from khep_twin.robots.khepera3.registers import PWM_LIMIT, SINGLE_COUNT, ControlType, MotorRegister, PicMode
 from khep_twin.robots.khepera3.state import Khepera3State
 from khep_twin.robots.measuring_core import measuring_core
 from khep_twin.robots.vehicle import WANDERING
@@ -139,16 +138,16 @@ CORE = measuring_core(
     KHEPERA_3,
     Khepera3State,
     _start,
-    measurements.SCAN_NS,
-    measurements.set_infrared,
-    measurements.BURST_NS,
-    measurements.active_mask,
-    measurements.measure_burst,
-    measurements.keep_burst,
-    measurements.fill_registers,
+    state.SCAN_NS,
+    state.set_infrared,
+    state.BURST_NS,
+    state.active_mask,
+    state.measure_burst,
+    state.keep_burst,
+    state.fill_registers,
     make_state=state.make_state,
     changing=("left", "right", "board", "echoes", "burst_echoes", "battery"),
-    modules=("motor_control", "measurements", "core"),
+    modules=("motor_control", "state", "core"),
     tick=_tick,
     set_speeds=_set_speeds,
     is_powered=_is_powered,

@@ -20,9 +20,8 @@ from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.profile_robot import ProfileRobot, to_units
 from khep_twin.host.results import Distances
 from khep_twin.robots.body import Body
-from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, PWM_LIMIT, ULTRASONIC
 from khep_twin.robots.khepera3.model import KHEPERA_3, KHEPERA_3_V2
-from khep_twin.robots.khepera3.registers import SETTINGS, Setting
+from khep_twin.robots.khepera3.registers import PULSES_PER_SPEED, PWM_LIMIT, SETTINGS, ULTRASONIC, Setting
 
 _FIELDS = [(name.replace(" ", "_"), int) for name in KHEPERA_3.body.sensors]
 InfraredReadings = NamedTuple("InfraredReadings", _FIELDS)

@@ -10,8 +10,8 @@ from pathlib import Path
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.framing import Lines
-from khep_twin.robots.khepera3.channels import BAUD, CHANNELS, GROUND, PULSES_PER_SPEED, RING, ULTRASONIC
-from khep_twin.robots.khepera3.registers import ControlType, PicMode
+from khep_twin.robots.khepera3 import registers
+from khep_twin.robots.khepera3.registers import GROUND, PULSES_PER_SPEED, RING, ULTRASONIC
 from khep_twin.robots.model import (
     Dialect,
     Interface,
@@ -96,7 +96,7 @@ VEHICLE = Vehicle(
 SERVER_VEHICLE = replace(VEHICLE, left=(0, *VEHICLE.left), right=(0, *VEHICLE.right), is_unsigned=True)
 """That of kh3server, which passes the readings 1 to 9: the last is that of the right ground sensor."""
 
-SAMPLED = consecutive_registers(CHANNELS)
+SAMPLED = consecutive_registers(registers.CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""
 
 _REGISTERS = {channel.name: channel.registers for channel in SAMPLED}
@@ -136,7 +136,7 @@ _READS = {
 
 def _roms_of(version: str) -> dict[str, Rom]:
     """Return the programs of a robot with a version of the dsPIC's firmware."""
-    rom = Rom(bios=version, protocol="", banner=(), modes={1: RunningMode(BAUD)})
+    rom = Rom(bios=version, protocol="", banner=(), modes={1: RunningMode(registers.BAUD)})
     return {version: rom, SERVER: rom}
 
 
@@ -147,7 +147,7 @@ KHEPERA_3 = RobotModel(
     body=BODY,
     calibration=str(ASSETS / "khepera3.toml"),
     roms=_roms_of("3.0"),
-    channels=parse_channels(CHANNELS),
+    channels=parse_channels(registers.CHANNELS),
     bars=bars_of(dark=4000, speed=20_000, largest=COUNTS_LIMIT),
     dialect=Dialect(
         robot_name="a Khepera III",
@@ -157,7 +157,7 @@ KHEPERA_3 = RobotModel(
         probes=("B", "E", "R", "V,0"),
         stop_requests=("A,2", "D,l0,l0"),
         moving=("A", "D", "F", "L", "P"),
-        baud=BAUD,
+        baud=registers.BAUD,
         framing=_FRAMING,
         reads=_READS,
         drive="D,l{:d},l{:d}".format,
@@ -171,7 +171,9 @@ KHEPERA_3 = RobotModel(
     plots={"ultrasonic": "ultrasonic [cm]"},
     interface=_INTERFACE,
     terms=_TERMS,
-    speed_modes=dict(enumerate([PicMode.NORMAL] * 2 + [ControlType.SPEED] * 2, FIRST["control"])),
+    speed_modes=dict(
+        enumerate([registers.PicMode.NORMAL] * 2 + [registers.ControlType.SPEED] * 2, FIRST["control"])
+    ),
     vehicle=VEHICLE.speeds,
     template=str(ASSETS / "template.py"),
 )

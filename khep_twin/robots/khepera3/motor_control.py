@@ -17,7 +17,6 @@ from khep_twin.board.kernel import clip, divide, square_root, wrap
 from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
 from khep_twin.robots.khepera3 import registers
-from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED, PWM_LIMIT, SPEED_NUMERATOR
 from khep_twin.robots.khepera3.registers import ControlType, MotorRegister, Option, PicMode, Status
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import TICK_NS
@@ -29,7 +28,7 @@ PWM to which it is limited (assumed)."""
 _TICKS = TICK_NS // 1600
 """Timer's ticks in a control period."""
 
-_SPEED_STEP, _BRAKING = 10, round(2000 / PULSES_PER_SPEED)
+_SPEED_STEP, _BRAKING = 10, round(2000 / registers.PULSES_PER_SPEED)
 """Change of a profile's speed in a control period, and its double square per pulse, for each unit of
 acceleration: 30 reaches 15,000 in 0.5 s (a public program)."""
 
@@ -95,8 +94,8 @@ def direction(motor: MotorState) -> int:
 @compilable
 def measured_speed(pulse_rate: float) -> int:
     """Return the measured speed of a wheel by its pulses per second, 0 below the slowest (assumed)."""
-    ticks = int(SPEED_NUMERATOR * PULSES_PER_SPEED / max(abs(pulse_rate), 1e-3))
-    speed = SPEED_NUMERATOR // max(ticks, 1) if ticks < 0x10000 else 0
+    ticks = int(registers.SPEED_NUMERATOR * registers.PULSES_PER_SPEED / max(abs(pulse_rate), 1e-3))
+    speed = registers.SPEED_NUMERATOR // max(ticks, 1) if ticks < 0x10000 else 0
     return speed if pulse_rate > 0 else -speed
 
 
@@ -130,7 +129,7 @@ def control_motor(motor: MotorState) -> None:
     if (mode != PicMode.NORMAL and mode != PicMode.STOP) or memory[MotorRegister.ERRORS]:
         halt(motor)
     elif control == ControlType.OPEN_LOOP:
-        numbers[Pic.PWM] = clip(order, PWM_LIMIT)
+        numbers[Pic.PWM] = clip(order, registers.PWM_LIMIT)
     elif control == ControlType.POSITION:
         _hold(motor, order - numbers[Pic.POSITION])
     elif control == ControlType.POSITION_PROFILE:
@@ -142,7 +141,7 @@ def control_motor(motor: MotorState) -> None:
         numbers[Pic.RAMP] += clip(order - numbers[Pic.RAMP], step)
         _regulate(motor, numbers[Pic.RAMP])
     elif control == ControlType.CURRENT:
-        numbers[Pic.PWM] = clip(numbers[Pic.PWM] + order - numbers[Pic.CURRENT], PWM_LIMIT)
+        numbers[Pic.PWM] = clip(numbers[Pic.PWM] + order - numbers[Pic.CURRENT], registers.PWM_LIMIT)
     else:
         halt(motor)
     status = _protect(motor)
@@ -178,12 +177,12 @@ def _drive(motor: MotorState, gains: int, error: int, scale: int, sum_scale: int
     ki = read_signed(memory, gains + 4, 2)
     sample_time = max(read_signed(memory, MotorRegister.SAMPLE_TIME, 2) & 0xFFFF, 1)
     change = divide(ki * error * _TICKS, sample_time)
-    limit = PWM_LIMIT * scale * sum_scale // sum_part
+    limit = registers.PWM_LIMIT * scale * sum_scale // sum_part
     numbers[Pic.ERROR_SUM] = clip(numbers[Pic.ERROR_SUM] + change, limit) if ki else 0
     output = kp * error + divide(numbers[Pic.ERROR_SUM], sum_scale)
     output += divide(kd * (error - numbers[Pic.ERROR]) * sample_time, _TICKS)
     numbers[Pic.ERROR] = error
-    numbers[Pic.PWM] = clip(divide(output, scale), PWM_LIMIT)
+    numbers[Pic.PWM] = clip(divide(output, scale), registers.PWM_LIMIT)
 
 
 @compilable
@@ -199,7 +198,7 @@ def _approach(motor: MotorState, distance: int) -> None:
         return
     numbers[Pic.ON_TARGET] = 0
     acceleration, towards = max(memory[MotorRegister.ACCELERATION], 1), 1 if distance > 0 else -1
-    lead = int(_LEAD * abs(numbers[Pic.SPEED]) * (PULSES_PER_SPEED * TICK_NS * 1e-9))
+    lead = int(_LEAD * abs(numbers[Pic.SPEED]) * (registers.PULSES_PER_SPEED * TICK_NS * 1e-9))
     braking_speed = square_root(max(_BRAKING * acceleration * (abs(distance) - lead), 1))
     least_speed = max(read_signed(memory, MotorRegister.LEAST_SPEED, 2) & 0xFFFF, _LEAST_APPROACH)
     next_speed = max(towards * numbers[Pic.RAMP] + acceleration * _SPEED_STEP, least_speed)
@@ -242,12 +241,12 @@ def _status_of(motor: MotorState, control: int, order: int) -> int:
         is_reached, is_near = numbers[Pic.ON_TARGET] != 0, distance <= _NEAR_MARGINS * margin
     else:
         # By the resolution of the measured speed.
-        is_reached = is_near = abs(order - speed) <= speed * speed // SPEED_NUMERATOR + 1
+        is_reached = is_near = abs(order - speed) <= speed * speed // registers.SPEED_NUMERATOR + 1
     if is_reached:
         status |= Status.ON_TARGET
     if is_near:
         status |= Status.NEAR_TARGET
-    if abs(numbers[Pic.PWM]) >= PWM_LIMIT:
+    if abs(numbers[Pic.PWM]) >= registers.PWM_LIMIT:
         status |= Status.SATURATED
         if motor.memory[MotorRegister.OPTIONS] & Option.ANTI_WINDUP:
             status |= Status.ANTI_WINDUP

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from khep_twin.programs.computer import PINS, PWM, Computer, Devices, i2c_bus
 from khep_twin.robots.khepera4.dspic import Dspic
-from khep_twin.robots.khepera4.measurements import WORDS
 from khep_twin.robots.khepera4.registers import ADDRESS
 from khep_twin.robots.khepera4.robot import Khepera4Robot
+from khep_twin.robots.khepera4.state import WORDS
 
 RESET_PIN, CHARGER_PIN = 90, 65
 """Pins: 0 holds the dsPIC in reset; 0 while the charger is plugged in (library)."""

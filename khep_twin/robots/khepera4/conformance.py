@@ -2,8 +2,8 @@
 
 from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, Numbers, check, replies
 from khep_twin.lab.conformance.port.letters import LetterChecks, single_bytes
-from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE, ULTRASONIC_CODES
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC
+from khep_twin.robots.khepera4.registers import BINARY_BYTES, PACKET_SIZE, ULTRASONIC_CODES
 from khep_twin.units import COUNTS_LIMIT
 
 _TOO_NEAR_CM, _NO_ECHO_CM, _DISABLED_CM = ULTRASONIC_CODES

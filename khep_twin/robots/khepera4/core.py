@@ -6,7 +6,7 @@ At the end of a control period of 10 ms it updates
     2. the accelerometer, and the gyroscope if a value is due
     3. the battery's charge; an empty one stops the robot
 
-`measurements` has the other sensors. The functions are `compilable`, see `robots.core`.
+`state` has the other sensors. The functions are `compilable`, see `robots.core`.
 """
 
 import math
@@ -14,12 +14,12 @@ import math
 from khep_twin.board.memory import write_number
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
-from khep_twin.robots.khepera4 import dspic, gauge, inertial, measurements
+from khep_twin.robots.khepera4 import dspic, gauge, inertial, state
 from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
 from khep_twin.robots.khepera4.motor_control import LEFT_PWM, N_MOTOR, PWM_LIMIT, RIGHT_PWM, Motor, stop
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
-from khep_twin.robots.khepera4.state import Khepera4State, make_state
+from khep_twin.robots.khepera4.state import Khepera4State
 from khep_twin.robots.measuring_core import measuring_core
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.device_faults import drive_motor
@@ -161,16 +161,16 @@ CORE = measuring_core(
     KHEPERA_4,
     Khepera4State,
     _start,
-    measurements.INFRARED_NS,
-    measurements.set_infrared,
-    measurements.BURST_NS,
-    measurements.active_mask,
-    measurements.measure_burst,
-    measurements.keep_burst,
-    measurements.fill_all,
-    make_state=make_state,
+    state.INFRARED_NS,
+    state.set_infrared,
+    state.BURST_NS,
+    state.active_mask,
+    state.measure_burst,
+    state.keep_burst,
+    state.fill_all,
+    make_state=state.make_state,
     changing=("dspic", "inertial", "gauge", "zeros", "distances", "burst_distance"),
-    modules=("motor_control", "dspic", "inertial", "gauge", "measurements", "core"),
+    modules=("motor_control", "dspic", "inertial", "gauge", "state", "core"),
     tick=_tick,
     set_speeds=_set_speeds,
     is_powered=_is_powered,

@@ -17,22 +17,9 @@ import numpy as np
 from khep_twin.board.kernel import wrap
 from khep_twin.board.memory import read_signed, write_number
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4.motor_control import (
-    LEFT_PWM,
-    N_MOTOR,
-    RIGHT_PWM,
-    Motor,
-    control_motor,
-    stop,
-)
-from khep_twin.robots.khepera4.registers import (
-    BATTERY_BYTES,
-    N_BYTES,
-    RESET_VALUES,
-    WRITABLE,
-    Control,
-    DspicRegister,
-)
+from khep_twin.robots.khepera4 import registers
+from khep_twin.robots.khepera4.motor_control import LEFT_PWM, N_MOTOR, RIGHT_PWM, Motor, control_motor, stop
+from khep_twin.robots.khepera4.registers import RESET_VALUES, WRITABLE, Control, DspicRegister
 from khep_twin.sensing.buffers import Vector
 
 N_INFRARED, N_ULTRASONIC = 12, 5
@@ -40,7 +27,7 @@ N_INFRARED, N_ULTRASONIC = 12, 5
 ground left, front left, front right, right. Ultrasonic ones: left, front left, front, front right, right
 (library)."""
 
-N_MEMORY = N_BYTES + BATTERY_BYTES
+N_MEMORY = registers.N_BYTES + registers.BATTERY_BYTES
 
 _POSITION_ORDERS = {*range(DspicRegister.POSITION_ORDER_LEFT, DspicRegister.SPEED_LEFT)}
 """Bytes of the orders that start a move."""
@@ -194,8 +181,3 @@ class Dspic:
     def leds(self) -> bytes:
         """Red, green and blue of the LEDs front left, front right and back, 0 to 63 (9,)."""
         return bytes(self._memory[DspicRegister.LEDS : DspicRegister.LEDS + 9].tolist())
-
-    @property
-    def ultrasonic_enabled(self) -> int:
-        """Mask of the enabled ultrasonic sensors, bit 0 left to bit 4 right."""
-        return self.state.memory[DspicRegister.ULTRASONIC_ENABLED]

@@ -3,16 +3,15 @@
 The robot stops at 6.0 V (manual). The charge of a battery without a time of use stays constant.
 """
 
-from khep_twin.board import lithium_cells
-from khep_twin.board.lithium_cells import cells_voltage
+from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.board.memory import write_number
 from khep_twin.compilable import compilable
 from khep_twin.robots.khepera4.registers import DspicRegister
 from khep_twin.sensing.buffers import Vector
 from khep_twin.units import TICK_NS
 
-CAPACITY = 3.4 * 3600
-"""Charge of a full battery [C] (manual)."""
+CAPACITY, FULL_MIN = 3.4 * 3600, 300
+"""Charge of a full battery [C], and its time of use with the motors on [min] (manual)."""
 
 CUT_OFF = 6.0
 """Voltage at which the robot stops [V] (manual)."""
@@ -36,21 +35,10 @@ N_GAUGE = 5
 _BATTERY = int(DspicRegister.BATTERY)
 
 
-def used_charge(used_min: float | None) -> float:
-    """Return the charge used before the run [C], by minutes of use with the motors on, 300 for all of it."""
-    return lithium_cells.used_charge(CAPACITY, used_min, 300)
-
-
 @compilable
 def battery_voltage(gauge: Vector[float]) -> float:
     """Return the present voltage [V]."""
-    return cells_voltage(charge_level(gauge))
-
-
-@compilable
-def charge_level(gauge: Vector[float]) -> float:
-    """Return the remaining part of the charge, 0 to 1."""
-    return lithium_cells.charge_level(gauge[USED], CAPACITY)
+    return cells_voltage(charge_level(gauge[USED], CAPACITY))
 
 
 @compilable
@@ -71,7 +59,7 @@ def draw_current(gauge: Vector[float], is_discharged: int, current: float) -> bo
 @compilable
 def write_block(memory: Vector[int], gauge: Vector[float]) -> None:
     """Set the registers of the gauge in a dsPIC's memory (12 bytes): its status, and its values."""
-    level = charge_level(gauge)
+    level = charge_level(gauge[USED], CAPACITY)
     memory[_BATTERY] = 0
     write_number(memory, _BATTERY + 1, 2, round(level * CAPACITY / _CHARGE_UNIT))
     write_number(memory, _BATTERY + 3, 1, round(100 * level))

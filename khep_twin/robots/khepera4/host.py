@@ -20,8 +20,8 @@ from typing import NamedTuple
 from khep_twin.host.host_command import HostCommand, order, query, split_reply
 from khep_twin.host.profile_robot import ProfileRobot, to_units
 from khep_twin.host.results import Battery, Distances
-from khep_twin.robots.khepera4.channels import COUNTS_PER_G, DEGREES_PER_COUNT, LEDS, PACKET_SIZE
 from khep_twin.robots.khepera4.model import KHEPERA_4, SONAR
+from khep_twin.robots.khepera4.registers import COUNTS_PER_G, DEGREES_PER_COUNT, LEDS, PACKET_SIZE
 from khep_twin.units import GRAVITY
 
 _ACCELERATION_UNIT, _TURN_RATE_UNIT = GRAVITY / COUNTS_PER_G, math.radians(DEGREES_PER_COUNT)

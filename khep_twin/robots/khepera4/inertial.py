@@ -13,8 +13,7 @@ import numpy as np
 
 from khep_twin.board.memory import write_number
 from khep_twin.compilable import compilable
-from khep_twin.robots.khepera4.channels import COUNTS_PER_G, DEGREES_PER_COUNT, PACKET_SIZE
-from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.registers import COUNTS_PER_G, DEGREES_PER_COUNT, PACKET_SIZE, DspicRegister
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.noise import Tables, draws
 from khep_twin.units import GRAVITY, TICK_NS

@@ -6,17 +6,8 @@ from pathlib import Path
 
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
-from khep_twin.robots.khepera4.channels import (
-    BAUD,
-    CHANNELS,
-    GROUND,
-    LEDS,
-    PACKET_SIZE,
-    RING,
-    ULTRASONIC,
-    ULTRASONIC_CODES,
-)
-from khep_twin.robots.khepera4.registers import Control
+from khep_twin.robots.khepera4 import registers
+from khep_twin.robots.khepera4.registers import GROUND, PACKET_SIZE, RING, ULTRASONIC
 from khep_twin.robots.model import (
     Bench,
     Dialect,
@@ -37,7 +28,7 @@ SONAR = SonarRing(
     (90, 45, 0, -45, -90),
     0.066,
     0.0445,
-    ULTRASONIC_CODES,
+    registers.ULTRASONIC_CODES,
     lag=0.07,
     nearest=0.25,
     reach=2.5,
@@ -89,7 +80,7 @@ VEHICLE = Vehicle(
 )
 """That of kh4server (library)."""
 
-SAMPLED = consecutive_registers(CHANNELS)
+SAMPLED = consecutive_registers(registers.CHANNELS)
 """Channels of a log, consecutive in the robot's registers."""
 
 _REGISTERS = {channel.name: channel.registers for channel in SAMPLED}
@@ -131,8 +122,8 @@ KHEPERA_4 = RobotModel(
     body=BODY,
     calibration="khepera4",
     # The server has no banner and one baud rate (manual, chapter 6).
-    roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(BAUD)})},
-    channels=parse_channels(CHANNELS),
+    roms={"kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(registers.BAUD)})},
+    channels=parse_channels(registers.CHANNELS),
     bars=bars_of(dark=980, speed=500),
     # D does not stop the server's vehicle, and H and K are not reads.
     dialect=Dialect(
@@ -142,7 +133,7 @@ KHEPERA_4 = RobotModel(
         probes=("B", "E", "R", "G"),
         stop_requests=("A,2", "D,0,0"),
         moving=("A", "D", "F", "L"),
-        baud=BAUD,
+        baud=registers.BAUD,
         reads={
             name: Read(letter, n_values, _REGISTERS[name][: len(indices)], indices)
             for name, (letter, n_values, indices) in _READS.items()
@@ -160,10 +151,10 @@ KHEPERA_4 = RobotModel(
         "accelerometer": "accelerometer [1/16384 g]",
         "gyroscope": "gyroscope [0.066 deg/s]",
     },
-    rgb_leds=LEDS,
+    rgb_leds=registers.LEDS,
     interface=_INTERFACE,
     terms=_TERMS,
-    speed_modes={_FIRST["control"]: Control.SPEED},
+    speed_modes={_FIRST["control"]: registers.Control.SPEED},
     vehicle=VEHICLE.speeds,
     accelerometer_signs=(1, 1, -1),
     template=str(Path(__file__).parent / "assets" / "template.py"),

@@ -5,16 +5,14 @@ log reads them.
 """
 
 from khep_twin.robots.khepera4 import gauge
-from khep_twin.robots.khepera4.channels import DISABLED, PACKET_SIZE, ULTRASONIC_CODES
 from khep_twin.robots.khepera4.core import wheel_pulses
 from khep_twin.robots.khepera4.dspic import N_MEMORY, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS
-from khep_twin.robots.khepera4.measurements import BURST_NS, fill_registers
 from khep_twin.robots.khepera4.model import SAMPLED
 from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
-from khep_twin.robots.khepera4.registers import DspicRegister
+from khep_twin.robots.khepera4.registers import PACKET_SIZE, ULTRASONIC_CODES, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
-from khep_twin.robots.khepera4.state import Khepera4State
+from khep_twin.robots.khepera4.state import BURST_NS, Khepera4State, fill_registers, write_distances
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
 from khep_twin.sensing.bursts import INFRARED, NONE
@@ -114,10 +112,4 @@ class Khepera4Robot(MeasuringRobot):
             self._evaluate(INFRARED)
         if end > DspicRegister.ULTRASONIC and first < DspicRegister.ULTRASONIC_ENABLED:
             self._evaluate_echoes()
-            enabled_mask = self.dspic.ultrasonic_enabled
-            distances = self._state.distances
-            readings = [
-                distances[channel] if enabled_mask >> channel & 1 else DISABLED
-                for channel in range(N_ULTRASONIC)
-            ]
-            self.dspic.set_words(DspicRegister.ULTRASONIC, readings)
+            write_distances(self._state, 1)

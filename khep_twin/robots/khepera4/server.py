@@ -14,10 +14,10 @@ import re
 import struct
 from collections.abc import Sequence
 
-from khep_twin.robots.khepera4.channels import BINARY_BYTES, PACKET_SIZE
+from khep_twin.robots.khepera4 import registers
 from khep_twin.robots.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.model import KHEPERA_4, VEHICLE
-from khep_twin.robots.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
+from khep_twin.robots.khepera4.registers import BINARY_BYTES, PACKET_SIZE, Control, DspicRegister
 from khep_twin.robots.line_server import Command, Reply, VehicleServer
 from khep_twin.robots.vehicle import N_VEHICLE, WANDERING
 from khep_twin.sensing.buffers import Vector
@@ -123,7 +123,7 @@ class Kh4Server(VehicleServer):
         """Return one value of the battery, by its kind: 0 voltage [mV] to 7 status of the gauge."""
         if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
             return None
-        block = struct.unpack("<BHBhhhH", self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES))
+        block = struct.unpack("<BHBhhhH", self._dspic.read(DspicRegister.BATTERY, registers.BATTERY_BYTES))
         status, charge, percent, current, average_current, temperature, voltage = block
         values_by_kind: Sequence[object] = (
             f"{voltage * 9.76:.0f}",

@@ -12,10 +12,9 @@ from khep_twin.host import Distances, Khepera, Khepera3, Khepera4
 from khep_twin.host.discovery import identify_robot
 from khep_twin.interventions.move_robot import place_robot
 from khep_twin.playpen import Playpen
-from khep_twin.robots.khepera3.channels import PWM_LIMIT
 from khep_twin.robots.khepera3.host import Echo, InfraredReadings
 from khep_twin.robots.khepera3.model import FIRST
-from khep_twin.robots.khepera3.registers import MotorRegister, PicMode
+from khep_twin.robots.khepera3.registers import PWM_LIMIT, MotorRegister, PicMode
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 from khep_twin.robots.registry import find_model
 

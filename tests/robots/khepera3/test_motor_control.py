@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from khep_twin.playpen import parse
-from khep_twin.robots.khepera3.channels import PULSES_PER_SPEED
 from khep_twin.robots.khepera3.model import KHEPERA_3, KHEPERA_3_V2
 from khep_twin.robots.khepera3.motor_control import (
     MotorState,
@@ -18,6 +17,7 @@ from khep_twin.robots.khepera3.motor_control import (
 )
 from khep_twin.robots.khepera3.registers import (
     BLOCKED_ERROR,
+    PULSES_PER_SPEED,
     STOP_ERROR,
     ControlType,
     Option,
