@@ -7,10 +7,10 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import khep_twin.robots.khepera3.registers as registers
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.framing import Lines
-from khep_twin.robots.khepera3 import registers
 from khep_twin.robots.khepera3.registers import GROUND, PULSES_PER_SPEED, RING, ULTRASONIC
 from khep_twin.robots.model import (
     Dialect,

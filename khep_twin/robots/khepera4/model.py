@@ -4,9 +4,9 @@ import math
 import re
 from pathlib import Path
 
+import khep_twin.robots.khepera4.registers as registers
 from khep_twin.board.rom import Rom, RunningMode
 from khep_twin.robots.body import Body, SonarRing
-from khep_twin.robots.khepera4 import registers
 from khep_twin.robots.khepera4.registers import GROUND, PACKET_SIZE, RING, ULTRASONIC
 from khep_twin.robots.model import (
     Bench,
