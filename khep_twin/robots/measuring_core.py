@@ -4,6 +4,7 @@ Its infrared sensors record a moment once in a period, its active ultrasonic sen
 `sensing.bursts`. `measuring_core` adds the functions for them to those of a model.
 """
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
@@ -40,6 +41,7 @@ class MeasuringFields(RobotFields):
 
     Attributes (see also `RobotFields`):
         idle_current: Current with the motors at rest [A].
+        pulses_per_radian: Pulses of an encoder per angle of its wheel [1/rad].
         is_discharged: 1 if the battery is discharged during the run.
         first_moment: Number of its first moment.
         ground: Sensors that look at the floor.
@@ -53,6 +55,7 @@ class MeasuringFields(RobotFields):
     """
 
     idle_current: float
+    pulses_per_radian: float
     is_discharged: int
     first_moment: int
     ground: Ground
@@ -75,6 +78,7 @@ def measuring_fields(
     return {
         **core_fields(model, robot, measured, entry, first_moment),
         "idle_current": body.idle_current,
+        "pulses_per_radian": body.pulses_per_turn / math.tau,
         "is_discharged": int(entry.battery_used_min is not None),
         "first_moment": first_moment,
         "ground": Ground.of(measured, body.ground_height, lens=0.002),
@@ -217,6 +221,12 @@ def measuring_core(
 def _request_terms(record: RobotState, names: Collection[str]) -> None:
     """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
     record["is_eager"] = "ultrasonic" in names
+
+
+@compilable
+def wheel_pulses(robot: MeasuringFields, angle: float) -> int:
+    """Return the pulses of an encoder at a wheel's angle [rad]."""
+    return math.floor(angle * robot.pulses_per_radian + 0.5)
 
 
 def _scan(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> None:

@@ -22,7 +22,7 @@ from enum import StrEnum
 from importlib.metadata import EntryPoint
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from khep_twin.board.rom import Rom
 from khep_twin.board.terms import Term as Term
@@ -399,3 +399,22 @@ def consecutive_registers(labels: Mapping[str, str]) -> tuple[SampledRegisters, 
     ends = accumulate((label.count(",") + 1 for label in labels.values()), initial=0)
     parts = zip(labels.items(), pairwise(ends), strict=True)
     return tuple(SampledRegisters(name, label, range(*part)) for (name, label), part in parts)
+
+
+def ring_interface(channels: Sequence[SampledRegisters], ring: Sequence[str], **numbers: Any) -> Interface:
+    """Return the interface of consecutive channels, by the names of the sensors around.
+
+    Setpoints follow the speeds; `numbers` are the further attributes.
+    """
+    first = {channel.name: channel.registers[0] for channel in channels}
+    proximity, ambient = first["proximity"], first["ambient"]
+    speed, position = first["speed"], first["position"]
+    return Interface(
+        channels[-1].registers[-1] + 1,
+        proximity=(proximity, proximity + len(ring)),
+        ambient=(ambient, ambient + len(ring)),
+        sides=(proximity + ring.index("left"), proximity + ring.index("right")),
+        setpoints=(speed + 2, speed + 3),
+        positions=(position, position + 1),
+        **numbers,
+    )

@@ -11,8 +11,8 @@ from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
 from khep_twin.programs.computer import Machine
-from khep_twin.robots.khepera4.core import PULSES_PER_TURN
 from khep_twin.robots.khepera4.inertial import at_rest, measure
+from khep_twin.robots.khepera4.model import BODY
 from khep_twin.robots.khepera4.registers import COUNTS_PER_G, DEGREES_PER_COUNT, Control, DspicRegister
 from khep_twin.robots.khepera4.robot import Khepera4Robot
 from khep_twin.robots.khepera4.state import BURST_NS as PERIOD_NS
@@ -171,7 +171,7 @@ def test_the_gyroscope_measures_the_rate_of_a_turn_in_place() -> None:
     order(world, -200, 200)
     world.advance(3)
     rate_deg = np.mean(words(world, DspicRegister.GYROSCOPE + 40, 10)) * DEGREES_PER_COUNT
-    speed = 200 / 0.010 / PULSES_PER_TURN * math.tau * 0.021
+    speed = 200 / 0.010 / BODY.pulses_per_turn * math.tau * 0.021
     assert rate_deg == pytest.approx(math.degrees(2 * speed / 0.1054), rel=0.01)
 
 

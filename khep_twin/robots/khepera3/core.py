@@ -5,8 +5,6 @@ and the battery's charge; an empty one stops the robot. `state` has the sensors.
 `compilable`, see `robots.core`.
 """
 
-import math
-
 from khep_twin.board.kernel import wrap
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
@@ -18,7 +16,7 @@ from khep_twin.robots.khepera3.model import KHEPERA_3
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
 from khep_twin.robots.khepera3.registers import PWM_LIMIT, SINGLE_COUNT, ControlType, MotorRegister, PicMode
 from khep_twin.robots.khepera3.state import Khepera3State
-from khep_twin.robots.measuring_core import measuring_core
+from khep_twin.robots.measuring_core import measuring_core, wheel_pulses
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
@@ -92,12 +90,6 @@ def _drive(scene: Scene, robot: Khepera3State, side: int, motor: MotorState, vol
     duty = sign * numbers[Pic.PWM] / PWM_LIMIT
     drive_motor(scene, robot.faults, side, robot.motors[side], robot.speeds[side], constant, duty * voltage)
     return max(duty * amperes, 0.0)
-
-
-@compilable
-def wheel_pulses(robot: Khepera3State, angle: float) -> int:
-    """Return the pulses of an encoder at a wheel's angle [rad]."""
-    return math.floor(angle * robot.pulses_per_radian + 0.5)
 
 
 @compilable

@@ -14,7 +14,6 @@ from khep_twin.robots.framing import Lines
 from khep_twin.robots.khepera3.registers import GROUND, PULSES_PER_SPEED, RING, ULTRASONIC
 from khep_twin.robots.model import (
     Dialect,
-    Interface,
     Read,
     RobotModel,
     Term,
@@ -22,6 +21,7 @@ from khep_twin.robots.model import (
     consecutive_registers,
     parse_channels,
     parts_of,
+    ring_interface,
 )
 from khep_twin.robots.vehicle import Vehicle
 
@@ -103,13 +103,9 @@ _REGISTERS = {channel.name: channel.registers for channel in SAMPLED}
 FIRST = {name: registers[0] for name, registers in _REGISTERS.items()}
 """First register of each channel."""
 
-_INTERFACE = Interface(
-    SAMPLED[-1].registers[-1] + 1,
-    proximity=(FIRST["proximity"], FIRST["proximity"] + len(RING)),
-    ambient=(FIRST["ambient"], FIRST["ambient"] + len(RING)),
-    sides=(FIRST["proximity"] + RING.index("left"), FIRST["proximity"] + RING.index("right")),
-    setpoints=(FIRST["speed"] + 2, FIRST["speed"] + 3),
-    positions=(FIRST["position"], FIRST["position"] + 1),
+_INTERFACE = ring_interface(
+    SAMPLED,
+    RING,
     counts=(100, COUNTS_LIMIT),
     top_speed=20_000.0,  # 91 mm/s, in use by most programs
     speed_limit=43_000,

@@ -2,12 +2,12 @@
 
 from khep_twin.robots.khepera3 import state
 from khep_twin.robots.khepera3.bus import Bus
-from khep_twin.robots.khepera3.core import wheel_pulses
 from khep_twin.robots.khepera3.letters import program_of
 from khep_twin.robots.khepera3.model import SAMPLED
 from khep_twin.robots.khepera3.motor_control import Pic
 from khep_twin.robots.khepera3.registers import N_BYTES, SETTINGS
 from khep_twin.robots.khepera3.state import BURST_NS, Khepera3State, fill_registers
+from khep_twin.robots.measuring_core import wheel_pulses
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
 from khep_twin.robots.vehicle import N_VEHICLE

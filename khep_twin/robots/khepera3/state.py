@@ -4,7 +4,6 @@ Infrared sensors record a moment every 33 ms (manual), active ultrasonic ones in
 The functions are `compilable`, see `robots.measuring_core`.
 """
 
-import math
 from typing import cast
 
 import mujoco
@@ -52,7 +51,6 @@ class Khepera3State(MeasuringFields):
     """State of one robot.
 
     Attributes (see also `MeasuringFields`):
-        pulses_per_radian: Pulses of an encoder per angle of its wheel [1/rad].
         left: Left motor controller.
         right: Right motor controller.
         board: State of the dsPIC (N_BOARD,).
@@ -61,7 +59,6 @@ class Khepera3State(MeasuringFields):
         battery: State of the battery (N_BATTERY,).
     """
 
-    pulses_per_radian: float
     left: MotorState
     right: MotorState
     board: Vector[int]
@@ -77,7 +74,6 @@ def make_state(
     used = lithium_cells.used_charge(CAPACITY, entry.battery_used_min, FULL_MIN)
     return Khepera3State(
         **measuring_fields(model, indices, measured, entry, first_moment),
-        pulses_per_radian=entry.body.pulses_per_turn / math.tau,
         left=motor_control.power_up(-1),
         right=motor_control.power_up(1),
         board=np.array([1, 0, 0, 0, 0, *SETTINGS]),

@@ -9,25 +9,20 @@ At the end of a control period of 10 ms it updates
 `state` has the other sensors. The functions are `compilable`, see `robots.core`.
 """
 
-import math
-
 from khep_twin.board.memory import write_number
 from khep_twin.compilable import compilable
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.khepera4 import dspic, gauge, inertial, state
-from khep_twin.robots.khepera4.model import BODY, KHEPERA_4
+from khep_twin.robots.khepera4.model import KHEPERA_4
 from khep_twin.robots.khepera4.motor_control import LEFT_PWM, N_MOTOR, PWM_LIMIT, RIGHT_PWM, Motor, stop
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
 from khep_twin.robots.khepera4.state import Khepera4State
-from khep_twin.robots.measuring_core import measuring_core
+from khep_twin.robots.measuring_core import measuring_core, wheel_pulses
 from khep_twin.robots.vehicle import WANDERING
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
-
-PULSES_PER_TURN = BODY.pulses_per_turn
-"""Pulses of an encoder in a turn of its wheel (manual)."""
 
 _CONTROL = int(DspicRegister.CONTROL)
 _SPEED_CONTROL, _OPEN_LOOP, _MOVE = int(Control.SPEED), int(Control.OPEN_LOOP), int(Control.POSITION)
@@ -39,8 +34,8 @@ _D, _L, _F = map(ord, "DLF")
 @compilable
 def _start(robot: Khepera4State, simulated: Simulated) -> None:
     """Count from the wheels' present angles."""
-    robot.zeros[0] = wheel_pulses(joint_position(simulated.scene, robot.angles[0]))
-    robot.zeros[1] = wheel_pulses(joint_position(simulated.scene, robot.angles[1]))
+    robot.zeros[0] = wheel_pulses(robot, joint_position(simulated.scene, robot.angles[0]))
+    robot.zeros[1] = wheel_pulses(robot, joint_position(simulated.scene, robot.angles[1]))
     gauge.write_block(robot.dspic.memory, robot.gauge)
 
 
@@ -50,8 +45,8 @@ def _tick(robot: Khepera4State, simulated: Simulated, inputs: StepInputs, time_n
     if not robot.dspic.powered[0]:
         return False
     scene, motors = simulated.scene, robot.dspic.motors
-    left = wheel_pulses(joint_position(scene, robot.angles[0])) - robot.zeros[0]
-    right = wheel_pulses(joint_position(scene, robot.angles[1])) - robot.zeros[1]
+    left = wheel_pulses(robot, joint_position(scene, robot.angles[0])) - robot.zeros[0]
+    right = wheel_pulses(robot, joint_position(scene, robot.angles[1])) - robot.zeros[1]
     dspic.tick(robot.dspic, left, right)
     voltage, current = gauge.battery_voltage(robot.gauge), robot.idle_current
     current += _drive(scene, robot, 0, motors[LEFT_PWM], voltage)
@@ -100,12 +95,6 @@ def _program(entry: RobotEntry, state: Khepera4State) -> Kh4Server:
     server = Kh4Server(dspic.Dspic(state.dspic), state.vehicle)
     server.receive(b"\n")
     return server
-
-
-@compilable
-def wheel_pulses(angle: float) -> int:
-    """Return the pulses of an encoder at a wheel's angle [rad]."""
-    return math.floor(angle * (PULSES_PER_TURN / math.tau) + 0.5)
 
 
 @compilable

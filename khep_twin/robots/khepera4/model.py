@@ -11,7 +11,6 @@ from khep_twin.robots.khepera4.registers import GROUND, PACKET_SIZE, RING, ULTRA
 from khep_twin.robots.model import (
     Bench,
     Dialect,
-    Interface,
     Read,
     RobotModel,
     Term,
@@ -19,6 +18,7 @@ from khep_twin.robots.model import (
     consecutive_registers,
     parse_channels,
     parts_of,
+    ring_interface,
 )
 from khep_twin.robots.vehicle import Vehicle
 from khep_twin.units import COUNTS_LIMIT
@@ -97,13 +97,9 @@ _READS = {
 """Letter, number of values and indices of the read ones by channel."""
 _TOP_RATE = 8_000  # 528 deg/s (assumed)
 
-_INTERFACE = Interface(
-    SAMPLED[-1].registers[-1] + 1,
-    proximity=(_FIRST["proximity"], _FIRST["proximity"] + len(RING)),
-    ambient=(_FIRST["ambient"], _FIRST["ambient"] + len(RING)),
-    sides=(_FIRST["proximity"] + RING.index("left"), _FIRST["proximity"] + RING.index("right")),
-    setpoints=(_FIRST["speed"] + 2, _FIRST["speed"] + 3),
-    positions=(_FIRST["position"], _FIRST["position"] + 1),
+_INTERFACE = ring_interface(
+    SAMPLED,
+    RING,
     counts=(100, COUNTS_LIMIT),
     top_speed=600.0,  # 407 mm/s, half of its top speed (assumed)
     speed_limit=2**15 - 1,

@@ -5,7 +5,6 @@ log reads them.
 """
 
 from khep_twin.robots.khepera4 import gauge
-from khep_twin.robots.khepera4.core import wheel_pulses
 from khep_twin.robots.khepera4.dspic import N_MEMORY, N_ULTRASONIC, Dspic
 from khep_twin.robots.khepera4.inertial import COUNTS_LIMIT, GYROSCOPE_NS
 from khep_twin.robots.khepera4.model import SAMPLED
@@ -13,6 +12,7 @@ from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import PACKET_SIZE, ULTRASONIC_CODES, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
 from khep_twin.robots.khepera4.state import BURST_NS, Khepera4State, fill_registers, write_distances
+from khep_twin.robots.measuring_core import wheel_pulses
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
 from khep_twin.sensing.bursts import INFRARED, NONE
@@ -99,7 +99,8 @@ class Khepera4Robot(MeasuringRobot):
         self.dspic.reset()
         self._record["inertial"]["velocity"] = 0
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
-        self._record["zeros"] = [wheel_pulses(self._context.data.qpos[i]) for i in self.indices.wheel_qpos]
+        angles = self._context.data.qpos[list(self.indices.wheel_qpos)]
+        self._record["zeros"] = [wheel_pulses(self._state, angle) for angle in angles]
         self._record["dspic"]["counts"] = 0
 
     def evaluate_all(self) -> None:
