@@ -13,8 +13,8 @@ from khep_twin.compilable import compilable
 from khep_twin.errors import RobotModelError
 from khep_twin.playpen import RobotEntry
 from khep_twin.robots.model import Interface, RobotModel
+from khep_twin.sensing.buffers import RobotState as RobotState
 from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.bursts import RobotState as RobotState
 from khep_twin.sensing.scene import BeamScene
 from khep_twin.sensing.simulated import Simulated, StepInputs
 

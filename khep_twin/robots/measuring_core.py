@@ -1,7 +1,8 @@
 """Core of a robot whose measurements are evaluated when a program, a log or its line reads them.
 
-Its infrared sensors record a moment once in a period, its active ultrasonic sensors in turn, see
-`sensing.bursts`. `measuring_core` adds the functions for them to those of a model.
+Its infrared sensors record a moment once in a period, its active ultrasonic sensors in turn. A moment is
+evaluated when its readings are read; eager robots evaluate a burst at once. `measuring_core` adds the
+functions for them to those of a model.
 """
 
 import math
@@ -16,8 +17,7 @@ from khep_twin.playpen import RobotEntry
 from khep_twin.robots.core import Core, register
 from khep_twin.robots.model import RobotModel
 from khep_twin.robots.vehicle import N_VEHICLE
-from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.bursts import BURST, ECHO, INFRARED, NONE, RobotState
+from khep_twin.sensing.buffers import RobotState, Vector
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.ground import Ground, convert_any
 from khep_twin.sensing.noise import draws
@@ -26,6 +26,13 @@ from khep_twin.sensing.scene import Beams, copy_moment, save_moment, update_fram
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
 from khep_twin.sensing.sonar import Sonar, cast_level_rays
 from khep_twin.sensors import RobotFields, core_fields
+
+INFRARED, BURST, ECHO = 0, 1, 2
+"""Moments of a robot: of its infrared sensors, of the last burst, and of the last complete burst of each
+ultrasonic sensor, from ECHO on."""
+
+NONE = -1
+"""No time of a moment; no ultrasonic sensor."""
 
 _BOARD, _SENSING = ("kernel", "memory", "lithium_cells"), ("ground", "sonar")
 _MODULES = (

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from khep_twin import step
 from khep_twin.robots.line_server import VehicleServer
+from khep_twin.robots.measuring_core import BURST, ECHO, INFRARED, NONE
 from khep_twin.robots.robot import Robot, RobotSetup
-from khep_twin.sensing.bursts import BURST, ECHO, INFRARED, NONE, RobotState
+from khep_twin.sensing.buffers import RobotState
 from khep_twin.simulation.robot_arrays import Part, read
 from khep_twin.simulation.world_state import POSITIONS, RobotSnapshot
 
@@ -16,7 +17,7 @@ _BATTERY_EMPTY = "the battery is empty: the robot stands still"
 
 
 class MeasuringRobot(Robot):
-    """A robot whose state has the moments of `sensing.bursts`.
+    """A robot whose state has the moments of `measuring_core`.
 
     Args:
         setup: See `Robot`.

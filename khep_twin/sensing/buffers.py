@@ -12,6 +12,9 @@ Value = TypeVar("Value", int, float)
 Numbers = TypeVar("Numbers", bound=NamedTuple)
 State = TypeVar("State")
 
+RobotState = Any
+"""State of a robot: a named tuple of a class in `robots.core.CORES`, or its record in compiled code."""
+
 _RECORD_TYPES: dict[np.dtype[np.void], np.dtype[np.void]] = {}
 """Record types, one object for each: numba compares different objects field by field at every call."""
 

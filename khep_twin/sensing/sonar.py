@@ -21,8 +21,7 @@ import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.robots.body import SonarRing
-from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.bursts import RobotState
+from khep_twin.sensing.buffers import RobotState, Vector
 from khep_twin.sensing.noise import Tables, draws
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Beams, BeamScene, body_frame, cast_rays, joint_position

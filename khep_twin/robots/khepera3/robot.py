@@ -7,11 +7,10 @@ from khep_twin.robots.khepera3.model import SAMPLED
 from khep_twin.robots.khepera3.motor_control import Pic
 from khep_twin.robots.khepera3.registers import N_BYTES, SETTINGS
 from khep_twin.robots.khepera3.state import BURST_NS, Khepera3State, fill_registers
-from khep_twin.robots.measuring_core import wheel_pulses
+from khep_twin.robots.measuring_core import INFRARED, NONE, wheel_pulses
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
 from khep_twin.robots.vehicle import N_VEHICLE
-from khep_twin.sensing.bursts import INFRARED, NONE
 from khep_twin.simulation.robot_arrays import Layout, Part
 
 _MEMORY, _NUMBERS = Part("byte of a motor controller", N_BYTES, 0, 255), Part("number of a motor", len(Pic))

@@ -17,10 +17,9 @@ from khep_twin.robots.khepera3 import motor_control
 from khep_twin.robots.khepera3.model import BODY, FIRST, SONAR
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
 from khep_twin.robots.khepera3.registers import NO_ECHO, SETTINGS, ControlType, MotorRegister, Setting
-from khep_twin.robots.measuring_core import MeasuringFields, measuring_fields
+from khep_twin.robots.measuring_core import INFRARED, MeasuringFields, measuring_fields
 from khep_twin.sensing import sonar
 from khep_twin.sensing.buffers import Vector, state_class
-from khep_twin.sensing.bursts import INFRARED
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.device_faults import set_reading
 from khep_twin.sensing.robot_indices import RobotIndices

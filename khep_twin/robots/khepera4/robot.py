@@ -12,10 +12,9 @@ from khep_twin.robots.khepera4.motor_control import GAIN_SCALE, PWM_LIMIT
 from khep_twin.robots.khepera4.registers import PACKET_SIZE, ULTRASONIC_CODES, DspicRegister
 from khep_twin.robots.khepera4.server import Kh4Server
 from khep_twin.robots.khepera4.state import BURST_NS, Khepera4State, fill_registers, write_distances
-from khep_twin.robots.measuring_core import wheel_pulses
+from khep_twin.robots.measuring_core import INFRARED, NONE, wheel_pulses
 from khep_twin.robots.measuring_robot import MeasuringRobot
 from khep_twin.robots.robot import RobotSetup
-from khep_twin.sensing.bursts import INFRARED, NONE
 from khep_twin.simulation.number_reader import LARGEST
 from khep_twin.simulation.robot_arrays import Layout, Part
 from khep_twin.simulation.world_state import RobotSnapshot
