@@ -381,11 +381,11 @@ def read(name: str, users: tuple[Path, ...] = ()) -> tuple[Calibration, str]:
     if path in users:
         raise CalibrationError(f'base = "{base_name}": a circle; expected another file', file=source)
     base, base_text = read(base_path, (*users, path))
-    merged: dict[str, Any] = base.model_dump(exclude_unset=True)
+    tables: dict[str, Any] = base.model_dump(exclude_unset=True)
     for key, value in data.items():
-        is_table = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = merged[key] | value if is_table else value
-    calibration = toml_files.check(Calibration, merged, source, CalibrationError, text)
+        is_table = isinstance(value, dict) and isinstance(tables.get(key), dict)
+        tables[key] = tables[key] | value if is_table else value
+    calibration = toml_files.check(Calibration, tables, source, CalibrationError, text)
     return calibration, toml_files.edit(base_text, base, calibration)
 
 
