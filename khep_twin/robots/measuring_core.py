@@ -217,15 +217,14 @@ def measuring_core(
             evaluate=evaluate,
             scan=_scan,
             interface=model.interface,
-            request_terms=_request_terms,
             update_registers=update_registers,
             echo=cast_level_rays,
-            **fields,
+            **{"request_terms": request_terms, **fields},
         )
     )
 
 
-def _request_terms(record: RobotState, names: Collection[str]) -> None:
+def request_terms(record: RobotState, names: Collection[str]) -> None:
     """Evaluate each burst immediately if the ultrasonic sensors are among the terms."""
     record["is_eager"] = "ultrasonic" in names
 
