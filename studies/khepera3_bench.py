@@ -131,7 +131,7 @@ class Bench:
         )
 
 
-BENCHES = {"black": Bench(0.6, 2.2, 69.8, 47.2), "white": Bench(1.7, 3.3, 95.5, 47.2)}
+BENCHES = {"black": Bench(0.6, 2.4, 66.7, 51.3), "white": Bench(1.5, 3.0, 99.0, 51.3)}
 """Place of the obstacle in the recording above each floor, as fitted."""
 
 

@@ -34,9 +34,9 @@ the light of the floor, and of the counts of the floor over those of far rows (a
 FAR_MM = 300.0
 """Distance from which on readings are those of the floor alone [mm]."""
 
-EXPONENT, MIRROR = 7, 2.0
-"""Exponent of the lobe in azimuth and in elevation: assumed, 5 to 11 fit about equally well. Weight of the
-images in a white floor, which mirrors on the way there and on the way back: assumed."""
+EXPONENT, MIRROR = 5, 1.5
+"""Exponent of the lobe in azimuth and in elevation (assumed: 5 to 11 fit the black floor about equally well),
+and weight of the images in a white floor: of those from 0.75 to 2, it fits the white floor best."""
 
 MODEL = find_model("khepera3")
 HEADINGS_DEG = calibration.read(MODEL.calibration)[0].heading_deg
