@@ -1,7 +1,8 @@
 """Recordings of a Khepera III's infrared sensors before a white obstacle, and a twin of their bench.
 
 The recordings are a table of means and standard deviations of ten readings at steps away from the obstacle,
-above a black and a white floor. Size and place of the obstacle are not recorded: `khepera3_fits` fits them.
+above a black and a white floor. Size and place of the obstacle are not recorded: `khepera3_fits` fits the
+place.
 """
 
 import math
@@ -23,8 +24,8 @@ from khep_twin.sensors import robot_sensors
 
 Floats = NDArray[np.float64]
 
-WIDTH, DEPTH = 0.4, 0.04
-"""Width and depth of the obstacle [m] (assumed: widths from 250 mm fit equally well)."""
+WIDTH, DEPTH, HEIGHT = 0.4, 0.04, 0.05
+"""Size of the obstacle [m] (assumed: this height and widths from 250 mm fit best)."""
 
 FRONT = 0.0675
 """Distance of the robot's front edge from the axle [m]."""
@@ -40,7 +41,7 @@ y_mm = {y_mm}
 angle_deg = {angle_deg}
 length_mm = 40
 width_mm = 400
-height_mm = {height_mm}
+height_mm = 50
 surface = "white"
 [[patch]]
 x_mm = 2000
@@ -93,10 +94,14 @@ class Recording:
         """Whether a row may be fitted: each third one is not (n,)."""
         return self.positions % 3 != 0
 
+    @property
+    def tolerances(self) -> Floats:
+        """10 % or three standard deviations (n, 9) [counts]."""
+        return np.maximum(0.1 * self.means, 3 * self.deviations)
+
     def is_met(self, sensor: int, counts: Floats) -> NDArray[np.bool_]:
-        """Return whether counts are within 10 % or three standard deviations of a sensor's means (n,)."""
-        means = self.means[:, sensor]
-        return np.abs(counts - means) <= np.maximum(0.1 * means, 3 * self.deviations[:, sensor])
+        """Return whether counts of a sensor are within the tolerances (n,)."""
+        return np.abs(counts - self.means[:, sensor]) <= self.tolerances[:, sensor]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +112,11 @@ class Bench:
         gap_mm: Gap from the robot's front edge [mm].
         angle_deg: Direction of the perpendicular from the axle to the obstacle, to the left of the heading.
         left_mm: Distance of the left edge from the foot of the perpendicular [mm].
-        height_mm: Height [mm].
     """
 
     gap_mm: float
     angle_deg: float
     left_mm: float
-    height_mm: float
 
     @property
     def shape(self) -> Upright:
@@ -121,7 +124,7 @@ class Bench:
         angle, left = math.radians(self.angle_deg), self.left_mm * 1e-3 - WIDTH / 2
         c, s, distance = math.cos(angle), math.sin(angle), FRONT + self.gap_mm * 1e-3 + DEPTH / 2
         centre = distance * c - left * s, distance * s + left * c
-        return centre, (c, s), (DEPTH / 2, WIDTH / 2), (0.0, self.height_mm * 1e-3)
+        return centre, (c, s), (DEPTH / 2, WIDTH / 2), (0.0, HEIGHT)
 
     def pen(self, floor: str) -> playpen.Playpen:
         """Return the playpen with the obstacle on a floor."""
@@ -131,7 +134,7 @@ class Bench:
         )
 
 
-BENCHES = {"black": Bench(0.6, 2.4, 66.7, 51.3), "white": Bench(1.5, 3.0, 99.0, 51.3)}
+BENCHES = {"black": Bench(0.4, 2.3, 66.1), "white": Bench(1.5, 2.9, 95.3)}
 """Place of the obstacle in the recording above each floor, as fitted."""
 
 

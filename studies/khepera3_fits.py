@@ -1,11 +1,11 @@
 """Fit of the infrared optics of a Khepera III to recordings before a white obstacle, and a comparison.
 
 The table of recordings (`khepera3_bench`) is not part of the project; the first argument is its path. The
-robot, and the height and place of the obstacle, are fitted to the rows above the black floor, without each
-third position. Above the white floor only the place of the obstacle is fitted, likewise without each third
-position, and rows far from it give the light of the floor. All sensors have one offset, one lobe, and a gain
-near that which the light of the floor predicts. `--compare` compares all rows with a robot of the shipped
-calibration in MuJoCo's scene.
+robot and the place of the obstacle are fitted to the rows above the black floor, without each third position.
+Above the white floor only the place is fitted, likewise without each third position, and rows far from the
+obstacle give the light of the floor. All sensors have one offset, one lobe, and a gain near that which the
+light of the floor predicts. `--compare` compares all rows with a robot of the shipped calibration in MuJoCo's
+scene.
 """
 
 import math
@@ -27,7 +27,7 @@ from tools.command_table import command_line
 SENSORS = (2, 3, 4, 5)
 """Sensors that see the obstacle: two at 45 degrees and between them two in front."""
 
-GAP_SPREAD_MM, ANGLE_SPREAD_DEG, GAIN_SPREAD, REST_SPREAD = 1.0, 2.0, 0.3, 2.0
+GAP_SPREAD_MM, ANGLE_SPREAD_DEG, GAIN_SPREAD, REST_SPREAD = 0.5, 1.0, 0.3, 2.0
 """Standard deviations of gap and angle of an obstacle that is placed by hand, of the logarithm of gains over
 the light of the floor, and of the counts of the floor over those of far rows (all assumed)."""
 
@@ -99,19 +99,15 @@ def above(
 
 
 def errors(recording: Recording, optics: Mapping[int, Optics], bench: Bench, reflectance: float) -> Floats:
-    """Return errors, over half of 10 % or twice the noise, as roots of a loss that is linear for outliers.
-
-    The deviations of gap and angle of the obstacle follow.
-    """
-    # Far rows are many and alike.
+    """Return errors over a third of their tolerances, and the deviations of the obstacle's gap and angle."""
+    # Far rows are many and alike. The deviation of ten readings is sometimes too small by chance.
     used = recording[(recording.gaps < 120) | (recording.positions % 5 == 0)]
-    parts: list[Floats] = []
-    for sensor, known in optics.items():
-        means = used.means[:, sensor]
-        excess = counts(sensor, known, used.gaps, bench, reflectance) - means
-        parts.append(excess / np.maximum(0.05 * means, 6))
-    loss = np.sqrt(2 * (np.sqrt(1 + np.concatenate(parts) ** 2) - 1))
-    return np.append(loss, [bench.gap_mm / GAP_SPREAD_MM, bench.angle_deg / ANGLE_SPREAD_DEG])
+    tolerances = np.maximum(used.tolerances, 12) / 3
+    parts = [
+        (counts(sensor, known, used.gaps, bench, reflectance) - used.means[:, sensor]) / tolerances[:, sensor]
+        for sensor, known in optics.items()
+    ]
+    return np.concatenate([*parts, [bench.gap_mm / GAP_SPREAD_MM, bench.angle_deg / ANGLE_SPREAD_DEG]])
 
 
 def fit(black: Recording, white: Recording) -> tuple[dict[int, Optics], Bench]:
@@ -120,21 +116,18 @@ def fit(black: Recording, white: Recording) -> tuple[dict[int, Optics], Bench]:
     floor_light = (white_rests - rests)[[*SENSORS]]
 
     def split(x: Floats) -> tuple[dict[int, Optics], Bench]:
-        gains, (offset_mm, gap_mm, angle_deg, left_mm, height_mm) = (
-            0.03 * floor_light * np.exp(x[9:]),
-            x[:5].tolist(),
-        )
-        bench = Bench(gap_mm, angle_deg, left_mm, height_mm)
+        offset_mm, gap_mm, angle_deg, left_mm = x[:4].tolist()
+        bench, gains = Bench(gap_mm, angle_deg, left_mm), 0.03 * floor_light * np.exp(x[8:])
         optics = above(black, gains.tolist(), offset_mm * 1e-3, bench, BLACK)
-        shifts = zip(optics.items(), x[5:9].tolist(), strict=True)
+        shifts = zip(optics.items(), x[4:8].tolist(), strict=True)
         return {s: replace(known, rest=known.rest + shift) for (s, known), shift in shifts}, bench
 
     def residuals(x: Floats) -> Floats:
-        priors = x[5:9] / REST_SPREAD, (x[9:] - x[9:].mean()) / GAIN_SPREAD
+        priors = x[4:8] / REST_SPREAD, (x[8:] - x[8:].mean()) / GAIN_SPREAD
         return np.concatenate([errors(black, *split(x), BLACK), *priors])
 
-    start = [3.0, 0.0, 0.0, 100.0, 50.0] + [0.0] * 8
-    scale = [2.0, 1.0, 2.0, 20.0, 10.0] + [2.0] * 4 + [0.3] * 4
+    start = [3.0, 0.0, 0.0, 100.0] + [0.0] * 8
+    scale = [2.0, 1.0, 2.0, 20.0] + [2.0] * 4 + [0.3] * 4
     return split(least_squares(residuals, start, x_scale=scale, diff_step=1e-4).x)
 
 
@@ -150,7 +143,7 @@ def place(optics: Mapping[int, Optics], bench: Bench, white: Recording) -> tuple
 
     def split(x: Floats) -> tuple[dict[int, Optics], Bench]:
         gap_mm, angle_deg, left_mm = x.tolist()
-        moved = Bench(gap_mm, angle_deg, left_mm, bench.height_mm)
+        moved = Bench(gap_mm, angle_deg, left_mm)
         return above(white, gains, offset, moved, 1.0), moved
 
     def residuals(x: Floats) -> Floats:

@@ -45,7 +45,7 @@ def test_readings_before_an_obstacle_are_within_10_percent_or_noise(floor: str) 
 
 def world_above(floor: str, noise: bool = False) -> tuple[World, Khepera3Robot]:
     """Return a world with a robot on a floor, far from other objects, and the robot."""
-    world = World(parse(PEN.format(x_mm=3900, y_mm=2000, angle_deg=0, height_mm=20, floor=floor), "pen"))
+    world = World(parse(PEN.format(x_mm=3900, y_mm=2000, angle_deg=0, floor=floor), "pen"))
     world.reset(noise=noise)
     robot = world.robots[0]
     assert isinstance(robot, Khepera3Robot)
