@@ -100,12 +100,12 @@ def above(
 
 def errors(recording: Recording, optics: Mapping[int, Optics], bench: Bench, reflectance: float) -> Floats:
     """Return errors over a third of their tolerances, and the deviations of the obstacle's gap and angle."""
-    # Far rows are many and alike. The deviation of ten readings is sometimes too small by chance.
+    # Far rows are many and alike. Some deviations, of ten readings, are too small.
     used = recording[(recording.gaps < 120) | (recording.positions % 5 == 0)]
     tolerances = np.maximum(used.tolerances, 12) / 3
     parts = [
-        (counts(sensor, known, used.gaps, bench, reflectance) - used.means[:, sensor]) / tolerances[:, sensor]
-        for sensor, known in optics.items()
+        (counts(sensor, lens, used.gaps, bench, reflectance) - used.means[:, sensor]) / tolerances[:, sensor]
+        for sensor, lens in optics.items()
     ]
     return np.concatenate([*parts, [bench.gap_mm / GAP_SPREAD_MM, bench.angle_deg / ANGLE_SPREAD_DEG]])
 
@@ -120,7 +120,7 @@ def fit(black: Recording, white: Recording) -> tuple[dict[int, Optics], Bench]:
         bench, gains = Bench(gap_mm, angle_deg, left_mm), 0.03 * floor_light * np.exp(x[8:])
         optics = above(black, gains.tolist(), offset_mm * 1e-3, bench, BLACK)
         shifts = zip(optics.items(), x[4:8].tolist(), strict=True)
-        return {s: replace(known, rest=known.rest + shift) for (s, known), shift in shifts}, bench
+        return {s: replace(lens, rest=lens.rest + shift) for (s, lens), shift in shifts}, bench
 
     def residuals(x: Floats) -> Floats:
         priors = x[4:8] / REST_SPREAD, (x[8:] - x[8:].mean()) / GAIN_SPREAD
@@ -132,14 +132,14 @@ def fit(black: Recording, white: Recording) -> tuple[dict[int, Optics], Bench]:
 
 
 def place(optics: Mapping[int, Optics], bench: Bench, white: Recording) -> tuple[dict[int, Optics], Bench]:
-    """Return the optics of known sensors, and the place of the obstacle, above the white floor.
+    """Return the optics of sensors of known gain, and the place of the obstacle, above the white floor.
 
     Args:
         optics: Optics of the sensors above another floor.
         bench: Place of the obstacle there.
         white: Recording above the white floor.
     """
-    gains, offset = [known.gain for known in optics.values()], optics[SENSORS[0]].offset
+    gains, offset = [lens.gain for lens in optics.values()], optics[SENSORS[0]].offset
 
     def split(x: Floats) -> tuple[dict[int, Optics], Bench]:
         gap_mm, angle_deg, left_mm = x.tolist()
@@ -165,10 +165,10 @@ def show_calibration(
 ) -> None:
     """Print the values of the calibration; gains of other sensors are in proportion to the floor's light."""
     rests, white_rests = (part[part.gaps >= FAR_MM].means.mean(axis=0) for part in (black, white))
-    for sensor, known in optics.items():
-        rests[sensor], white_rests[sensor] = known.rest, above_white[sensor].rest
+    for sensor, lens in optics.items():
+        rests[sensor], white_rests[sensor] = lens.rest, above_white[sensor].rest
     floor_light = (white_rests - rests) / (1 - BLACK)
-    gain = math.exp(np.mean([math.log(known.gain / floor_light[s]) for s, known in optics.items()]))
+    gain = math.exp(np.mean([math.log(lens.gain / floor_light[s]) for s, lens in optics.items()]))
     gains = [optics[s].gain if s in optics else gain * light for s, light in enumerate(floor_light)]
     print("gain_counts_mm2 =", [round(float(gain) * 1e6, -3) for gain in gains])
     print("threshold_counts =", (-np.round(white_rests, 1)).tolist())
