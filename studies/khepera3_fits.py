@@ -1,128 +1,47 @@
 """Fit of the infrared optics of a Khepera III to recordings before a white obstacle, and a comparison.
 
-The recordings are a table of means and standard deviations of ten readings at steps away from the obstacle,
-above a black and a white floor. It is not part of the project; the first argument is its path.
-
-Only rows above the black floor are fitted, without each third position. Of those above the white floor, the
-ones far from the obstacle give the light of the floor. The obstacle's size is not recorded: readings fall as
-before a low one, and heights from 45 to 70 mm fit about as well. `--compare` compares all rows with a robot
-of the shipped calibration in MuJoCo's scene.
+The table of recordings (`khepera3_bench`) is not part of the project; the first argument is its path. The
+robot and the place of the obstacle are fitted to the rows above the black floor, without each third position.
+Above the white floor only the place is fitted, likewise without each third position, and rows far from the
+obstacle give the light of the floor. All sensors have one offset, one lobe, and a gain near that which the
+light of the floor predicts. `--compare` compares all rows with a robot of the shipped calibration in MuJoCo's
+scene.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin import playpen
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
-from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.robots.registry import find_model
 from khep_twin.sensing import calibration, lobes
-from khep_twin.sensing.mujoco_scene import MujocoScene
-from khep_twin.sensing.optics import proximity_counts
 from khep_twin.sensing.reflection import Lobe, reflected_light
-from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.seen_surfaces import N_COLUMNS, N_SURFACES, Chip, add_upright
-from khep_twin.sensors import robot_sensors
+from studies.khepera3_bench import Bench, Floats, Recording, scene_counts
 from tools.command_table import command_line
 
-Floats = NDArray[np.float64]
+SENSORS = (2, 3, 4, 5)
+"""Sensors that see the obstacle: two at 45 degrees and between them two in front."""
 
-PAIRS = ((2, 5), (3, 4))
-"""Sensors that see the obstacle, at 45 degrees and in front. A pair has one offset."""
-
-LENGTH, HEIGHT = 0.4, 0.05
-"""Size of the obstacle [m]: as high as a wall of a playpen (both assumed)."""
-
-FRONT = 0.0675
-"""Distance of the robot's front edge from the axle [m]."""
+GAP_SPREAD_MM, ANGLE_SPREAD_DEG, GAIN_SPREAD, REST_SPREAD = 0.5, 1.0, 0.3, 2.0
+"""Standard deviations of gap and angle of an obstacle that is placed by hand, of the logarithm of gains over
+the light of the floor, and of the counts of the floor over those of far rows (all assumed)."""
 
 FAR_MM = 300.0
 """Distance from which on readings are those of the floor alone [mm]."""
 
-LOBE, ELEVATION, MIRROR = 6.0, 7, 2.0
-"""Exponents in azimuth and in elevation, and weight of the images in a white floor, which mirrors on the way
-there and on the way back: assumed. Exponents from 2 to 6 and from 5 to 7 fit about as well; sensors at 77
-degrees, which see nothing of the obstacle, require a narrow lobe."""
+EXPONENT, MIRROR = 5, 1.5
+"""Exponent of the lobe in azimuth and in elevation (assumed: 5 to 11 fit the black floor about equally well),
+and weight of the images in a white floor: of those from 0.75 to 2, it fits the white floor best."""
 
 MODEL = find_model("khepera3")
 HEADINGS_DEG = calibration.read(MODEL.calibration)[0].heading_deg
 BLACK = BUILT_IN_SURFACES["black"].reflectance
-_LIMIT, _DEPTH = 3980, 0.02
-
-PEN = """version = 1
-name = "recording"
-[arena]
-width_mm = 4000
-height_mm = 4000
-[[block]]
-x_mm = {x_mm}
-y_mm = 2000
-length_mm = {depth_mm}
-width_mm = {length_mm}
-height_mm = {height_mm}
-surface = "white"
-[[patch]]
-x_mm = 2000
-y_mm = 2000
-length_mm = 4000
-width_mm = 4000
-surface = "{floor}"
-[[robot]]
-model = "khepera3"
-x_mm = 1000
-y_mm = 2000
-heading_deg = 0
-"""
-"""Playpen with the obstacle, 1 m ahead of the robot."""
-
-
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """Readings of the sensors around the robot, above one floor.
-
-    Attributes:
-        positions: Numbers of the positions (n,).
-        gaps: Distances from the first position, where the front edge meets the obstacle (assumed) (n,) [mm].
-        means: Mean readings (n, 9) [counts].
-        deviations: Standard deviations of one reading (n, 9) [counts].
-    """
-
-    positions: NDArray[np.int64]
-    gaps: Floats
-    means: Floats
-    deviations: Floats
-
-    @classmethod
-    def read(cls, path: Path, floor: str) -> "Recording":
-        """Read the rows of a floor."""
-        table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
-        rows = table[table["floor"] == floor]
-        means, deviations = (
-            np.column_stack([rows[f"s{sensor}_{kind}"] for sensor in range(9)]).astype(np.float64)
-            for kind in ("mean", "sd")
-        )
-        return cls(rows["position"].astype(np.int64), rows["steps_from_first_mm"] * 1.0, means, deviations)
-
-    def __getitem__(self, rows: NDArray[np.bool_]) -> "Recording":
-        """Return a part of the rows."""
-        return Recording(self.positions[rows], self.gaps[rows], self.means[rows], self.deviations[rows])
-
-    @property
-    def is_fitted(self) -> NDArray[np.bool_]:
-        """Whether a row may be fitted: each third one is not (n,)."""
-        return self.positions % 3 != 0
-
-    def is_met(self, sensor: int, counts: Floats) -> NDArray[np.bool_]:
-        """Return whether counts are within 10 % or three standard deviations of a sensor's means (n,)."""
-        means = self.means[:, sensor]
-        return np.abs(counts - means) <= np.maximum(0.1 * means, 3 * self.deviations[:, sensor])
+_LIMIT = 3980
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,99 +53,104 @@ class Optics:
     rest: float
 
 
-def light(sensor: int, optics: Optics, gaps: Floats, reflectance: float) -> Floats:
+def light(sensor: int, offset: float, gaps: Floats, bench: Bench, reflectance: float) -> Floats:
     """Return the light from the obstacle to a sensor above a floor (n,) [1/m^2].
 
     Args:
         sensor: Number of the sensor.
-        optics: Its optics.
-        gaps: Distances of the obstacle from the robot's front edge (n,) [mm].
+        offset: Offset of its chip [m].
+        gaps: Distances from the first position (n,) [mm].
+        bench: Place of the obstacle.
         reflectance: Reflectance of the floor.
     """
     body, heading = MODEL.body, math.radians(HEADINGS_DEG[sensor])
     (x, y), c, s = body.sensor_positions[sensor], math.cos(heading), math.sin(heading)
-    chip = Chip(x - optics.offset * c, y - optics.offset * s, c, s, body.sensor_height, 5.0)
-    norm, narrowing = lobes.norm(LOBE), ELEVATION // 2 - 1
-    width, table = lobes.width(LOBE) / norm, lobes.table(LOBE)
-    lobe = Lobe(int(LOBE), LOBE % 1, norm, width, table, narrowing, MIRROR * reflectance)
+    chip = Chip(x - offset * c, y - offset * s, c, s, body.sensor_height, 5.0)
+    norm, table = lobes.norm(EXPONENT), lobes.table(EXPONENT)
+    lobe = Lobe(
+        EXPONENT, 0.0, norm, lobes.width(EXPONENT) / norm, table, EXPONENT // 2 - 1, MIRROR * reflectance
+    )
     buffer, lights = [0.0] * (N_SURFACES * N_COLUMNS), list[float]()
+    (x, y), direction, half_sizes, span = bench.shape
     for gap in gaps.tolist():
-        centre = FRONT + gap * 1e-3 + _DEPTH, 0.0
-        shape = centre, (1.0, 0.0), (_DEPTH, LENGTH / 2), (0.0, HEIGHT)
+        shape = (x + gap * 1e-3, y), direction, half_sizes, span
         count = add_upright(buffer, 0, chip, shape, 1.0)
         lights.append(reflected_light(buffer, count, chip, lobe) if count else 0.0)
     return np.array(lights)
 
 
-def counts(sensor: int, optics: Optics, gaps: Floats, reflectance: float) -> Floats:
+def counts(sensor: int, optics: Optics, gaps: Floats, bench: Bench, reflectance: float) -> Floats:
     """Return the mean readings of a sensor (n,) [counts]; the arguments are those of `light`."""
-    level = np.maximum(optics.gain * light(sensor, optics, gaps, reflectance) + optics.rest, 0)
+    level = optics.gain * light(sensor, optics.offset, gaps, bench, reflectance) + optics.rest
+    level = np.maximum(level, 0)
     return level / (1 + (level / _LIMIT) ** 4) ** 0.25
 
 
-def fit(black: Recording) -> dict[int, Optics]:
-    """Return the optics of the sensors that see the obstacle, from rows above the black floor."""
-    # Half of 10 %, and twice the noise; far rows are many and alike.
-    used = black[(black.gaps < 120) | (black.positions % 5 == 0)]
-    rests = black[black.gaps >= FAR_MM].means.mean(axis=0)
-    fitted: dict[int, Optics] = {}
-    for pair in PAIRS:
-
-        def split(x: Floats, pair: Sequence[int] = pair) -> dict[int, Optics]:
-            return {s: Optics(x[1 + i], x[0] * 0.01, rests[s] + x[3 + i]) for i, s in enumerate(pair)}
-
-        def residuals(x: Floats, pair: Sequence[int] = pair) -> Floats:
-            errors: list[Floats] = []
-            for sensor, optics in split(x, pair).items():
-                means = used.means[:, sensor]
-                errors.append(
-                    (counts(sensor, optics, used.gaps, BLACK) - means) / np.maximum(0.05 * means, 6)
-                )
-            squares = np.concatenate(errors) ** 2
-            # The square root of a loss that is linear for outliers.
-            return np.concatenate([np.sqrt(2 * (np.sqrt(1 + squares) - 1)), [0.2 * (x[0] - 0.5)], x[3:]])
-
-        start = [0.4, 1.0, 1.0, 0.0, 0.0]
-        low, high = [0.05, 0.1, 0.1, -5, -5], [2.5, 20, 20, 5, 5]
-        fitted |= split(least_squares(residuals, start, bounds=(low, high), diff_step=1e-3).x)
-    return dict(sorted(fitted.items()))
+def above(
+    recording: Recording, gains: Sequence[float], offset: float, bench: Bench, reflectance: float
+) -> dict[int, Optics]:
+    """Return the optics above the floor of a recording, whose rows far from the obstacle give its counts."""
+    far = recording[recording.gaps >= FAR_MM]
+    optics: dict[int, Optics] = {}
+    for sensor, gain in zip(SENSORS, gains, strict=True):
+        obstacle = gain * light(sensor, offset, far.gaps, bench, reflectance)
+        optics[sensor] = Optics(gain, offset, float((far.means[:, sensor] - obstacle).mean()))
+    return optics
 
 
-def floors(optics: Mapping[int, Optics], black: Recording, white: Recording) -> tuple[Floats, Floats]:
-    """Return the counts of a white floor, and of a black one, without an obstacle, each (9,)."""
-    rests: list[Floats] = []
-    for recording, reflectance in ((white, 1.0), (black, BLACK)):
-        far = recording[recording.gaps >= FAR_MM]
-        rest = far.means.mean(axis=0)
-        for sensor, fitted in optics.items():
-            rest[sensor] -= fitted.gain * light(sensor, fitted, far.gaps, reflectance).mean()
-        rests.append(rest)
-    return rests[0], rests[1]
+def errors(recording: Recording, optics: Mapping[int, Optics], bench: Bench, reflectance: float) -> Floats:
+    """Return errors over a third of their tolerances, and the deviations of the obstacle's gap and angle."""
+    # Far rows are many and alike. Some deviations, of ten readings, are too small.
+    used = recording[(recording.gaps < 120) | (recording.positions % 5 == 0)]
+    tolerances = np.maximum(used.tolerances, 12) / 3
+    parts = [
+        (counts(sensor, lens, used.gaps, bench, reflectance) - used.means[:, sensor]) / tolerances[:, sensor]
+        for sensor, lens in optics.items()
+    ]
+    return np.concatenate([*parts, [bench.gap_mm / GAP_SPREAD_MM, bench.angle_deg / ANGLE_SPREAD_DEG]])
 
 
-def scene_counts(gaps: Floats, floor: str, draw: float = 0.0) -> dict[int, Floats]:
-    """Return the readings of the robot in MuJoCo's scene, by sensor, each (n,) [counts].
+def fit(black: Recording, white: Recording) -> tuple[dict[int, Optics], Bench]:
+    """Return the optics of the sensors that see the obstacle, and its place, above the black floor."""
+    rests, white_rests = (part[part.gaps >= FAR_MM].means.mean(axis=0) for part in (black, white))
+    floor_light = (white_rests - rests)[[*SENSORS]]
+
+    def split(x: Floats) -> tuple[dict[int, Optics], Bench]:
+        offset_mm, gap_mm, angle_deg, left_mm = x[:4].tolist()
+        bench, gains = Bench(gap_mm, angle_deg, left_mm), 0.03 * floor_light * np.exp(x[8:])
+        optics = above(black, gains.tolist(), offset_mm * 1e-3, bench, BLACK)
+        shifts = zip(optics.items(), x[4:8].tolist(), strict=True)
+        return {s: replace(lens, rest=lens.rest + shift) for (s, lens), shift in shifts}, bench
+
+    def residuals(x: Floats) -> Floats:
+        priors = x[4:8] / REST_SPREAD, (x[8:] - x[8:].mean()) / GAIN_SPREAD
+        return np.concatenate([errors(black, *split(x), BLACK), *priors])
+
+    start = [3.0, 0.0, 0.0, 100.0] + [0.0] * 8
+    scale = [2.0, 1.0, 2.0, 20.0] + [2.0] * 4 + [0.3] * 4
+    return split(least_squares(residuals, start, x_scale=scale, diff_step=1e-4).x)
+
+
+def place(optics: Mapping[int, Optics], bench: Bench, white: Recording) -> tuple[dict[int, Optics], Bench]:
+    """Return the optics of sensors of known gain, and the place of the obstacle, above the white floor.
 
     Args:
-        gaps: Distances of the obstacle from the robot's front edge (n,) [mm].
-        floor: Surface of the floor.
-        draw: Draw of the noise, in standard deviations.
+        optics: Optics of the sensors above another floor.
+        bench: Place of the obstacle there.
+        white: Recording above the white floor.
     """
-    sizes = {"depth_mm": 2e3 * _DEPTH, "length_mm": 1e3 * LENGTH, "height_mm": 1e3 * HEIGHT}
-    pen = playpen.parse(PEN.format(x_mm=3000 + 1e3 * _DEPTH, floor=floor, **sizes), "recording")
-    model = to_spec(pen).compile()
-    data = mujoco.MjData(model)
-    indices = RobotIndices.of(model, "khepera0")
-    sensors = robot_sensors(model, indices, calibration.read(pen.robots[0].calibration)[0])
-    readings: dict[int, list[int]] = {sensor: [] for sensor in range(9)}
-    for gap in gaps.tolist():
-        data.qpos[indices.pose] = 3.0 - FRONT - gap * 1e-3
-        mujoco.mj_forward(model, data)
-        scene = MujocoScene(model, data)
-        for sensor, values in readings.items():
-            noise = draw * sensors.proximity.noise[sensor]
-            values.append(proximity_counts(scene, sensors, sensor, noise, 0, 1.0, 0.0))
-    return {sensor: np.array(values, np.float64) for sensor, values in readings.items()}
+    gains, offset = [lens.gain for lens in optics.values()], optics[SENSORS[0]].offset
+
+    def split(x: Floats) -> tuple[dict[int, Optics], Bench]:
+        gap_mm, angle_deg, left_mm = x.tolist()
+        moved = Bench(gap_mm, angle_deg, left_mm)
+        return above(white, gains, offset, moved, 1.0), moved
+
+    def residuals(x: Floats) -> Floats:
+        return errors(white, *split(x), 1.0)
+
+    start = [bench.gap_mm, bench.angle_deg, bench.left_mm]
+    return split(least_squares(residuals, start, x_scale=[1.0, 2.0, 20.0], diff_step=1e-4).x)
 
 
 def show_shares(title: str, recording: Recording, readings: Mapping[int, Floats]) -> None:
@@ -236,17 +160,20 @@ def show_shares(title: str, recording: Recording, readings: Mapping[int, Floats]
     print(f"{title:24} {text}, all {np.mean(list(shares.values())):.1%}")
 
 
-def show_calibration(optics: Mapping[int, Optics], rests: tuple[Floats, Floats]) -> None:
-    """Print the values of the calibration; other sensors are like those at 45 degrees."""
-    floor_light = (rests[0] - rests[1]) / (1 - BLACK)
-    pair = {sensor: optics[sensor] for sensor in PAIRS[0]}
-    gain = math.exp(np.mean([math.log(known.gain / floor_light[s]) for s, known in pair.items()]))
-    offset = optics[PAIRS[0][0]].offset
-    every = [optics.get(s, Optics(gain * light, offset, 0)) for s, light in enumerate(floor_light)]
-    print("gain_counts_mm2 =", [round(float(known.gain) * 1e6, -3) for known in every])
-    print("threshold_counts =", (-np.round(rests[0], 1)).tolist())
+def show_calibration(
+    black: Recording, white: Recording, optics: Mapping[int, Optics], above_white: Mapping[int, Optics]
+) -> None:
+    """Print the values of the calibration; gains of other sensors are in proportion to the floor's light."""
+    rests, white_rests = (part[part.gaps >= FAR_MM].means.mean(axis=0) for part in (black, white))
+    for sensor, lens in optics.items():
+        rests[sensor], white_rests[sensor] = lens.rest, above_white[sensor].rest
+    floor_light = (white_rests - rests) / (1 - BLACK)
+    gain = math.exp(np.mean([math.log(lens.gain / floor_light[s]) for s, lens in optics.items()]))
+    gains = [optics[s].gain if s in optics else gain * light for s, light in enumerate(floor_light)]
+    print("gain_counts_mm2 =", [round(float(gain) * 1e6, -3) for gain in gains])
+    print("threshold_counts =", (-np.round(white_rests, 1)).tolist())
     print("floor_light_counts =", np.round(floor_light, 1).tolist())
-    print("offset_mm =", [round(float(known.offset) * 1e3, 1) for known in every])
+    print("offset_mm =", [round(optics[SENSORS[0]].offset * 1e3, 1)] * len(gains))
 
 
 def main() -> None:
@@ -264,9 +191,10 @@ def main() -> None:
                 show_shares(f"{floor} floor, {title}", recording[rows], part)
         return
     black, white = (recording[recording.is_fitted] for recording in recordings.values())
-    optics = fit(black)
-    rests = floors(optics, black, white)
-    show_calibration(optics, rests)
-    show_shares("black floor", black, {s: counts(s, o, black.gaps, BLACK) for s, o in optics.items()})
-    above_white = {s: Optics(o.gain, o.offset, rests[0][s]) for s, o in optics.items()}
-    show_shares("white floor", white, {s: counts(s, o, white.gaps, 1.0) for s, o in above_white.items()})
+    optics, bench = fit(black, white)
+    above_white, white_bench = place(optics, bench, white)
+    print(bench, white_bench, sep="\n")
+    show_calibration(black, white, optics, above_white)
+    show_shares("black floor", black, {s: counts(s, o, black.gaps, bench, BLACK) for s, o in optics.items()})
+    readings = {s: counts(s, o, white.gaps, white_bench, 1.0) for s, o in above_white.items()}
+    show_shares("white floor", white, readings)

@@ -6,7 +6,7 @@ import pytest
 from khep_twin import ConstantSpeed, World, rollout
 from khep_twin.playpen import parse
 from khep_twin.robots.khepera3.model import SAMPLED
-from studies.khepera3_fits import scene_counts
+from studies.khepera3_bench import scene_counts
 
 PROXIMITY = next(slice(c.registers[0], c.registers[0] + 9) for c in SAMPLED if c.name == "proximity")
 
