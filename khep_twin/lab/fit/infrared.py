@@ -67,19 +67,27 @@ class View:
         forward, left = radii * np.cos(bearings) - x, radii * np.sin(bearings) - y
         return cls(_wrap(np.arctan2(left, forward) - heading), np.hypot(forward, left), radius)
 
-    def light(self, offset: float, lobe_exponent: float) -> Floats:
+    def light(
+        self, offset: float, lobe_exponent: float, elevation_exponent: int = 3, mirror: float = 1.0
+    ) -> Floats:
         """Return the light reflected to a chip behind the face (n,) [1/m^2].
 
         Args:
             offset: Offset of the chip behind the face [m].
             lobe_exponent: Exponent of the lobe in azimuth.
+            elevation_exponent: Exponent of the lobe in elevation.
+            mirror: Weight of the mirror image in the floor.
         """
         lengths, azimuths, weights = self._cylinder(offset) if self.radius else self._wall(offset)
         cosines = np.maximum(np.cos(azimuths), 0)
         integer_part = int(lobe_exponent)
         lobe = cosines**integer_part * (1 - (lobe_exponent - integer_part) * (1 - cosines)) * (cosines > 0)
         top, mirrored_top = self.heights
-        elevation_share = _share_below(top / lengths) - _share_below(mirrored_top / lengths)
+        above, floor, below = (
+            _share_below(height / lengths, elevation_exponent)
+            for height in (top, (top + mirrored_top) / 2, mirrored_top)
+        )
+        elevation_share = above - floor + mirror * (floor - below)
         return (weights / lengths**2 * lobe * elevation_share).sum(axis=1) / lobes.norm(lobe_exponent)
 
     def _wall(self, offset: float) -> tuple[Floats, Floats, Floats]:
@@ -120,6 +128,8 @@ class Optics:
     threshold_counts: float
     offset_mm: float
     lobe_exponent: float
+    elevation_exponent: int = 3
+    mirror: float = 1.0
 
     @classmethod
     def of(cls, calibration: ProximityCalibration, sensor: int) -> Self:
@@ -129,20 +139,28 @@ class Optics:
             calibration.threshold_counts[sensor],
             calibration.offset_mm[sensor],
             calibration.lobe_exponent[sensor],
+            calibration.elevation_exponent,
+            calibration.mirror,
         )
 
 
 def unclipped_counts(view: View, optics: Optics, reflectance: float = 1.0) -> Floats:
     """Return the counts of a sensor without noise, not rounded and not clipped (n_places,)."""
-    light = view.light(optics.offset_mm * 1e-3, optics.lobe_exponent)
+    exponents = optics.lobe_exponent, optics.elevation_exponent
+    light = view.light(optics.offset_mm * 1e-3, *exponents, optics.mirror)
     return optics.gain_counts_mm2 * 1e-6 * reflectance * light - optics.threshold_counts
 
 
-def _share_below(slopes: Floats) -> Floats:
+def _share_below(slopes: Floats, exponent: int) -> Floats:
     """Return the share of the elevation lobe below a slope, less a half, as in `reflection`."""
     sines = slopes / np.sqrt(1 + slopes**2)
     squares = sines * sines  # numpy's powers of negative numbers take 70 times as long
-    return 35 / 32 * sines * (1 - squares * (1 - squares * (0.6 - squares / 7)))
+    share = 35 / 32 * sines * (1 - squares * (1 - squares * (0.6 - squares / 7)))
+    term = 5 / 32 * sines * (1 - squares) ** 3
+    for power in range(7, exponent + 4, 2):
+        term = term * (1 - squares) * (power / (power + 1))
+        share = share + term
+    return share
 
 
 def _wrap(angles: Floats) -> Floats:

@@ -21,6 +21,7 @@ from khep_twin.robots.khepera3.channels import (
 )
 from khep_twin.robots.khepera3.registers import ControlType, PicMode
 from khep_twin.robots.model import (
+    Bench,
     Dialect,
     Interface,
     Read,
@@ -191,6 +192,17 @@ KHEPERA_3 = RobotModel(
     },
     vehicle=VEHICLE.speeds,
     template=str(ASSETS / "template.py"),
+    # The measured speed lags behind the positions, which the fit therefore takes.
+    bench=Bench(
+        walls_mm=(20, 30, 45, 65, 100),
+        cylinders_mm=(20, 30, 45),
+        height_mm=200,
+        duty="L,l{},l{}",
+        duties=(600, 0, -600, 0, 450, -150, 0),
+        duty_limit=1023,
+        resets=("I", "M"),
+        polls=("position",),
+    ),
 )
 
 KHEPERA_3_V2 = replace(
