@@ -83,8 +83,9 @@ class View:
         integer_part = int(lobe_exponent)
         lobe = cosines**integer_part * (1 - (lobe_exponent - integer_part) * (1 - cosines)) * (cosines > 0)
         top, mirrored_top = self.heights
+        far = lengths if self.radius else self._wall_length(offset, lobe_exponent)
         above, floor, below = (
-            _share_below(height / lengths, elevation_exponent)
+            _share_below(height / far, elevation_exponent)
             for height in (top, (top + mirrored_top) / 2, mirrored_top)
         )
         elevation_share = above - floor + mirror * (floor - below)
@@ -102,6 +103,18 @@ class View:
         cosines = np.sqrt(np.maximum(1 - sines**2, 1e-12))
         weights = _WEIGHTS * (high - low) / 2
         return wall_distances[:, None] / cosines, self.bearings[:, None] + np.arcsin(sines), weights
+
+    def _wall_length(self, offset: float, lobe_exponent: float) -> Floats:
+        """Return the distance of a wall where most light comes from, as in `reflection` (n, 1) [m]."""
+        exponent = lobes.FOOT_EXPONENT + lobe_exponent
+        x = lobe_exponent + lobes.FOOT_EXPONENT * np.cos(self.bearings)
+        azimuths = np.arctan2(lobes.FOOT_EXPONENT * np.sin(self.bearings), x)
+        lowest, highest = np.maximum(self.bearings, 0) - np.pi / 2, np.minimum(self.bearings, 0) + np.pi / 2
+        arc = np.sin(highest) - np.sin(lowest)
+        spread = np.minimum(1 / (exponent + 1), arc**2 / 12)
+        cosines = np.cos(np.clip(azimuths, lowest, highest) - self.bearings)
+        wall_distances = np.maximum(self.distances + offset * np.cos(self.bearings), _MIN_DISTANCE)
+        return (wall_distances / np.maximum(cosines, 1e-6) * (1 + spread / 2))[:, None]
 
     def _cylinder(self, offset: float) -> tuple[Floats, Floats, Floats]:
         """Return the same as `_wall` for a cylinder."""
