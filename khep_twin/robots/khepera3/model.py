@@ -182,6 +182,7 @@ KHEPERA_3 = RobotModel(
         **parts_of("khep_twin.robots.khepera3", core="CORE", robot="Khepera3Robot", host="Khepera3"),
         "conformance": "khep_twin.robots.khepera3.conformance:KHEPERA_3_CHECKS",
         "computer": "khep_twin.robots.khepera3.computer:COMPUTER",
+        "program": "khep_twin.robots.khepera3.computer:bus_source",
     },
     plots={"ultrasonic": "ultrasonic [cm]"},
     interface=_INTERFACE,
