@@ -194,7 +194,7 @@ def _record_exchanges(robot: HostRobot, path: Path, stop: Callable[[], bool]) ->
     """Record the exchanges with a robot in a log; write none after an error, or if `stop` returns True."""
     start, byte_ns = robot.time, BITS_PER_BYTE * NS_PER_S // robot.port.baudrate
     now_ns, is_kept = 0, False
-    recorder = LineRecorder(path, {"port": robot.name}, lambda: now_ns)
+    recorder = LineRecorder(path, {"port": robot.name}, lambda: now_ns, robot.model)
 
     def listen(request: str, reply: str) -> None:
         nonlocal now_ns

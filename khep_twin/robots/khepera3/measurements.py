@@ -116,7 +116,7 @@ def _fill_motor(robot: Khepera3State, side: int, motor: MotorState) -> None:
 
 
 def request_terms(record: RobotState, names: Collection[str]) -> None:
-    """Let all ultrasonic sensors measure, and evaluate each burst immediately, if they are among the terms."""
+    """Let all ultrasonic sensors measure, each burst immediately, if they are among the terms."""
     record["is_eager"] = "ultrasonic" in names
     if "ultrasonic" in names:
         record["board"][SETTING + Setting.ULTRASONIC] = (1 << N_ULTRASONIC) - 1
