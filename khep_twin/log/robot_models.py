@@ -53,10 +53,10 @@ def models_of(
 def _line_model(attachments: Mapping[str, str]) -> str:
     """Return the name of the model of a recorded line; empty for none."""
     try:
-        settings: Any = json.loads(attachments.get("configuration.json", ""))
-        return str(settings.get("model", ""))
-    except (ValueError, AttributeError, RecursionError):
+        settings: object = json.loads(attachments.get("configuration.json", ""))
+    except (ValueError, RecursionError):
         return ""
+    return str(cast(dict[str, object], settings).get("model", "")) if isinstance(settings, dict) else ""
 
 
 def further_channels(model: RobotModel) -> list[str]:

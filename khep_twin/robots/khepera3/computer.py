@@ -48,12 +48,11 @@ COMPUTER = Computer(
 
 def bus_source(registers: Sequence[int]) -> str:
     """Return C functions that start the robot, read registers, and drive."""
-    rows: list[tuple[int, ...]] = []
-    for index, register in enumerate(registers):
-        read = KHEPERA_3.dialect.read_of(register)
-        assert read is not None  # as of all sensors
-        letter, _, argument = read.request.partition(",")
-        number = read.values[read.registers.index(register)]
-        rows.append((ord(letter), int(argument or 0), 3 + 2 * number, index))
-    table = ", ".join(str(value) for row in sorted(rows) for value in row)
+    places = {
+        register: (ord(read.request[0]), int(read.request[2:] or 0), 3 + 2 * value)
+        for read in KHEPERA_3.dialect.reads.values()
+        for register, value in zip(read.registers, read.values, strict=True)
+    }
+    rows = sorted((*places[register], index) for index, register in enumerate(registers))
+    table = ", ".join(str(value) for row in rows for value in row)
     return i2c_program("/dev/i2c-0", f"static unsigned char READS[] = {{{table}}};", ASSETS / "bus.c")
