@@ -28,8 +28,8 @@ from khep_twin.units import K213_NUMBER, K213_PIXELS
 ROBOT = robot_name(0)
 """Name of the robot in the log."""
 
-_IMAGE_PREFIX = f"t,{K213_NUMBER},n,"
-"""Prefix of a reply with a line image."""
+_IMAGE_PREFIX = f"t,{K213_NUMBER},"
+"""Prefix of the reply `n` of a K213, a line image."""
 
 _REPLY_LIMIT = 1024
 """Longest reply that is parsed [bytes]; a line image has up to 264."""
@@ -67,7 +67,8 @@ class LineRecorder(FileRecorder):
         self._transcript = Transcript(self._file, {ROBOT: self._model.dialect.framing})
         self._line_readers = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
         self._host_events: list[tuple[int, HostEvent]] = []
-        self._setpoints = dict.fromkeys(self._model.episode_interface.setpoints, 0)
+        interface = self._model.interface
+        self._setpoints = dict.fromkeys(interface.setpoints if interface else (), 0)
         self._channels = [channel for channel in sampled if channel.name in self._model.dialect.reads]
         self._frames = {name: ArrayFrame(len(registers), "f8", label) for name, label, registers in sampled}
         self._image_frame = ImageFrame(K213_PIXELS, f"{ROBOT}/k213")
@@ -126,8 +127,8 @@ class LineRecorder(FileRecorder):
                 numbers = framing.values(text.replace(" ", ""))
                 self._setpoints = dict(zip(self._setpoints, numbers, strict=True))
             return
-        if text.startswith(_IMAGE_PREFIX):
-            self._record_image(time_ns, framing.values(text.removeprefix("t,2,")))
+        if text.startswith(f"{_IMAGE_PREFIX}n,"):
+            self._record_image(time_ns, framing.values(text.removeprefix(_IMAGE_PREFIX)))
         for name, _, registers in self._channels:
             read = dialect.reads[name]
             if framing.answers(read.request, text) and len(numbers := framing.values(text)) == read.n_values:

@@ -1,7 +1,7 @@
 """Models of the robots of a log, and the widths of their channels."""
 
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from tomllib import TOMLDecodeError, loads
 from typing import Any, cast
 
@@ -20,7 +20,7 @@ SAMPLED_CHANNELS = ("proximity", "ambient", "speed", "duty", "registers")
 
 
 def models_of(
-    attachments: Mapping[str, str], robots: Iterable[str], topics: Collection[str] = ()
+    attachments: Mapping[str, str], robots: Collection[str], topics: Collection[str] = ()
 ) -> dict[str, RobotModel]:
     """Return the model of each robot of a log, by its playpen, that of its line, or its channels.
 
