@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from relay_logs import in_turn, relayed
 
+from khep_twin.errors import LogError
+from khep_twin.lab.conformance.recording.recorded_line import recorded_lines
 from khep_twin.log.reader import read_log, read_series
 from khep_twin.robots.registry import find_model
 
@@ -88,3 +90,10 @@ def test_a_log_that_names_no_installed_model_is_read_by_its_channels(tmp_path: P
     path = relayed(tmp_path / "real.mcap", exchanges("N", f"n,{numbers(8)}"), model=None)
     assert read_log(path).robots["khepera0"].model.name == "khepera1"
     assert "model" not in read_log(path).metadata
+
+
+def test_the_checks_of_a_recording_refuse_a_relayed_khepera_iii_by_its_model(tmp_path: Path) -> None:
+    path = relayed(tmp_path / "real.mcap", exchanges("B", "b,3,0"), find_model("khepera3"))
+    message = "robot 1: model = 'khepera3'; expected a Khepera or Khepera II for the checks of a recording"
+    with pytest.raises(LogError, match=message):
+        recorded_lines(path)
