@@ -4,12 +4,18 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.robots.model import RobotModel
 
 
-def relayed(path: Path, chunks: Iterable[tuple[int, bool, bytes]] = (), **facts: object) -> Path:
+def relayed(
+    path: Path,
+    chunks: Iterable[tuple[int, bool, bytes]] = (),
+    model: RobotModel | None = None,
+    **facts: object,
+) -> Path:
     """Write a log of bytes to the robot, or from it, at times [ms]; return its path."""
     now_ns = 0
-    recorder = LineRecorder(path, {"relay": "/dev/robot", **facts}, lambda: now_ns)
+    recorder = LineRecorder(path, {"relay": "/dev/robot", **facts}, lambda: now_ns, model)
     for time_ms, to_robot, data in chunks:
         now_ns = time_ms * 1_000_000
         recorder.on_bytes(to_robot, data)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from khep_twin.log.log_file import FileRecorder
     from khep_twin.ports.host_port import HostPort
     from khep_twin.ports.relay import LineListener
+    from khep_twin.robots.model import RobotModel
 
 
 ListenerMaker = Callable[[Callable[[], int]], "LineListener"]
@@ -108,6 +109,7 @@ def relay_robot(
     logging: LogOptions,
     make_listener: ListenerMaker | None = None,
     *,
+    model: "RobotModel | None" = None,
     poll_requests: Sequence[bytes] = (),
     stop: Callable[[], bool],
 ) -> None:
@@ -119,6 +121,7 @@ def relay_robot(
         endpoint: Endpoints that hosts open.
         logging: Log of the line.
         make_listener: Function that creates an additional listener on the line.
+        model: Model of the robot, for the log; None for a Khepera.
         poll_requests: Requests that poll the robot while hosts are idle.
         stop: Function that returns whether to end.
     """
@@ -133,7 +136,7 @@ def relay_robot(
         recorder = None
         if logging.log is not None:
             settings = {"relay": port, "baud": baud}
-            recorder = LineRecorder(logging.log, settings, clock, on_failure=logging.on_failure)
+            recorder = LineRecorder(logging.log, settings, clock, model, on_failure=logging.on_failure)
             listeners.append(stack.enter_context(closing(recorder)))
         print_kept_log(recorder)
         if make_listener is not None:

@@ -27,6 +27,7 @@ from khep_twin.cli.options import (
 )
 from khep_twin.cli.playpen import PlaypenName
 from khep_twin.process.signals import stopping
+from khep_twin.robots.registry import find_family
 
 if TYPE_CHECKING:
     from khep_twin.ports.twin import Twin, TwinOptions
@@ -76,7 +77,7 @@ def speed_factor(text: str) -> float:
     return speed
 
 
-_TWIN_OPTIONS = option_names(RobotOptions, TimingOptions, LiveViewOptions) - {"mode"} | {
+_TWIN_OPTIONS = option_names(RobotOptions, TimingOptions, LiveViewOptions) - {"mode", "model"} | {
     *("playpen", "robot", "fault", "viewer", "from_log")
 }
 """Options of a twin that do not apply to a robot, by their parameters' names."""
@@ -109,7 +110,8 @@ def serve(
     Standard output has one line per robot: the path or URL for its host to open.
 
     Args:
-        relay: Relay the robot at this port instead of a twin, and log its line.
+        relay: Relay the robot at this port instead of a twin, and log its line; --model for another than a
+            Khepera.
         from_log: Resume the run of this log at a time, or at its end, instead of a playpen.
         robot: Serve only this robot, counted from 0.
     """
@@ -123,7 +125,9 @@ def serve(
             option = option.removesuffix("-log") if option == "--from-log" else option
             raise usage(f"{option} is for a twin, not for a robot at --relay")
         with stopping() as stop:
-            relay_robot(resolve_port(relay), line_baud(running_mode(twin.mode)), endpoint, logging, stop=stop)
+            mode, model = running_mode(twin.mode), None if twin.model is None else find_family(twin.model)
+            baud = line_baud(mode) if model is None or mode is not None else model.dialect.baud
+            relay_robot(resolve_port(relay), baud, endpoint, logging, model=model, stop=stop)
         return
     if timing.strict_line and endpoint.tcp is not None:
         raise usage("--strict-line: hosts at --tcp have no baud rate; expected a terminal or --rfc2217")

@@ -24,6 +24,7 @@ from khep_twin.process.status_line import beside_status_line, status_line
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
+    from khep_twin.robots.model import RobotModel
     from khep_twin.shadow.line_pipe import LineReceiver
     from khep_twin.shadow.recording import LineChunk
     from khep_twin.shadow.shadow import ShadowSettings
@@ -87,7 +88,8 @@ def shadow(
     check_inputs([playpen, *([] if recording is None else [recording])], output, logging.log)
     check_new(logging.force, output, logging.log)
     robot_playpen, has_others = options.load(playpen, robot)
-    dialect = robot_playpen.robots[0].robot_model.dialect
+    model = robot_playpen.robots[0].robot_model
+    dialect = model.dialect
     baud = dialect.baud if mode_number is None else line_baud(mode_number)
     settings = replace(options.settings(baud), others=has_others)
     if relay is not None:
@@ -102,7 +104,7 @@ def shadow(
         from khep_twin.shadow.recording import reads_of
 
         requests = [dialect.framing.encode(read.request) for read in reads_of(dialect) if poll]
-        _relay_with_shadow(resolve_port(relay), baud, args, endpoint, logging, requests)
+        _relay_with_shadow(resolve_port(relay), baud, args, endpoint, logging, model, requests)
         return
     if line_fd is not None:
         run = ShadowRun(robot_playpen, settings, exit_on or (), output)
@@ -180,6 +182,7 @@ def _relay_with_shadow(
     args: list[str],
     endpoint: EndpointOptions,
     logging: LogOptions,
+    model: "RobotModel",
     requests: "Sequence[bytes]",
 ) -> None:
     """Relay a robot's line, with a shadow in a separate process."""
@@ -191,8 +194,9 @@ def _relay_with_shadow(
             return stop() or shadow.has_ended_on_event()
 
         try:
+            listener = shadow.make_listener
             relay_robot(
-                port, baud, endpoint, logging, shadow.make_listener, poll_requests=requests, stop=has_ended
+                port, baud, endpoint, logging, listener, model=model, poll_requests=requests, stop=has_ended
             )
         except Exception:
             shadow.finish()

@@ -15,10 +15,9 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from khep_twin.drawing.paths import DrawnPath
-from khep_twin.errors import LogError, PlaypenError
+from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.paths import StrPath
-from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.columns import name_columns
 from khep_twin.log.content import Content
@@ -27,11 +26,10 @@ from khep_twin.log.entries import Entry, Label, make_label, run_metadata
 from khep_twin.log.messages import Messages, TimeSeries, check_time, is_repeat_channel
 from khep_twin.log.robot_models import SAMPLED_CHANNELS, further_channels, models_of
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.checks import require_feature
 from khep_twin.process.invocation import command
 from khep_twin.renamed import renamed_attribute
 from khep_twin.robots.model import Feature, RobotModel
-from khep_twin.robots.registry import default_model
+from khep_twin.robots.registry import default_model, titles_with
 
 if TYPE_CHECKING:
     import khep_twin
@@ -186,11 +184,10 @@ def read_log(path: StrPath) -> LoggedRun:
 def require_feature_in(label: Label, source: object, feature: Feature) -> None:
     """Raise a `LogError` if the model of a robot of a log does not support a use."""
     models = models_of(label.attachments, label.robots)
-    if any(feature not in model.features for model in models.values()):
-        try:
-            require_feature(playpen_of(label.attachments, source), feature)
-        except PlaypenError as error:
-            raise LogError(f"{source}: {error}") from None
+    for number, model in enumerate(models.values(), 1):
+        if feature not in model.features:
+            expected = f"expected {titles_with(feature)} for {feature.value}"
+            raise LogError(f"{source}: robot {number}: model = {model.name!r}; {expected}")
 
 
 def read_label(path: StrPath) -> Label:

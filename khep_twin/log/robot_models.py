@@ -1,6 +1,7 @@
 """Models of the robots of a log, and the widths of their channels."""
 
-from collections.abc import Collection, Iterable, Mapping
+import json
+from collections.abc import Collection, Mapping
 from tomllib import TOMLDecodeError, loads
 from typing import Any, cast
 
@@ -19,12 +20,13 @@ SAMPLED_CHANNELS = ("proximity", "ambient", "speed", "duty", "registers")
 
 
 def models_of(
-    attachments: Mapping[str, str], robots: Iterable[str], topics: Collection[str] = ()
+    attachments: Mapping[str, str], robots: Collection[str], topics: Collection[str] = ()
 ) -> dict[str, RobotModel]:
-    """Return the model of each robot of a log, by its playpen, otherwise by its channels.
+    """Return the model of each robot of a log, by its playpen, that of its line, or its channels.
 
     Args:
-        attachments: Attachments of the log, with "playpen.toml" where it has one.
+        attachments: Attachments of the log, with "playpen.toml" where it has one; "configuration.json" of a
+            line may name its model.
         robots: Names of the robots.
         topics: Topics of the log.
     """
@@ -36,6 +38,7 @@ def models_of(
     if not all(isinstance(entry, dict) for entry in entries):
         entries = []
     names = {robot_name(index): str(entry.get("model", DEFAULT)) for index, entry in enumerate(entries)}
+    names = names or {robot: _line_model(attachments) for robot in robots}
     models: dict[str, RobotModel] = {}
     for robot in robots:
         if is_installed(name := names.get(robot, "")):
@@ -45,6 +48,15 @@ def models_of(
             channels = {topic.removeprefix(prefix) for topic in topics if topic.startswith(prefix)}
             models[robot] = model_of_channels(channels)
     return models
+
+
+def _line_model(attachments: Mapping[str, str]) -> str:
+    """Return the name of the model of a recorded line; empty for none."""
+    try:
+        settings: object = json.loads(attachments.get("configuration.json", ""))
+    except (ValueError, RecursionError):
+        return ""
+    return str(cast(dict[str, object], settings).get("model", "")) if isinstance(settings, dict) else ""
 
 
 def further_channels(model: RobotModel) -> list[str]:

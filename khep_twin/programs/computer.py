@@ -5,6 +5,8 @@
 
 import errno
 from collections.abc import Callable, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from khep_twin.robots.robot import Robot
@@ -20,6 +22,12 @@ MEMORY_NODE, READ_FLAG = "/dev/mem", 1
 def i2c_bus(number: int = 0, sends_empty: bool = False) -> int:
     """Return a node of an I2C bus, 0 to 127, whose adapter sends or refuses (EINVAL) messages of length 0."""
     return 1 << 16 | sends_empty << 15 | number << 8
+
+
+def i2c_program(node: str, tables: str, source: Path) -> str:
+    """Return C functions of a file that use `transfer` of `assets/i2c.c`, on a bus, with their tables."""
+    transfer = (files("khep_twin") / "assets" / "i2c.c").read_text()
+    return f'#define BUS "{node}"\n{transfer}{tables}\n\n{source.read_text()}'
 
 
 class Slave(Protocol):

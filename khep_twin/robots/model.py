@@ -162,10 +162,11 @@ class Bench(NamedTuple):
         walls_mm: Distances of a white wall from its edge at which its sensors read between both ends.
         cylinders_mm: Those of a white cylinder.
         height_mm: Height of these objects; a higher one gives the same readings.
-        duty: Command that sets the duties of both motors.
+        duty: Format of the request that sets the duties of both motors.
         duties: Steps of duty.
         duty_limit: Duty above which the tyres may slip and hide the motors' behaviour.
         resets: Prefixes of requests that set the counters.
+        polls: Channels that tell a motor's speed, the one that a session polls first.
     """
 
     walls_mm: tuple[float, ...]
@@ -175,6 +176,12 @@ class Bench(NamedTuple):
     duties: tuple[int, ...]
     duty_limit: int
     resets: tuple[str, ...]
+    polls: tuple[str, ...] = ("speed", "position")
+
+    @property
+    def duty_command(self) -> str:
+        """Command that sets the duties."""
+        return self.duty.partition(",")[0]
 
 
 @dataclass(frozen=True, slots=True)

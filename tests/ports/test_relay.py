@@ -15,6 +15,7 @@ import pytest
 import serial
 from served_twin import ask, connected, served, stop
 
+from khep_twin.host import Khepera3
 from khep_twin.log.reader import read_log
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports import idle_polls
@@ -75,6 +76,18 @@ def test_the_line_follows_the_speed_that_the_host_sets(tmp_path: Path) -> None:
         _, errors = stop(process)
     assert "the line is at 38400 baud with 2 stop bits" in errors
     assert ["38400" in line.text for line in read_log(log).events] == [True]
+
+
+def test_a_relay_of_another_model_has_its_speed_and_logs_its_readings(tmp_path: Path) -> None:
+    arguments = ("--model", "khepera3", "--log", str(tmp_path / "robot.mcap"))
+    with served("arena3") as (_, robot), served("--relay", robot, *arguments) as (process, path):
+        with Khepera3(path) as host:
+            assert len(host.proximity()) == 11
+        stop(process)
+    run = read_log(tmp_path / "robot.mcap")
+    assert run.metadata["baud"] == "115200"
+    assert run.robots["khepera0"].model.name == "khepera3"
+    assert run.robots["khepera0"].proximity.shape == (1, 11)
 
 
 def test_a_host_that_left_leaves_nothing_to_the_next() -> None:

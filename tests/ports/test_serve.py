@@ -235,6 +235,7 @@ def test_a_killed_server_loses_less_than_a_second_and_is_announced_next_time(tmp
         (["--relay", "loop://", "--speed", "2"], "--speed is for a twin"),
         (["--relay", "loop://", "--fault", "stuck:1"], "--fault is for a twin"),
         (["--relay", "loop://", "--mode", "4"], "--mode 4: mode 4"),
+        (["--relay", "loop://", "--model", "other"], "model = 'other': unknown"),
         (["--relay", "loop://", "--log", "/no/such/folder/a.mcap"], "cannot write a log here"),
     ],
 )

@@ -1,5 +1,6 @@
 """Programs compiled for a robot's computer: device nodes, clock, threads, networks, and errors."""
 
+import math
 import os
 import shutil
 import signal
@@ -116,6 +117,26 @@ def test_a_networks_program_drives_at_the_speeds_of_its_rollout(
         expected.append(robot.dspic.read(DspicRegister.SPEED_ORDER_LEFT, 4))
     assert machine.speeds == (bytes(4), *expected, bytes(4))
     assert len(set(expected)) == n_cycles
+
+
+def test_a_khepera_iii_s_program_of_a_network_drives_the_way_of_its_rollout(tmp_path: Path) -> None:
+    n_cycles, setup = 100, EpisodeSetup("arena3")
+    network = Network(hidden=(4,), recurrent=True, ambient=True, terms=("ground",), model="khepera3")
+    genes = np.random.default_rng(4).normal(size=network.n_genes)
+    network.save(tmp_path / "brain.c", genes, setup=setup)
+    build = ["cc", "-Wall", "-Werror", "-o", tmp_path / "brain", tmp_path / "brain.c", "-lm"]
+    subprocess.run(build, check=True)
+    world, episode = World("arena3", seed=1), Episode(setup, network, compiled=False)
+    program = RobotProgram([str(tmp_path / "brain")], machine_of(world))
+    assert run_programs([program], until_ns=n_cycles * setup.period_ns) == [0]
+    episode.begin(1, EpisodeOptions(genes=genes))
+    start = episode.world.robots[0].pose
+    for _ in range(n_cycles):
+        episode.step(setup.steps_per_period)
+    end = episode.world.robots[0].pose
+    assert math.dist(start[:2], end[:2]) > 0.02
+    assert world.robots[0].pose[:2] == pytest.approx(end[:2], abs=1e-3)
+    assert world.robots[0].pose[2] == pytest.approx(end[2], abs=0.02)
 
 
 def test_time_passes_while_all_threads_and_children_wait_and_a_run_repeats(

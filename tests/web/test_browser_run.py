@@ -451,7 +451,7 @@ def point(visit: Visit, plot: int, part: float) -> None:
     canvas = visit.page.locator("#curves canvas")
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
-    visit.page.mouse.move(box["x"] + 38 + part * (box["width"] - 47), box["y"] + 101 * plot + 40)
+    visit.page.mouse.move(box["x"] + 46 + part * (box["width"] - 55), box["y"] + 101 * plot + 40)
 
 
 # Other curves on the same page, fed by the test: the count of a sensor is the whole second.
@@ -501,7 +501,7 @@ def test_curves_keep_the_last_twenty_seconds_and_are_drawn_in_view_only(visit: V
     visit.wait("red() > 150")  # the left wheel's line, along the whole axis
     box = page.locator("#fed canvas").bounding_box()
     for part, second in ((1.0, "99"), (0.5, "89"), (0.0, "79")):
-        page.mouse.move(box["x"] + 38 + part * (box["width"] - 47), box["y"] + 40)
+        page.mouse.move(box["x"] + 46 + part * (box["width"] - 55), box["y"] + 40)
         visit.wait(f"document.querySelector('#fed li b').textContent === '{second}'")
     page.locator("#connect").scroll_into_view_if_needed()
     visit.wait("idle()")

@@ -11,7 +11,7 @@ const createPlots = (n, unit) => ({
   light: { title: "light [counts, low is bright]", first: n, n, entry: 0, lowest: 0 },
   speed: { title: `speeds of the wheels [${unit}]`, first: 2 * n, n: 2, entry: n, lowest: -1 },
 });
-const [LEFT, RIGHT, TITLE, PLOT, HEIGHT, FOOT] = [38, 8, 17, 76, 101, 22]; // [px]
+const [LEFT, RIGHT, TITLE, PLOT, HEIGHT, FOOT] = [46, 8, 17, 76, 101, 22]; // [px]
 
 export class Curves {
   #buffers = [new RingBuffer([])];

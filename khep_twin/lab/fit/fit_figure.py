@@ -4,6 +4,7 @@
 # pyright: reportUnknownMemberType=false
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import matplotlib.style
 import numpy as np
@@ -58,7 +59,8 @@ def _draw_sensors(
         by_travel = np.argsort(test.run.travelled, kind="stable")
         for axes, counts, line in zip(panels[: model.shape[1]], test.counts.T, model.T, strict=True):
             axes.plot(test.run.travelled, counts, ".", ms=2.5, color=colour, alpha=0.55)
-            axes.plot(test.run.travelled[by_travel], line[by_travel], color=colour, lw=1.3, label=test.name)
+            label = Path(test.name).name
+            axes.plot(test.run.travelled[by_travel], line[by_travel], color=colour, lw=1.3, label=label)
     names = tests[0].model.body.ring_sensors
     for axes, name in zip(panels[: len(names)], names, strict=True):
         axes.set_title(name, fontsize=9, color=INK)
@@ -78,5 +80,5 @@ def _draw_speeds(subfigure: SubFigure, drive: DutyDrive, calibration: Calibratio
         axes.plot(drive.speed_times_s[by_time], twin[by_time, side], color=_COLOURS[side], lw=1.3, label=name)
     axes.set_xlabel("time [s]", fontsize=9)
     axes.set_ylabel("speed [pulses/10 ms]", fontsize=9)
-    axes.set_title(drive.name, fontsize=9, color=INK)
+    axes.set_title(Path(drive.name).name, fontsize=9, color=INK)
     axes.legend(fontsize=7, frameon=False)

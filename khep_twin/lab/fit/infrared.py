@@ -67,19 +67,28 @@ class View:
         forward, left = radii * np.cos(bearings) - x, radii * np.sin(bearings) - y
         return cls(_wrap(np.arctan2(left, forward) - heading), np.hypot(forward, left), radius)
 
-    def light(self, offset: float, lobe_exponent: float) -> Floats:
+    def light(
+        self, offset: float, lobe_exponent: float, elevation_exponent: int = 3, mirror: float = 1.0
+    ) -> Floats:
         """Return the light reflected to a chip behind the face (n,) [1/m^2].
 
         Args:
             offset: Offset of the chip behind the face [m].
             lobe_exponent: Exponent of the lobe in azimuth.
+            elevation_exponent: Exponent of the lobe in elevation.
+            mirror: Weight of the mirror image in the floor.
         """
         lengths, azimuths, weights = self._cylinder(offset) if self.radius else self._wall(offset)
         cosines = np.maximum(np.cos(azimuths), 0)
         integer_part = int(lobe_exponent)
         lobe = cosines**integer_part * (1 - (lobe_exponent - integer_part) * (1 - cosines)) * (cosines > 0)
         top, mirrored_top = self.heights
-        elevation_share = _share_below(top / lengths) - _share_below(mirrored_top / lengths)
+        far = lengths if self.radius else self._wall_length(offset, lobe_exponent)
+        above, floor, below = (
+            _share_below(height / far, elevation_exponent)
+            for height in (top, (top + mirrored_top) / 2, mirrored_top)
+        )
+        elevation_share = above - floor + mirror * (floor - below)
         return (weights / lengths**2 * lobe * elevation_share).sum(axis=1) / lobes.norm(lobe_exponent)
 
     def _wall(self, offset: float) -> tuple[Floats, Floats, Floats]:
@@ -94,6 +103,18 @@ class View:
         cosines = np.sqrt(np.maximum(1 - sines**2, 1e-12))
         weights = _WEIGHTS * (high - low) / 2
         return wall_distances[:, None] / cosines, self.bearings[:, None] + np.arcsin(sines), weights
+
+    def _wall_length(self, offset: float, lobe_exponent: float) -> Floats:
+        """Return the distance of a wall where most light comes from, as in `reflection` (n, 1) [m]."""
+        exponent = lobes.FOOT_EXPONENT + lobe_exponent
+        x = lobe_exponent + lobes.FOOT_EXPONENT * np.cos(self.bearings)
+        azimuths = np.arctan2(lobes.FOOT_EXPONENT * np.sin(self.bearings), x)
+        lowest, highest = np.maximum(self.bearings, 0) - np.pi / 2, np.minimum(self.bearings, 0) + np.pi / 2
+        arc = np.sin(highest) - np.sin(lowest)
+        spread = np.minimum(1 / (exponent + 1), arc**2 / 12)
+        cosines = np.cos(np.clip(azimuths, lowest, highest) - self.bearings)
+        wall_distances = np.maximum(self.distances + offset * np.cos(self.bearings), _MIN_DISTANCE)
+        return (wall_distances / np.maximum(cosines, 1e-6) * (1 + spread / 2))[:, None]
 
     def _cylinder(self, offset: float) -> tuple[Floats, Floats, Floats]:
         """Return the same as `_wall` for a cylinder."""
@@ -120,6 +141,8 @@ class Optics:
     threshold_counts: float
     offset_mm: float
     lobe_exponent: float
+    elevation_exponent: int = 3
+    mirror: float = 1.0
 
     @classmethod
     def of(cls, calibration: ProximityCalibration, sensor: int) -> Self:
@@ -129,20 +152,28 @@ class Optics:
             calibration.threshold_counts[sensor],
             calibration.offset_mm[sensor],
             calibration.lobe_exponent[sensor],
+            calibration.elevation_exponent,
+            calibration.mirror,
         )
 
 
 def unclipped_counts(view: View, optics: Optics, reflectance: float = 1.0) -> Floats:
     """Return the counts of a sensor without noise, not rounded and not clipped (n_places,)."""
-    light = view.light(optics.offset_mm * 1e-3, optics.lobe_exponent)
+    exponents = optics.lobe_exponent, optics.elevation_exponent
+    light = view.light(optics.offset_mm * 1e-3, *exponents, optics.mirror)
     return optics.gain_counts_mm2 * 1e-6 * reflectance * light - optics.threshold_counts
 
 
-def _share_below(slopes: Floats) -> Floats:
+def _share_below(slopes: Floats, exponent: int) -> Floats:
     """Return the share of the elevation lobe below a slope, less a half, as in `reflection`."""
     sines = slopes / np.sqrt(1 + slopes**2)
     squares = sines * sines  # numpy's powers of negative numbers take 70 times as long
-    return 35 / 32 * sines * (1 - squares * (1 - squares * (0.6 - squares / 7)))
+    share = 35 / 32 * sines * (1 - squares * (1 - squares * (0.6 - squares / 7)))
+    term = 5 / 32 * sines * (1 - squares) ** 3
+    for power in range(7, exponent + 4, 2):
+        term = term * (1 - squares) * (power / (power + 1))
+        share = share + term
+    return share
 
 
 def _wrap(angles: Floats) -> Floats:

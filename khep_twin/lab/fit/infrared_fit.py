@@ -3,11 +3,11 @@
 Gain, threshold, heading, lobe exponent and noise of each sensor are fitted by least squares, together with
 the errors of the ruler in each test. The other parameters of the optics are those of an initial calibration.
 Heading and lobe exponent keep their initial values if the readings do not determine them. A reading that is
-clipped to 0 or the sensor's limit still has information: it is compared with the mean of a noisy sensor,
+clipped to the sensor's floor or limit still has information: it is compared with the mean of a noisy sensor,
 
-    E[clip(x + s z, 0, limit)],  z normal,
+    E[clip(x + s z, floor, limit)],  z normal,
 
-with the counts x before clipping and the sensor's noise s, weighted by the reading's precision.
+with the counts x before clipping and the noise s there, weighted by the reading's precision.
 """
 
 import math
@@ -39,7 +39,7 @@ from khep_twin.lab.fit.placement import (
     jacobian_sparsity,
     misplacements,
 )
-from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.calibration import Calibration, ProximityCalibration
 
 HEADING_SPREAD_DEG, LOBE_SPREAD = 5.0, 0.5
 """Standard deviations of a sensor's heading and lobe exponent between robots (assumed: the sampled robot's
@@ -98,6 +98,30 @@ def mean_counts(placement: Placement, robot: Calibration, misplacement: Misplace
     return np.column_stack(columns)
 
 
+def convert(
+    levels: Floats, thresholds: Sequence[float] | Floats, proximity: ProximityCalibration
+) -> tuple[Floats, Floats]:
+    """Return counts without noise and clipping, and their noise in that of a dark sensor (n, n_sensors).
+
+    Args:
+        levels: Counts before saturation (n, n_sensors).
+        thresholds: Counts that were subtracted from the light (n_sensors,).
+        proximity: Saturation and growth of the noise.
+    """
+    growth = 1 + proximity.noise_growth * np.maximum(levels + thresholds, 0)
+    if not proximity.saturates:
+        return levels, growth
+    excess = 1 + (np.maximum(levels, 0) / proximity.limit_counts) ** 4
+    return levels / excess**0.25, growth / excess**1.25
+
+
+def expected_counts(counts: Floats, noise: Floats, proximity: ProximityCalibration) -> tuple[Floats, Floats]:
+    """Return means and standard deviations of readings, by counts before clipping and their noise."""
+    floor = proximity.floor_counts
+    arguments = counts - floor, noise, proximity.limit_counts - floor
+    return expected_readings(*arguments) + floor, reading_deviations(*arguments)
+
+
 def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> SensorsFit:
     """Fit the sensors to the readings.
 
@@ -120,7 +144,7 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
     sparsity = jacobian_sparsity(tests, _N_PARAMETERS)
     n_values = _N_PARAMETERS * n_sensors
 
-    def model_levels(x: Floats) -> Floats:
+    def model_counts(x: Floats) -> tuple[Floats, Floats]:
         rows = x[:n_values].reshape(n_sensors, -1)
         objects = [
             (test.placement, test.placement.object_positions(misplacement))
@@ -131,21 +155,22 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
             np.concatenate([sensor_counts(place, sensor, heading, optics, spot) for place, spot in objects])
             for sensor, (heading, optics) in enumerate(pairs)
         ]
-        return np.column_stack(columns)
+        return convert(np.column_stack(columns), rows[:, 1], proximity)
 
     noise = np.array(proximity.noise_counts)
     weights: Floats = 1 / np.hypot(noise, _MODEL_ERROR)
 
     def residuals(x: Floats) -> Floats:
-        means = expected_readings(model_levels(x), noise, proximity.limit_counts)
+        clean_counts, growth = model_counts(x)
+        means, _ = expected_counts(clean_counts, noise * growth, proximity)
         return ((means - counts) * weights).ravel()
 
     # A robust loss limits the influence of outliers, for example of readings while someone walks by.
     robust = least_squares(residuals, parameters, data_text, _OUTLIER, unit_variance=True, sparsity=sparsity)
-    robust_levels = model_levels(robust.values)
+    robust_counts, growth = model_counts(robust.values)
     differences = residuals(robust.values).reshape(counts.shape) / weights
-    noise, n_used = _fit_noise(robust_levels, differences, noise, proximity.limit_counts)
-    deviations = np.hypot(reading_deviations(robust_levels, noise, proximity.limit_counts), _MODEL_ERROR)
+    noise, n_used = _fit_noise(robust_counts, differences / growth, noise, proximity)
+    deviations = np.hypot(expected_counts(robust_counts, noise * growth, proximity)[1], _MODEL_ERROR)
     weights = (1 + (differences / deviations / _OUTLIER) ** 2) ** -0.25 / deviations
     estimate = least_squares(residuals, parameters, data_text, unit_variance=True, sparsity=sparsity)
     weights = np.ones(n_sensors)  # residuals in counts
@@ -213,9 +238,12 @@ def _replace_values(initial: Optics, x: Floats) -> Optics:
     return replace(initial, gain_counts_mm2=gain, threshold_counts=threshold, lobe_exponent=lobe)
 
 
-def _fit_noise(levels: Floats, residuals: Floats, noise: Floats, limit: float) -> tuple[Floats, Floats]:
+def _fit_noise(
+    counts: Floats, residuals: Floats, noise: Floats, proximity: ProximityCalibration
+) -> tuple[Floats, Floats]:
     """Return each sensor's noise [counts], and its number of readings far from both ends; NaN if too few."""
-    is_inside = (levels > 2 * noise) & (levels < limit - 2 * noise)
+    is_inside = counts > proximity.floor_counts + 2 * noise
+    is_inside &= counts < proximity.limit_counts - 2 * noise
     n_readings = is_inside.sum(axis=0)
     # Degrees of freedom: the readings less the sensor's four parameters.
     variances = np.where(is_inside, residuals**2, 0).sum(axis=0) / np.maximum(n_readings - _N_PARAMETERS, 1)

@@ -129,10 +129,10 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
     update = {
         "heading_deg": tuple(np.round(receivers[:, 0], 1).tolist()),
         "gain_counts_mm2_per_w": tuple(np.round(receivers[:, 1], -3).tolist()),
-        "lobe_exponent": tuple(np.round(receivers[:, 2], 2).tolist()),
+        "lobe_exponent": tuple(np.round(receivers[:, 2], 4).tolist()),
         "dark_counts": round(dark, 1),
         "floor_counts": round(floor, 1),
-        "diffuse": round(diffuse, 3),
+        "diffuse": round(diffuse, 5),
     }
     lag_deg = max(CONFIDENCE * math.degrees(test.placement.turn_rate * SCAN_LAG_S) for test in tests)
     ambient = initial.model_copy(update=update)

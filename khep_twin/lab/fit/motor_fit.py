@@ -99,8 +99,8 @@ class MotorFit(NamedTuple):
 
 def _expected_data(model: RobotModel) -> str:
     bench, reads = model.fit_bench, model.dialect.reads
-    steps = f"steps of duty ({bench.duty}) of up to {bench.duty_limit} and of half a second and more"
-    return f"{steps}, while polling {reads['speed'].request} or {reads['position'].request}"
+    steps = f"steps of duty ({bench.duty_command}) of up to {bench.duty_limit} and of half a second and more"
+    return f"{steps}, while polling {' or '.join(reads[poll].request for poll in bench.polls)}"
 
 
 def read_drive(log: Path, model: RobotModel = KHEPERA) -> DutyDrive:
@@ -113,7 +113,7 @@ def read_drive(log: Path, model: RobotModel = KHEPERA) -> DutyDrive:
     lines, framing = read_transcript(log, model), model.dialect.framing
     bench, requirement = model.fit_bench, _expected_data(model)
     requests = tuple((line.time_ns, line.text) for line in lines if line.name == "host")
-    reads = {read.request: read for read in map(model.dialect.reads.get, ("speed", "position")) if read}
+    reads = {read.request: read for read in map(model.dialect.reads.__getitem__, bench.polls)}
     queries = [(time_ns, text) for time_ns, text in requests if text in reads]
     replies = [
         (read.request, *values[:2])
@@ -123,7 +123,7 @@ def read_drive(log: Path, model: RobotModel = KHEPERA) -> DutyDrive:
         and framing.answers(read.request, line.text)
         and len(values := parse_values(framing, line.text)) == read.n_values
     ]
-    duties = [text for _, text in requests if text.startswith(f"{bench.duty},")]
+    duties = [text for _, text in requests if text.startswith(f"{bench.duty_command},")]
     if not duties:
         raise FitError(
             f"{log}: the motors cannot be determined: no drive with a fixed duty; expected {requirement}"
@@ -183,9 +183,9 @@ def align(drive: DutyDrive, robot: Calibration) -> DutyDrive:
 def _fit_aligned_drives(drives: Sequence[DutyDrive], start: Calibration) -> MotorFit:
     """Fit the motors to drives that are in phase with the controller."""
     measured_speeds = np.concatenate([drive.speeds(drive.values) for drive in drives])
-    initial = start.motors
+    initial, speed = start.motors, start.motors.no_load_speed_rad_s
     parameters = [
-        Parameter("no-load speed", initial.no_load_speed_rad_s, 30, 5, " rad/s", 20, 1000),
+        Parameter("no-load speed", speed, speed / 5, speed / 30, " rad/s", speed / 8, speed * 7),
         Parameter("stall torque", initial.stall_torque_n_m * 1e3, 3, 2, " mN m", 0.5, 200),
         Parameter("gear friction", initial.friction_torque_n_m * 1e3, 0.3, 0.3, " mN m", 0, 50),
     ]

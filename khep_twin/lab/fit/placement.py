@@ -1,7 +1,8 @@
 """Objects in front of a robot, at positions measured with a ruler, and the robot's subsequent poses.
 
 The errors of ruler and eye are parameters of a fit: each test has one for the distance and one for the
-bearing at its start, with the standard deviations of `Ruler`. All tests share one for the wheel base.
+bearing at its start, with the standard deviations of `Ruler`. All tests share one for the wheel base, and one
+for unequal wheels, with which a robot does not turn about the middle of its axle.
 """
 
 import math
@@ -15,7 +16,7 @@ from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import Floats, Parameter
 from khep_twin.robots.model import RobotModel
 from khep_twin.robots.registry import default_model
-from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.calibration import INEQUALITY_SPREAD, Calibration
 from khep_twin.units import SCAN_NS
 
 KHEPERA = default_model()
@@ -54,11 +55,13 @@ class Misplacement:
         distance: Additional distance [m].
         bearing: Additional bearing, counter-clockwise [rad].
         turn_error: Excess of the robot's true turns over those by its counters, relative.
+        centre: Distance of the centre of turns from the middle of the axle, to the left [m].
     """
 
     distance: float = 0.0
     bearing: float = 0.0
     turn_error: float = 0.0
+    centre: float = 0.0
 
 
 IN_PLACE = Misplacement()
@@ -87,6 +90,8 @@ class Placement:
         """Return distances from the robot's edge [m] and bearings, counter-clockwise [rad], per pose (n,)."""
         (x, y, heading), body_radius = self.poses.T, self.model.body.radius
         heading = heading * (1 + misplacement.turn_error)
+        x = x + misplacement.centre * np.sin(heading)
+        y = y + misplacement.centre * (1 - np.cos(heading))
         distances = body_radius + self.distance + misplacement.distance + self.radius
         east, north = math.cos(misplacement.bearing), math.sin(misplacement.bearing)
         if self.radius == 0:
@@ -149,7 +154,9 @@ class SensorsFit:
 
 
 def error_parameters(tests: Sequence[Readings], ruler: Ruler) -> list[Parameter]:
-    """Return the errors of all tests as parameters: distances, bearings, and one for the turns."""
+    """Return the errors of all tests as parameters: distances, bearings, those of turns and their centre."""
+    # The wheels' radii are in inverse proportion to their distances from the centre.
+    centre_mm = INEQUALITY_SPREAD * tests[0].placement.model.body.wheel_base * 1e3 / 4
     distance, base = max(ruler.distance_mm, 1e-3), max(ruler.base, 1e-6)
     lags = [math.degrees(test.placement.turn_rate * SCAN_LAG_S) for test in tests]
     bearings = [math.hypot(max(ruler.bearing_deg, 1e-3), lag) for lag in lags]
@@ -160,6 +167,7 @@ def error_parameters(tests: Sequence[Readings], ruler: Ruler) -> list[Parameter]
             for test, bearing in zip(tests, bearings, strict=True)
         ),
         Parameter("turns", 0, base, prior=base),
+        Parameter("centre of turns", 0, centre_mm, prior=centre_mm),
     ]
 
 
@@ -172,16 +180,17 @@ def jacobian_sparsity(tests: Sequence[Readings], n_per_sensor: int, n_shared: in
     n_sensors: int = tests[0].counts.shape[1]
     test, sensor = np.repeat(test_of_reading, n_sensors), np.tile(np.arange(n_sensors), len(test_of_reading))
     first_error = n_shared + n_per_sensor * n_sensors
-    turn_error = np.full_like(test, first_error + 2 * len(tests))
+    shared_errors = [np.full_like(test, first_error + 2 * len(tests) + number) for number in range(2)]
     columns = [np.full_like(test, number) for number in range(n_shared)]
     columns += [n_shared + n_per_sensor * sensor + number for number in range(n_per_sensor)]
-    return np.column_stack([*columns, first_error + test, first_error + len(tests) + test, turn_error])
+    return np.column_stack([*columns, first_error + test, first_error + len(tests) + test, *shared_errors])
 
 
 def misplacements(values: Floats) -> list[Misplacement]:
     """Return the errors of each test from the values of `error_parameters`."""
-    distances, bearings = values[:-1].reshape(2, -1)
+    distances, bearings = values[:-2].reshape(2, -1)
+    turn_error, centre_mm = values[-2:].tolist()
     return [
-        Misplacement(distance / 1e3, math.radians(bearing), float(values[-1]))
+        Misplacement(distance / 1e3, math.radians(bearing), turn_error, centre_mm / 1e3)
         for distance, bearing in zip(distances.tolist(), bearings.tolist(), strict=True)
     ]

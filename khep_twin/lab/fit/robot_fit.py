@@ -9,14 +9,15 @@ import numpy as np
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.fit_inputs import FitTests, SensorData
-from khep_twin.lab.fit.infrared_fit import fit_infrared, mean_counts
+from khep_twin.lab.fit.infrared_fit import convert, expected_counts, fit_infrared, mean_counts
 from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
-from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, expected_readings, reading_deviations
+from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
 from khep_twin.lab.fit.motor_fit import DutyDrive, align, fit_motors, simulate
 from khep_twin.lab.fit.placement import IN_PLACE, FittedValue, Misplacement, Ruler, SensorsFit
 from khep_twin.lab.fit.wheel_fit import drive_residual, fit_wheels
 from khep_twin.renamed import renamed_attribute
 from khep_twin.sensing.calibration import Calibration
+from khep_twin.sensing.optics import saturated
 
 _MAX_MISPLACEMENT = 4.0
 """Smallest misplacement of an object to be reported, in the ruler's standard deviations."""
@@ -107,6 +108,8 @@ def _fit_floors(tests: Sequence[SensorData], start: Calibration) -> tuple[Calibr
     reflectances = np.array([test.reflectance or 0.0 for test in tests])
     if (ground := start.ground) is None or np.ptp(reflectances) == 0:
         raise FitError("the sensors of the floor cannot be determined; expected floor:white and floor:black")
+    if ground.excess > 1:
+        reflectances = np.array([saturated(light, 1.0) for light in (reflectances * ground.excess).tolist()])
     slopes, nothings = np.polyfit(reflectances, np.array([test.counts.mean(axis=0) for test in tests]), 1)
     *whites, nothing = np.clip([*(slopes + nothings), nothings.mean()], 0, None).round(1).tolist()
     variance = float(np.mean([test.counts.var(axis=0) for test in tests]))
@@ -199,21 +202,28 @@ def _noise_deviations(test: SensorData, robot: Calibration, misplacement: Mispla
     """Return the standard deviation of each reading (n, n_sensors), or a common one."""
     if test.power is not None:
         return np.array(robot.ambient.noise_counts)
-    means = mean_counts(test.readings(robot.wheels).placement, robot, misplacement)
-    return reading_deviations(means, np.array(robot.proximity.noise_counts), robot.proximity.limit_counts)
+    return _expected_proximity(test, robot, misplacement)[1]
 
 
 def simulate_readings(test: SensorData, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
     """Return the mean readings of a robot with a calibration in a sensor test (n, n_sensors)."""
-    readings, proximity = test.readings(robot.wheels), robot.proximity
     if test.power is not None:
-        lamp = LampPositions.of(readings, misplacement)
+        lamp = LampPositions.of(test.readings(robot.wheels), misplacement)
         channels = range(len(robot.heading_deg))
         return np.column_stack(
             [ambient_counts(lamp, channel, robot.ambient, robot.largest_count) for channel in channels]
         )
-    means = mean_counts(readings.placement, robot, misplacement)
-    return expected_readings(means, np.array(proximity.noise_counts), proximity.limit_counts)
+    return _expected_proximity(test, robot, misplacement)[0]
+
+
+def _expected_proximity(
+    test: SensorData, robot: Calibration, misplacement: Misplacement
+) -> tuple[Floats, Floats]:
+    """Return means and standard deviations of the readings of an object (n, n_sensors)."""
+    proximity = robot.proximity
+    levels = mean_counts(test.readings(robot.wheels).placement, robot, misplacement)
+    counts, growth = convert(levels, proximity.threshold_counts, proximity)
+    return expected_counts(counts, np.array(proximity.noise_counts) * growth, proximity)
 
 
 def with_name(calibration: Calibration, stem: str, method: str) -> Calibration:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from khep_twin.errors import FitError
-from khep_twin.interventions.move_robot import place_robot
+from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.interventions.switching import set_lamps
 from khep_twin.lab.fit.placement import Ruler
 from khep_twin.lab.fit.session_steps import TURNS, Step
@@ -123,6 +123,7 @@ class SimulatedPerson:
             bulb_mm = x_mm + radius_mm + max(distance_mm, 0.5) + BULB_RADIUS * 1e3
             lamps = [Lamp(x_mm=bulb_mm, y_mm=y_mm, z_mm=step.height_mm, power_w=step.power_w)]
         set_lamps(self._twin.world, lamps, Lighting())
+        scan(self._twin.world)  # otherwise the first readings are those before the move
         self._start_pose = self._twin.robot.pose
         return step.distance_mm
 

@@ -33,7 +33,7 @@ LAMPS_MM = (60.0, 150.0)
 """Distances of lamps from the robot's edge [mm], at which its readings are not clipped."""
 
 _DUTY_S, _POLL_S = 0.75, 0.009
-"""Duration of a step of duty; least time between two requests of the speeds, which change every 10 ms [s]."""
+"""Duration of a step of duty; least time between two polls, whose values change every 10 ms [s]."""
 _SPEED, _ACCELERATION = 10, 32
 """Values of command J on measured drives [8 mm/s, 3.125 mm/s^2]: slow, so that no tyre slips."""
 
@@ -178,14 +178,14 @@ def _drive_measured(robot: HostRobot, step: Step, stop: Callable[[], bool]) -> N
 
 
 def _drive_duties(robot: HostRobot, stop: Callable[[], bool]) -> None:
-    """Drive with each duty, and request the speeds repeatedly."""
+    """Drive with each duty, and poll the motion repeatedly."""
     bench = robot.model.fit_bench
     for duty in bench.duties:
-        robot.ask(f"{bench.duty},{duty},{duty}")
+        robot.ask(bench.duty.format(duty, duty))
         end = robot.time + _DUTY_S
         while robot.time < end and not stop():
             start = robot.time
-            robot.read_channels("speed")
+            robot.read_channels(bench.polls[0])
             robot.sleep(max(start + _POLL_S - robot.time, 0))
 
 
@@ -194,7 +194,7 @@ def _record_exchanges(robot: HostRobot, path: Path, stop: Callable[[], bool]) ->
     """Record the exchanges with a robot in a log; write none after an error, or if `stop` returns True."""
     start, byte_ns = robot.time, BITS_PER_BYTE * NS_PER_S // robot.port.baudrate
     now_ns, is_kept = 0, False
-    recorder = LineRecorder(path, {"port": robot.name}, lambda: now_ns)
+    recorder = LineRecorder(path, {"port": robot.name}, lambda: now_ns, robot.model)
 
     def listen(request: str, reply: str) -> None:
         nonlocal now_ns

@@ -30,9 +30,6 @@ from khep_twin.playpen import Playpen
 from khep_twin.robots.model import RobotModel
 from khep_twin.units import K213_PIXELS
 
-USUAL_DARK_COUNTS = 500
-"""Default dark level of a sensor, if the log has no calibration [counts]."""
-
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 
 _UNSET = ("None", "()")
@@ -151,7 +148,7 @@ def _robot_report(
     lines = recording.lines.get(f"/{name}/serial", [])
     calibration = calibration_of(recording.label.attachments, name, source)
     dark = None if calibration is None else calibration.ambient.dark_counts
-    dark_level = float(USUAL_DARK_COUNTS if dark is None else dark)
+    dark_level = float(model.bars["light"].full if dark is None else dark)
     rows: list[Row] = [("Duration", f"{_duration_s(recording):.2f} s")]
     contact = np.zeros((0, 2))
     if pose is not None:
@@ -179,7 +176,7 @@ def _robot_report(
     if absent and "relay" in recording.label.metadata:
         missing += " A real robot's log has only replies to its host, at their times."
     if ambient is not None and dark is None:
-        missing += f" There is no calibration: the dark level is taken as {USUAL_DARK_COUNTS} counts."
+        missing += f" There is no calibration: the dark level is taken as {dark_level:g} counts."
     texts = tuple(rows), missing.strip()
     return RobotReport(name, model, *texts, proximity, ambient, speed, vision, extra, dark_level, contact)
 

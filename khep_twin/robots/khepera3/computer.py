@@ -1,8 +1,9 @@
 """The computer of a Khepera III, a KoreBot: its I2C bus, pages of its processor's memory, and its files."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from khep_twin.programs.computer import Computer, Devices, i2c_bus
+from khep_twin.programs.computer import Computer, Devices, i2c_bus, i2c_program
+from khep_twin.robots.khepera3.model import ASSETS, KHEPERA_3
 from khep_twin.robots.khepera3.registers import CLOCK, DSPIC, MOTORS
 from khep_twin.robots.khepera3.robot import Khepera3Robot
 
@@ -43,3 +44,15 @@ COMPUTER = Computer(
     byte_ns=90_000,  # 9 bits at 100 kHz (an exchange of 31 bytes takes 3 ms in a public program)
     memory={_GPIO + 0x04: _READY, _CLOCKS: 0, _PWM[0]: 0, _PWM[1]: 0},
 )
+
+
+def bus_source(registers: Sequence[int]) -> str:
+    """Return C functions that start the robot, read registers, and drive."""
+    places = {
+        register: (ord(read.request[0]), int(read.request[2:] or 0), 3 + 2 * value)
+        for read in KHEPERA_3.dialect.reads.values()
+        for register, value in zip(read.registers, read.values, strict=True)
+    }
+    rows = sorted((*places[register], index) for index, register in enumerate(registers))
+    table = ", ".join(str(value) for row in rows for value in row)
+    return i2c_program("/dev/i2c-0", f"static unsigned char READS[] = {{{table}}};", ASSETS / "bus.c")

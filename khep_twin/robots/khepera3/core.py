@@ -5,6 +5,8 @@ and the battery's charge; an empty one stops the robot. `state` has the sensors.
 `compilable`, see `robots.core`.
 """
 
+from collections.abc import Collection
+
 from khep_twin.board.kernel import wrap
 from khep_twin.board.lithium_cells import cells_voltage, charge_level
 from khep_twin.compilable import compilable
@@ -14,10 +16,18 @@ from khep_twin.robots.khepera3.bus import Bus
 from khep_twin.robots.khepera3.letters import Letters, program_of
 from khep_twin.robots.khepera3.model import KHEPERA_3
 from khep_twin.robots.khepera3.motor_control import MotorState, Pic, direction
-from khep_twin.robots.khepera3.registers import PWM_LIMIT, SINGLE_COUNT, ControlType, MotorRegister, PicMode
+from khep_twin.robots.khepera3.registers import (
+    PWM_LIMIT,
+    SINGLE_COUNT,
+    ControlType,
+    MotorRegister,
+    PicMode,
+    Setting,
+)
 from khep_twin.robots.khepera3.state import Khepera3State
-from khep_twin.robots.measuring_core import measuring_core, wheel_pulses
+from khep_twin.robots.measuring_core import measuring_core, request_terms, wheel_pulses
 from khep_twin.robots.vehicle import WANDERING
+from khep_twin.sensing.buffers import RobotState
 from khep_twin.sensing.device_faults import drive_motor
 from khep_twin.sensing.scene import Scene, joint_position, joint_speed, motor_torque, set_motor
 from khep_twin.sensing.simulated import Simulated, StepInputs
@@ -119,6 +129,13 @@ def _is_powered(robot: Khepera3State) -> bool:
     return robot.board[state.POWERED] != 0
 
 
+def _request_terms(record: RobotState, names: Collection[str]) -> None:
+    """Let all ultrasonic sensors measure, each burst immediately, if they are among the terms."""
+    request_terms(record, names)
+    if "ultrasonic" in names:
+        record["board"][state.SETTING + Setting.ULTRASONIC] = (1 << state.N_ULTRASONIC) - 1
+
+
 def _program(entry: RobotEntry, robot: Khepera3State) -> Letters:
     """Return the program on the line of a state, started."""
     letters = program_of(Bus(robot, entry.robot_model), entry.rom)
@@ -147,4 +164,5 @@ CORE = measuring_core(
     command=_command,
     counter_commands="IM",
     program=_program,
+    request_terms=_request_terms,
 )

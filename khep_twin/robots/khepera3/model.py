@@ -13,6 +13,7 @@ from khep_twin.robots.body import Body, SonarRing
 from khep_twin.robots.framing import Lines
 from khep_twin.robots.khepera3.registers import GROUND, PULSES_PER_SPEED, RING, ULTRASONIC
 from khep_twin.robots.model import (
+    Bench,
     Dialect,
     Read,
     RobotModel,
@@ -163,6 +164,7 @@ KHEPERA_3 = RobotModel(
         **parts_of("khep_twin.robots.khepera3", core="CORE", robot="Khepera3Robot", host="Khepera3"),
         "conformance": "khep_twin.robots.khepera3.conformance:KHEPERA_3_CHECKS",
         "computer": "khep_twin.robots.khepera3.computer:COMPUTER",
+        "program": "khep_twin.robots.khepera3.computer:bus_source",
     },
     plots={"ultrasonic": "ultrasonic [cm]"},
     interface=_INTERFACE,
@@ -172,6 +174,17 @@ KHEPERA_3 = RobotModel(
     ),
     vehicle=VEHICLE.speeds,
     template=str(ASSETS / "template.py"),
+    # The measured speed lags behind the positions, which the fit therefore takes.
+    bench=Bench(
+        walls_mm=(20, 30, 45, 65, 100),
+        cylinders_mm=(20, 30, 45),
+        height_mm=200,
+        duty="L,l{},l{}",
+        duties=(600, 0, -600, 0, 450, -150, 0),
+        duty_limit=1023,
+        resets=("I", "M"),
+        polls=("position",),
+    ),
 )
 
 KHEPERA_3_V2 = replace(

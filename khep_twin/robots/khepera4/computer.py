@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from khep_twin.programs.computer import PINS, PWM, Computer, Devices, i2c_bus
+from khep_twin.programs.computer import PINS, PWM, Computer, Devices, i2c_bus, i2c_program
 from khep_twin.robots.khepera4.dspic import Dspic
 from khep_twin.robots.khepera4.registers import ADDRESS
 from khep_twin.robots.khepera4.robot import Khepera4Robot
@@ -71,5 +71,5 @@ def bus_source(registers: Sequence[int]) -> str:
         else:
             reads.append([place, 1])
     table = ", ".join(f"{place}, {count}" for place, count in reads)
-    source = Path(__file__).with_name("assets").joinpath("bus.c").read_text()
-    return f"static unsigned char READS[] = {{{table}}};\n{source}"
+    source = Path(__file__).with_name("assets") / "bus.c"
+    return i2c_program("/dev/i2c-2", f"static unsigned char READS[] = {{{table}}};", source)

@@ -36,6 +36,16 @@ def test_a_robot_that_turns_more_than_it_counts_sees_the_wall_farther_behind() -
     np.testing.assert_allclose(bearings, [0, -1.01, -2.02])
 
 
+def test_a_robot_of_unequal_wheels_turns_about_a_point_beside_its_axle() -> None:
+    turn = np.column_stack([np.zeros((3, 2)), [0, math.pi / 2, math.pi]])
+    moved = Misplacement(centre=0.001)
+    distances, _ = Placement(turn, 0.03).object_positions(moved)
+    np.testing.assert_allclose(distances, [0.03, 0.029, 0.03])
+    distances, _ = Placement(turn, 0.03, 0.01).object_positions(moved)
+    away = np.hypot([0.04 + BODY_RADIUS, 0.039 + BODY_RADIUS, 0.04 + BODY_RADIUS], [0, 0.001, 0.002])
+    np.testing.assert_allclose(distances, away - 0.01 - BODY_RADIUS)
+
+
 @pytest.mark.parametrize(("mm", "deg"), [(-1, 1.5), (0.5, -1), (0.5, math.nan), (50, 1)])
 def test_a_ruler_that_no_test_can_be_fitted_with_is_refused(mm: float, deg: float) -> None:
     with pytest.raises(FitError, match="expected a standard deviation of 0 to"):

@@ -25,6 +25,7 @@ from khep_twin.log.shadow_channels import PoseState
 from khep_twin.log.shadow_track import read_shadow
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.robots.registry import find_model
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
 
@@ -173,6 +174,14 @@ def test_the_report_on_a_real_robots_log_lists_what_is_missing(tmp_path: Path) -
     assert page.pictures == ["Sensors of khepera0 over time", "Wheel speeds of khepera0 over time"]
     assert dict(robot.rows)["Commands"] == "2, 5.0 per second: E 1, N 1"
     assert dict(robot.rows)["Reply time"] == "100.0 ms in the mean, 100.0 ms at most"
+
+
+def test_without_a_calibration_the_dark_level_is_that_of_the_model(tmp_path: Path) -> None:
+    exchanges = in_turn(b"O\n", f"o,{','.join(['4000'] * 12)}\n\r".encode())
+    real = relayed(tmp_path / "real.mcap", exchanges, find_model("khepera3"))
+    (robot,) = make_report(read_series(real), "log").robots
+    assert robot.missing.endswith("There is no calibration: the dark level is taken as 4000 counts.")
+    assert dict(robot.rows)["Light gained"] == "0.0 counts in the mean of all sensors"
 
 
 @pytest.mark.parametrize("suffix", [".html", ".pdf"])

@@ -145,4 +145,5 @@ def test_compiled_episodes_equal_plain_ones(planar: bool) -> None:
     )
     assert (plain.registers == compiled.registers).all()
     assert (plain.poses == compiled.poses).all()
-    assert plain.registers[:, CHANNELS["ultrasonic"]].max() > 50
+    # All ultrasonic sensors measure, not only the one that is active at power-up.
+    assert ((plain.registers[:, CHANNELS["ultrasonic"]] > 0).sum(axis=1) > 2).all()
