@@ -205,6 +205,7 @@ def measuring_core(
         fill_registers(robot)
 
     folder = state.__module__.rpartition(".")[0]
+    fields.setdefault("request_terms", request_terms)
     return register(
         Core(
             name=model.family,
@@ -219,7 +220,7 @@ def measuring_core(
             interface=model.interface,
             update_registers=update_registers,
             echo=cast_level_rays,
-            **{"request_terms": request_terms, **fields},
+            **fields,
         )
     )
 
