@@ -85,7 +85,9 @@ def _body_rules(body: Body) -> Iterator[_Rule]:
     n_sensors = len(body.sensor_positions) + len(body.ground_positions)
     names = f"a tuple of {n_sensors} names, one for each of sensor_positions and ground_positions"
     yield _Rule(_is_tuple(body.sensors, n_sensors), "body.sensors", body.sensors, names)
-    for name in ("radius", "mass", "height", "wheel_radius", "wheel_width", "wheel_base", "pulses_per_turn"):
+    lengths = "radius", "height", "wheel_radius", "wheel_width", "wheel_base"
+    ground = ("ground_height",) if body.ground_positions else ()
+    for name in ("mass", "pulses_per_turn", *lengths, *ground):
         yield _Rule(getattr(body, name) > 0, f"body.{name}", getattr(body, name), "a number above 0")
     if (sonar := body.sonar) is not None:
         n_sonars = f"a tuple of {len(sonar.headings_deg)} names, one for each of headings_deg"

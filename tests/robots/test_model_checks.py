@@ -60,6 +60,11 @@ def test_the_shipped_models_and_the_toy_pass_their_checks() -> None:
         ("interface", {"top_speed": 0}, "interface.top_speed = 0; expected a number above 0"),
         ("body", {"sensors": ("nose",)}, "body.sensors = ('nose',); expected a tuple of 5 names"),
         ("body", {"wheel_radius": 0}, "body.wheel_radius = 0; expected a number above 0"),
+        (
+            "body",
+            {"sensor_positions": ((0.0, 0.0),) * 4, "ground_positions": ((0.0, 0.0),)},
+            "body.ground_height = 0.0; expected a number above 0",
+        ),
         ("body", {"mass": None}, "TypeError: '>' not supported between instances of 'NoneType' and 'int'"),
         (
             "dialect",
