@@ -103,7 +103,7 @@ class Machine:
         """Run messages on a bus; return the content of the read messages.
 
         A message has address, flags and content; of a read message only the length counts. A byte takes
-        `byte_ns` [ns].
+        `byte_ns` [ns], and so does an address without an answer.
 
         Raises:
             OSError: No device has the address.
@@ -112,6 +112,7 @@ class Machine:
         for address, flags, content in messages:
             slave = self._devices.slaves.get((bus, address))
             if slave is None or not slave.is_powered:
+                self.advance_to(self.time_ns + byte_ns)  # the address: a loop of such messages takes time
                 raise OSError(errno.ENXIO, "no device has answered")
             self.advance_to(self.time_ns + (len(content) + 1) * byte_ns)
             if flags & READ_FLAG and content:

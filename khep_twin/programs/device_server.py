@@ -189,7 +189,7 @@ class DeviceServer:
             machine.advance_to(self._clock())
         elif kind == Request.SLEEP:
             machine.advance_to(connection.due_ns)
-        elif kind == Request.NOW:
+        elif kind in (Request.NOW, Request.GPIO_SET, Request.GPIO_GET):
             machine.advance_to(machine.time_ns + TIME_REQUEST_NS)
         if kind == Request.TRANSFER:
             bus, count = divmod(number, 1 << 16)

@@ -13,7 +13,8 @@ is a word of a program's memory on which threads wait for each other; they queue
               | due at its end or wake, all others on arrival         |
     ties      | of several: by robot, then by thread number; last the | the order of a run repeats
               | futex waits, the longest first                        |
-    clock     | a request for the time takes `TIME_REQUEST_NS`        | a loop until some time ends
+    clock     | a request for the time or a pin takes                 | a loop until some time or level ends
+              | `TIME_REQUEST_NS`                                     |
     patience  | a thread computes for `PATIENCE_S` while requests are | the others continue: time passes as
               | pending                                               | fast as it computes, not deterministic
     external  | all wait, and the first is due never, or waits for a  | they wait for a key or the network:
@@ -38,7 +39,7 @@ from khep_twin.programs.computer import Machine
 from khep_twin.programs.thread_watch import ThreadWatch
 
 TIME_REQUEST_NS = 10_000
-"""Simulated time of a request for the time and the code around it in a loop [ns] (assumed)."""
+"""Simulated time of a request for the time or a pin, and the code around it in a loop [ns] (assumed)."""
 
 PATIENCE_S = 0.05
 """Processor time for which threads may compute while requests are pending [s] (assumed)."""

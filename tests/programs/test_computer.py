@@ -59,8 +59,8 @@ def test_a_program_finds_the_buses_memory_and_files_of_its_model(
         "beside -1",
     ]
     assert [chip.content for chip in chips.values()] == [b"\x09", b"\x07\x08\x09", b"\x08\x09"]
-    # Five probes that are answered, then messages of 3, 2, 1, 1, 1 and 1 bytes with their addresses.
-    assert clock.time_ns == 90_000 * (5 + 9 + 6)
+    # Six probes, five of them with an answer, then messages of 3, 2, 1, 1, 1 and 1 bytes and their addresses.
+    assert clock.time_ns == 90_000 * (5 + 1 + 9 + 6)
     assert not os.path.exists("/etc/robot")
 
 

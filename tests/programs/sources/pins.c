@@ -4,6 +4,7 @@
 #include <linux/i2c-dev.h>
 #include <stdio.h>
 #include <sys/ioctl.h>
+#include <time.h>
 #include <unistd.h>
 
 struct request { unsigned int pin; char label[32]; };
@@ -14,6 +15,7 @@ int main(void) {
     struct request claim = {90, "reset"};
     struct value low = {90, 0}, high = {90, 1}, charger = {65, 9};
     unsigned char content = 0, first = 0x0B;
+    struct timespec start, end;
     if (ioctl(pins, _IOW('G', 0x80, struct request), &claim) || ioctl(pins, _IO('G', 0x82), 65) ||
         ioctl(pins, _IOW('G', 0x83, struct value), &high) || ioctl(pins, _IOWR('G', 0x84, struct value), &charger))
         return 1;
@@ -26,5 +28,10 @@ int main(void) {
     if (write(bus, &first, 1) != 1 || read(bus, &content, 1) != 1)
         return 2;
     printf("kp %d\n", content);
+    clock_gettime(CLOCK_MONOTONIC, &start);
+    for (int i = 0; i < 100; i++) /* as a loop that waits for a level */
+        ioctl(pins, _IOWR('G', 0x84, struct value), &charger);
+    clock_gettime(CLOCK_MONOTONIC, &end);
+    printf("100 levels %ld us\n", (end.tv_nsec - start.tv_nsec) / 1000);
     return 0;
 }
