@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -309,15 +310,33 @@ def test_exit_codes_and_signals_pass_through(programs: Path, capfd: pytest.Captu
         run_program([str(programs / "none")], machine())
 
 
-def test_a_program_ends_with_its_twin(programs: Path) -> None:
+def test_all_processes_and_files_of_a_run_end_with_a_killed_twin(programs: Path, tmp_path: Path) -> None:
     code = (
         "from test_compiled_programs import Machine, machine, run_program\nimport sys, os, signal\n"
-        "Machine.transfer = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "run_program([sys.argv[1]], machine(), simulated=False)\n"
+        "def transfer(*_):\n"
+        "    if os.path.exists('child') and os.path.getsize('child'):\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    return b''\n"
+        "Machine.transfer = transfer\n"
+        "run_program(['/bin/sh', '-c', sys.argv[1]], machine(), simulated=False)\n"
     )
-    result = python(code, programs / "forever")
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    computation = "echo $$ > child; while :; do :; done"
+    program = f"/bin/sh -c '{computation}' > /dev/null 2>&1 & exec {programs / 'forever'}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", str(folder))
+        patch.chdir(tmp_path)
+        result = python(code, program)
     assert result.returncode == -signal.SIGKILL
     assert result.stderr == "khep-twin: the twin has ended, and this program with it\n"
+    computing, end_s = Path("/proc", (tmp_path / "child").read_text().strip()), time.monotonic() + 30
+    while (computing.exists() or [*folder.iterdir()]) and time.monotonic() < end_s:
+        time.sleep(0.02)
+    leftovers = [computing] * computing.exists() + [*folder.iterdir()]
+    if computing.exists():
+        os.kill(int(computing.name), signal.SIGKILL)
+    assert leftovers == []
 
 
 def test_a_missing_compiler_is_a_one_line_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
