@@ -131,14 +131,17 @@ class Unexpected(Placed):
 
     def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
         """Add noise to the obstacle's place and radius."""
-        row = particles.twins.obstacles[:, -N_SPARE]
-        row[:, _CIRCLE] = shrink_and_jitter(row[:, _CIRCLE], _MIN_SPREAD, rng)
-        particles.twins.remeasure()
+        circles = particles.twins.obstacles[:, -N_SPARE][:, _CIRCLE]
+        self._set_circles(particles, shrink_and_jitter(circles, _MIN_SPREAD, rng))
 
     def roughen(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
         """Add noise to the obstacle's place and radius."""
+        circles = particles.twins.obstacles[:, -N_SPARE][:, _CIRCLE]
+        self._set_circles(particles, circles + spread * rng.standard_normal(circles.shape))
+
+    def _set_circles(self, particles: Particles, circles: Floats) -> None:
         row = particles.twins.obstacles[:, -N_SPARE]
-        row[:, _CIRCLE] += spread * rng.standard_normal((len(particles), len(_CIRCLE)))
+        row[:, _CIRCLE] = circles
         radii = np.array(ADDED_RADII) * particles.twins.scale
         row[:, planar.HALF_LENGTH] = np.clip(row[:, planar.HALF_LENGTH], *radii)
         particles.twins.remeasure()

@@ -9,7 +9,8 @@ from twins import AT_THE_CRATE, OPEN, light_of, particles_at, setup_of
 from khep_twin.episodes.planar import plane as plane_data
 from khep_twin.shadow.hypotheses import JITTER, Hypothesis, shrink_and_jitter
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.thing_faults import MIN_MOVE, Missing, Moved, Unexpected, obstacle_rows
+from khep_twin.shadow.planar_bodies import N_SPARE
+from khep_twin.shadow.thing_faults import ADDED_RADII, MIN_MOVE, Missing, Moved, Unexpected, obstacle_rows
 from khep_twin.shadow.wheel_faults import wheel_faults
 
 
@@ -138,6 +139,18 @@ def test_a_thing_that_was_moved_stays_moved_as_its_place_is_refined() -> None:
     # All its faces have moved together, and what one robot sees is not what another does.
     faces = particles.twins.obstacles[:, rows, plane_data.CENTRE_X]
     assert np.ptp(faces - faces[:, :1], axis=0) == pytest.approx(np.zeros(len(rows)), abs=1e-12)
+
+
+@pytest.mark.parametrize("way", ["jitter", "roughen"])
+def test_an_unexpected_thing_keeps_a_radius_in_its_range(way: str) -> None:
+    particles, rng, fault = particles_at(*[OPEN] * 200), np.random.default_rng(1), Unexpected()
+    fault.begin(particles, rng)
+    radii = particles.twins.obstacles[:, -N_SPARE, plane_data.HALF_LENGTH]
+    radii[:] = ADDED_RADII[0] * particles.twins.scale
+    for _ in range(20):
+        fault.jitter(particles, rng) if way == "jitter" else fault.roughen(particles, 0.01, rng)
+    assert radii.min() >= ADDED_RADII[0] * particles.twins.scale > 0
+    assert radii.max() <= ADDED_RADII[1] * particles.twins.scale
 
 
 def test_values_drawn_anew_have_their_mean_and_deviation_but_not_less_than_the_least() -> None:
