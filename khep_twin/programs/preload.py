@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Generator
 from pathlib import Path
 
 from khep_twin.errors import KhepTwinError
@@ -19,6 +20,20 @@ SOURCES = Path(__file__).parent / "assets"
 
 TEMPORARY_FOLDERS = "/tmp", "/var/tmp", "/dev/shm"
 """Folders for temporary files if the path of the usual one is unusable."""
+
+ORPHANS_S = 0.3
+"""Time of the wall clock until children without a twin are killed [s]; most end on their own."""
+
+_WATCHDOG = f"""
+read -r line && exit
+sleep {ORPHANS_S}
+for file in /proc/[0-9]*/environ; do
+    grep -qsF "$1" "$file" && file="${{file#/proc/}}" && kill -9 "${{file%/environ}}"
+done
+rm -rf "$1"
+"""
+"""Program of the shell that ends at a line; at the end of its input, as this process was killed, it kills the
+processes whose environment has a folder, and removes the folder."""
 
 _MAX_FOLDER = 60  # characters, as the path of a socket has up to 107
 _LIST_SEPARATORS = frozenset(" :")  # at which the loader splits LD_PRELOAD
@@ -39,6 +54,20 @@ def find_temporary_folder() -> str:
         f"{usual_folder}: unusable for sockets; expected a folder in TMPDIR that can be written, with a path "
         f"of up to {_MAX_FOLDER} characters without spaces and colons"
     )
+
+
+@contextlib.contextmanager
+def watched_folder() -> Generator[str, None, None]:
+    """Make a folder for sockets and files, which is removed even if this process is killed."""
+    with tempfile.TemporaryDirectory(prefix="khep-twin-", dir=find_temporary_folder()) as folder:
+        null, command = subprocess.DEVNULL, ["/bin/sh", "-c", _WATCHDOG, "sh", folder]
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True
+        ) as watchdog:
+            try:
+                yield folder
+            finally:
+                watchdog.communicate(b"\n")
 
 
 def compiler_flags() -> list[str]:

@@ -17,7 +17,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -29,25 +28,11 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.programs.computer import MEMORY_NODE, Computer, Machine
 from khep_twin.programs.device_server import DeviceServer
 from khep_twin.programs.executable import Executable, StartedPrograms, check_executable, check_preload
-from khep_twin.programs.preload import find_temporary_folder, preload_library
+from khep_twin.programs.preload import ORPHANS_S, preload_library, watched_folder
 from khep_twin.programs.scheduler import NEVER_NS
 
 TERMINATE_S = 2.0
 """Time from SIGTERM to SIGKILL for programs, simulated or of the wall clock [s]."""
-
-ORPHANS_S = 0.3
-"""Time of the wall clock until children without a twin are killed [s]; most end on their own."""
-
-_WATCHDOG = f"""
-read -r line && exit
-sleep {ORPHANS_S}
-for file in /proc/[0-9]*/environ; do
-    grep -qsF "$1" "$file" && file="${{file#/proc/}}" && kill -9 "${{file%/environ}}"
-done
-rm -rf "$1"
-"""
-"""Program of the shell that ends at a line; at the end of its input, as this process was killed, it kills the
-processes whose environment has a folder, and removes the folder."""
 
 
 class RobotProgram(NamedTuple):
@@ -92,7 +77,7 @@ def run_programs(
         _find_preload_library(program.arguments[0], executable)
         for program, executable in zip(programs, executables, strict=True)
     ]
-    with _watched_folder() as temporary, contextlib.ExitStack() as stack:
+    with watched_folder() as temporary, contextlib.ExitStack() as stack:
         paths = [Path(temporary, f"devices{index}") for index in range(len(programs))]
         machines = [program.machine for program in programs]
         offset_ns = machines[0].time_ns - time.monotonic_ns()

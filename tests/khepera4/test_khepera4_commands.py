@@ -48,7 +48,7 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
         ),
         (
             "conform LOG",
-            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for the checks",
+            "run.mcap: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for the checks",
         ),
         ("shadow default LOG", "run.mcap: khepera0 is a Khepera IV; expected a Khepera\n"),
         ("fit -o f.toml LOG=5turns", "run.mcap: of a khepera4; expected a khepera, or --model khepera4\n"),

@@ -166,6 +166,7 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
     figure = blank_figure(10.5, 7.6 / 3 * n_rows)
     edges = {"left": 0.07, "right": 0.985, "bottom": 0.225 / n_rows, "top": 1 - 0.135 / n_rows}
     cells = figure.add_gridspec(n_rows, 4, hspace=0.42, wspace=0.26, **edges)
+    free = cells[n_rows - 1, 3].get_position(figure)
     for index, (name, (row, column)) in enumerate(zip(names, places, strict=True)):
         axes = figure.add_subplot(cells[row, column])
         _draw_sensor(axes, runs, index, y_min, grid)
@@ -176,11 +177,14 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
             axes.set_xlabel(_UNITS[runs[0].test.motion], fontsize=8)
         if index == 0 and len(runs) > 1:
             handles, labels = axes.get_legend_handles_labels()
-            figure.legend(handles, labels, loc="lower right", frameon=False, bbox_to_anchor=(0.985, 0.06))
+            # In the free cell of another robot, the description is below.
+            corner = (0.985, 0.06) if is_khepera else (free.x0, free.y1)
+            place = "lower right" if is_khepera else "upper left"
+            figure.legend(handles, labels, loc=place, frameon=False, bbox_to_anchor=corner)
     if is_khepera:
         _draw_robot(figure.add_subplot(cells[1, 1:3]))
-    place = (0.07 if is_khepera else 0.77, 0.225 / n_rows)
-    text = figure.text(*place, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
+    text_place = (0.07, edges["bottom"]) if is_khepera else (free.x0, free.y0)
+    text = figure.text(*text_place, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
     text.set_parse_math(False)  # a dollar in the text is a dollar
     return figure
 

@@ -48,6 +48,18 @@ def test_a_khepera4_has_axes_for_its_own_sensors_up_to_their_limit(quantity: Qua
     assert figure.axes[0].get_ylim()[1] > 980
 
 
+@pytest.mark.parametrize(("model", "n_sensors"), [("khepera3", 11), ("khepera4", 12)])
+def test_description_and_legend_of_another_robot_share_the_free_cell(model: str, n_sensors: int) -> None:
+    dv = np.full((11, 2 + n_sensors), 500)
+    dv[:, :2] = np.arange(11)[:, None]
+    test = SensorTest(linear_cm=10, model=model)
+    figure = draw([SensorRun(test, dv + level, np.arange(11) / 10, "a\nb") for level in (0, 1)])
+    ((description,), (legend,)) = figure.texts, figure.legends
+    boxes = [artist.get_window_extent() for artist in (description, legend)]
+    assert boxes[0].y1 < boxes[1].y0
+    assert all(not axes.get_window_extent().overlaps(box) for axes in figure.axes for box in boxes)
+
+
 def test_a_path_counts_down_to_0_at_the_right_and_a_turn_up() -> None:
     way = draw([run()], sensor="left 10").axes[0]
     low, high = way.get_xlim()
