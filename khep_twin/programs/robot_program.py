@@ -132,21 +132,6 @@ def run_programs(
     return [process.returncode for process in processes]
 
 
-@contextlib.contextmanager
-def _watched_folder() -> Generator[str, None, None]:
-    """Make a folder for sockets and files, which is removed even if this process is killed."""
-    folder = tempfile.mkdtemp(prefix="khep-twin-", dir=find_temporary_folder())
-    null, command = subprocess.DEVNULL, ["/bin/sh", "-c", _WATCHDOG, "sh", folder]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True
-    ) as watchdog:
-        try:
-            yield folder
-        finally:
-            shutil.rmtree(folder)
-            watchdog.communicate(b"\n")
-
-
 def _find_preload_library(program: str, executable: Executable | None) -> Path:
     """Return the preload library for a program's word size."""
     if executable is None or executable.bits == 64:
