@@ -150,7 +150,7 @@ def validate(
     return check(model, parse(text, source, error_type), source, error_type, text, context)
 
 
-def parse(text: str, source: str, error_type: type[KhepTwinError]) -> dict[str, Any]:
+def parse(text: str, source: str, error_type: type[KhepTwinError]) -> Table:
     """Return the tables of a file, with arrays as tuples.
 
     Raises:

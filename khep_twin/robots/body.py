@@ -113,8 +113,8 @@ class Body:
     @property
     def sensor_places(self) -> list[tuple[float, float, float]]:
         """Positions of its infrared sensors [m], in the order of their names."""
-        around = [(x, y, self.sensor_height) for x, y in self.sensor_positions]
-        return around + [(x, y, self.ground_height) for x, y in self.ground_positions]
+        ring = [(x, y, self.sensor_height) for x, y in self.sensor_positions]
+        return ring + [(x, y, self.ground_height) for x, y in self.ground_positions]
 
     @property
     def fault_sensors(self) -> tuple[str, ...]:

@@ -101,7 +101,7 @@ def measuring_fields(
 
 def measuring_core(
     model: RobotModel,
-    state: type[Any],
+    state: type[MeasuringFields],
     start: Callable[..., None],
     scan_ns: int,
     set_infrared: Callable[..., None],
@@ -132,6 +132,67 @@ def measuring_core(
         modules: Names of the compiled modules in the folder of `state`.
         fields: Further fields of the core.
     """
+    record = _make_recorder(scan_ns, burst_ns, active_mask, measure_burst, keep_burst)
+    evaluate_scan = _make_scan(scan_ns, set_infrared)
+
+    @compilable
+    def start_recording(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> bool:
+        """Start the run, and record the moments of time 0."""
+        start(robot, simulated)
+        record(robot, simulated, inputs, 0)
+        return False
+
+    @compilable
+    def sense(robot: RobotState, simulated: Simulated, inputs: StepInputs, start: int) -> None:
+        """Record the moments of a step, if any are due."""
+        if start >= 0:
+            record(robot, simulated, inputs, simulated.counters[STEPS] * simulated.timing.step_ns)
+
+    @compilable
+    def evaluate(robot: RobotState, simulated: Simulated, inputs: StepInputs, part: int) -> None:
+        """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
+        if part == INFRARED:
+            evaluate_scan(robot, simulated, inputs, inputs.powers[0])
+        else:
+            measure_burst(robot, simulated.scene, inputs, part - ECHO, robot.times[part])
+            keep_burst(robot, part - ECHO)
+            robot.times[part] = NONE
+
+    @compilable
+    def update_registers(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> None:
+        """Evaluate the infrared sensors, whose moment is the present, and set the registers."""
+        if robot.times[INFRARED] != NONE:
+            update_frames(simulated.scene)
+            evaluate_scan(robot, simulated, inputs, inputs.powers[powers_row(simulated, inputs)])
+        fill_registers(robot)
+
+    fields.setdefault("request_terms", request_terms)
+    core = Core(
+        name=model.family,
+        state=state,
+        changing=("beams", "burst", "times", "vehicle", "registers", *changing),
+        n_moments=ECHO + len(model.body.fault_sensors) - len(model.body.sensors),
+        modules=(*_MODULES, *(f"{state.__module__.rpartition('.')[0]}.{name}" for name in modules)),
+        sense=sense,
+        start=start_recording,
+        evaluate=evaluate,
+        scan=_scan,
+        interface=model.interface,
+        update_registers=update_registers,
+        echo=cast_level_rays,
+        **fields,
+    )
+    return register(core)
+
+
+def _make_recorder(
+    scan_ns: int,
+    burst_ns: int,
+    active_mask: Callable[..., int],
+    measure_burst: Callable[..., None],
+    keep_burst: Callable[..., None],
+) -> Callable[..., None]:
+    """Return the function that records moments, by arguments of `measuring_core`."""
 
     @compilable
     def record(robot: RobotState, simulated: Simulated, inputs: StepInputs, time_ns: int) -> None:
@@ -158,18 +219,11 @@ def measuring_core(
         else:
             save_moment(scene, first + BURST, inputs.powers[powers_row(simulated, inputs)])
 
-    @compilable
-    def start_recording(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> bool:
-        """Start the run, and record the moments of time 0."""
-        start(robot, simulated)
-        record(robot, simulated, inputs, 0)
-        return False
+    return record
 
-    @compilable
-    def sense(robot: RobotState, simulated: Simulated, inputs: StepInputs, start: int) -> None:
-        """Record the moments of a step, if any are due."""
-        if start >= 0:
-            record(robot, simulated, inputs, simulated.counters[STEPS] * simulated.timing.step_ns)
+
+def _make_scan(scan_ns: int, set_infrared: Callable[..., None]) -> Callable[..., None]:
+    """Return the function that evaluates the infrared sensors, by arguments of `measuring_core`."""
 
     @compilable
     def evaluate_scan(
@@ -186,43 +240,7 @@ def measuring_core(
             set_infrared(robot, channel, proximity, ambient)
         robot.times[INFRARED] = NONE
 
-    @compilable
-    def evaluate(robot: RobotState, simulated: Simulated, inputs: StepInputs, part: int) -> None:
-        """Evaluate the moment INFRARED, or that of an ultrasonic sensor from ECHO on."""
-        if part == INFRARED:
-            evaluate_scan(robot, simulated, inputs, inputs.powers[0])
-        else:
-            measure_burst(robot, simulated.scene, inputs, part - ECHO, robot.times[part])
-            keep_burst(robot, part - ECHO)
-            robot.times[part] = NONE
-
-    @compilable
-    def update_registers(robot: RobotState, simulated: Simulated, inputs: StepInputs) -> None:
-        """Evaluate the infrared sensors, whose moment is the present, and set the registers."""
-        if robot.times[INFRARED] != NONE:
-            update_frames(simulated.scene)
-            evaluate_scan(robot, simulated, inputs, inputs.powers[powers_row(simulated, inputs)])
-        fill_registers(robot)
-
-    folder = state.__module__.rpartition(".")[0]
-    fields.setdefault("request_terms", request_terms)
-    return register(
-        Core(
-            name=model.family,
-            state=state,
-            changing=("beams", "burst", "times", "vehicle", "registers", *changing),
-            n_moments=ECHO + len(model.body.fault_sensors) - len(model.body.sensors),
-            modules=(*_MODULES, *(f"{folder}.{name}" for name in modules)),
-            sense=sense,
-            start=start_recording,
-            evaluate=evaluate,
-            scan=_scan,
-            interface=model.interface,
-            update_registers=update_registers,
-            echo=cast_level_rays,
-            **fields,
-        )
-    )
+    return evaluate_scan
 
 
 def request_terms(record: RobotState, names: Collection[str]) -> None:

@@ -22,7 +22,7 @@ from enum import StrEnum
 from importlib.metadata import EntryPoint
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 from khep_twin.board.rom import Rom
 from khep_twin.board.terms import Term as Term
@@ -408,10 +408,17 @@ def consecutive_registers(labels: Mapping[str, str]) -> tuple[SampledRegisters, 
     return tuple(SampledRegisters(name, label, range(*part)) for (name, label), part in parts)
 
 
-def ring_interface(channels: Sequence[SampledRegisters], ring: Sequence[str], **numbers: Any) -> Interface:
-    """Return the interface of consecutive channels, by the names of the sensors around.
+def ring_interface(
+    channels: Sequence[SampledRegisters],
+    ring: Sequence[str],
+    counts: tuple[int, int],
+    top_speed: float,
+    speed_limit: int,
+    speed_per_pulse: float = 1.0,
+) -> Interface:
+    """Return the interface of consecutive channels, by the names of the sensors around the robot.
 
-    Setpoints follow the speeds; `numbers` are the further attributes.
+    Setpoints follow the speeds. The other arguments are attributes of `Interface`.
     """
     first = {channel.name: channel.registers[0] for channel in channels}
     proximity, ambient = first["proximity"], first["ambient"]
@@ -423,5 +430,8 @@ def ring_interface(channels: Sequence[SampledRegisters], ring: Sequence[str], **
         sides=(proximity + ring.index("left"), proximity + ring.index("right")),
         setpoints=(speed + 2, speed + 3),
         positions=(position, position + 1),
-        **numbers,
+        counts=counts,
+        top_speed=top_speed,
+        speed_limit=speed_limit,
+        speed_per_pulse=speed_per_pulse,
     )

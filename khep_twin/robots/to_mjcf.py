@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
@@ -59,9 +58,8 @@ def add_robot(
     _fit_wheels(child, measured.wheels)
     _fit_motors(child, measured.motors)
     # Further sensors look at the floor.
-    cameras: list[Any] = list(child.cameras)
-    for camera, heading_deg in zip(cameras, measured.heading_deg, strict=False):
-        heading = units.radians(heading_deg)
+    for name, heading_deg in zip(robot.body.cameras, measured.heading_deg, strict=False):
+        heading, camera = units.radians(heading_deg), child.camera(name)
         camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
     turret_geoms: list[str] = []
@@ -119,12 +117,11 @@ def _remove_keyframes(part: mujoco.MjSpec) -> list[float]:
 
 def _add_parts(robot: mujoco.MjSpec, body: Body) -> None:
     """Add the infrared sensors, wheels and motors that a model's file lacks; calibrations set their sizes."""
-    parts: list[Any] = [*robot.cameras, *robot.bodies]
-    base, names = robot.body("base"), {part.name for part in parts}
+    base = robot.body("base")
     for name, position in zip(body.cameras, body.sensor_places, strict=True):
-        if name not in names:
+        if not robot.camera(name):
             base.add_camera(name=name, pos=position, resolution=[9, 1], fovy=12.680383)
-    for side in ("left", "right") if "left_wheel" not in names else ():
+    for side in ("left", "right") if not robot.body("left_wheel") else ():
         wheel = base.add_body(name=f"{side}_wheel", mass=body.wheel_mass, explicitinertial=True)
         wheel.ipos, wheel.iquat = [0, 0, 0], [0.7071067812, 0.7071067812, 0, 0]
         wheel.add_joint(

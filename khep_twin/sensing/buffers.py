@@ -91,7 +91,7 @@ def _record_type(values: NamedTuple, marker: str = "") -> np.dtype[np.void]:
         if isinstance(value, tuple) and hasattr(cast(Any, value), "_fields"):
             fields.append((name, _record_type(cast(Any, value))))
         else:
-            array: NDArray[Any] = np.asarray(cast(Any, value))
+            array = np.asarray(cast(Any, value))
             fields.append((name, np.int64 if array.dtype.kind == "i" else array.dtype, array.shape))
     if marker:
         fields.append((marker, np.int64))

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import mode
-from typing import Annotated, Any, Literal, Self, TypeVar, cast
+from typing import Annotated, Literal, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -381,7 +381,7 @@ def read(name: str, users: tuple[Path, ...] = ()) -> tuple[Calibration, str]:
     if path in users:
         raise CalibrationError(f'base = "{base_name}": a circle; expected another file', file=source)
     base, base_text = read(base_path, (*users, path))
-    tables: dict[str, Any] = base.model_dump(exclude_unset=True)
+    tables: toml_files.Table = base.model_dump(exclude_unset=True)
     for key, value in data.items():
         is_table = isinstance(value, dict) and isinstance(tables.get(key), dict)
         tables[key] = tables[key] | value if is_table else value
