@@ -186,7 +186,7 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
     for number in range(robots):
         rng = stream(seed, "fit_intervals", number, "robot")
         robot = draw_robot(start, rng)
-        motors = start.motors.model_dump()
+        motors = start.motors.model_dump(exclude={"supply_v"})  # not fitted
         drawn = {key: value * (1 + MOTORS * rng.standard_normal()) for key, value in motors.items()}
         robot = robot.model_copy(update={"motors": start.motors.model_copy(update=drawn)})
         with TemporaryDirectory() as folder:
