@@ -22,6 +22,7 @@ from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import notify
 from khep_twin.cli.progress import progress
 from khep_twin.process.status_line import STATUS_LINE_VARIABLE, announced, beside_status_line, status_line
+from khep_twin.robots.registry import default_model
 
 
 def test_lines_of_output_and_a_progress_bar_never_share_a_line() -> None:
@@ -138,7 +139,7 @@ def test_a_relay_never_writes_onto_the_status_line_of_its_shadow(
     monkeypatch.setattr(shadow, "relay_robot", relays)
     with at_a_terminal() as terminal, (tmp_path / "out.txt").open("w") as file:
         with redirect_stdout(terminal if output == "terminal" else file):
-            shadow._relay_with_shadow("", 9600, [], EndpointOptions(), LogOptions(), False)  # pyright: ignore[reportPrivateUsage]
+            shadow._relay_with_shadow("", 9600, [], EndpointOptions(), LogOptions(), default_model(), [])  # pyright: ignore[reportPrivateUsage]
     assert terminal.screen == ["2.5 s served", ""]
 
 

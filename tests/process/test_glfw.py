@@ -1,4 +1,4 @@
-"""Differences between operating systems."""
+"""The library of GLFW, which mujoco imports."""
 
 import os
 import sys
