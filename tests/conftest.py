@@ -121,6 +121,7 @@ def pytest_collection_finish() -> None:
     """Keep modules and tests, which stay, out of the garbage collection: a tenth of the suite's time."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(10_000, 20, 20)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -74,6 +74,7 @@ def test_a_robot_on_a_cable_needs_no_simulator() -> None:
 FIRST_LINES = runpy.run_path(str(PACKAGE.parent / "examples" / "00_first_lines.py"))
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("beginning", FIRST_LINES["EXAMPLES"], ids=lambda function: function.__name__)
 def test_each_way_to_begin_runs_as_it_stands(
     beginning: Callable[[], None],

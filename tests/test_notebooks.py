@@ -47,6 +47,7 @@ def test_a_notebook_is_kept_without_outputs(path: Path) -> None:
     assert all(cell.execution_count is None for cell in notebook.cells if cell.cell_type == "code")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ended", NOTEBOOKS[:1], ids=["01_first_drive"], indirect=True)
 def test_the_first_drive_shows_the_twin_and_both_controllers(ended: nbformat.NotebookNode) -> None:
     pytest.importorskip("rerun_notebook", reason="rerun-notebook, the extra [notebook], is not installed")

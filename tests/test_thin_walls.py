@@ -29,6 +29,7 @@ def with_wall(thickness_mm: float, table: str) -> Playpen:
     )
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("table", ["wall", "block"])
 @pytest.mark.parametrize("thickness_mm", THICKNESSES_MM)
 def test_a_contact_is_as_deep_as_the_robot_reaches_into_a_wall(thickness_mm: float, table: str) -> None:

@@ -63,7 +63,7 @@ CASES: dict[str, Case] = {
 }
 
 
-@pytest.mark.share(4)
+@pytest.mark.share(5)
 @pytest.mark.parametrize("case", CASES)
 def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
     scene, options = CASES[case]

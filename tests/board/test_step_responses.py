@@ -48,6 +48,7 @@ def test_the_speed_steps_are_those_of_the_documentation(speed: int, row: list[in
     assert [10 * rise, overshoot, 10 * settling] == row
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(("target", "row"), rows("C").items())
 def test_the_moves_are_those_of_the_documentation(target: int, row: list[int]) -> None:
     command = f"C,{target},{target}"

@@ -290,6 +290,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_written(tmp_path: Path) -> 
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap.part"]
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_is_asked_to_end_ends_with_its_log_whole(how: signal.Signals, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"

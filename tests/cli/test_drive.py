@@ -154,7 +154,7 @@ def test_a_key_that_is_released_stops_the_robot(fake: FakeRobot, terminal: Termi
     assert orders(fake) == ["D,0,0", "D,5,5", "D,0,0"]
 
 
-@pytest.mark.share(2)
+@pytest.mark.share(4)
 @pytest.mark.parametrize("how", ["ctrl-c", "SIGTERM", "ctrl-z", "SIGINT", "SIGHUP"])
 def test_whatever_ends_it_the_motors_stop_and_the_terminal_is_as_it_was(
     fake: FakeRobot, terminal: Terminal, how: str

@@ -29,6 +29,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize("file", ["old scan.mat", "scan.mat", "painted.png"])
 def test_scan_and_picture_become_the_playpen_as_it_was_drawn(file: str, folder: Path) -> None:
     good("playpen", "import", file, "-o", "out.toml", folder=folder)

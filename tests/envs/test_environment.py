@@ -202,6 +202,7 @@ def gyms(count: int, **options: Any) -> Any:
     return gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=count, **{**SHORT, **options})
 
 
+@pytest.mark.share(2)
 # A warning of Gymnasium, from the checker or from what `make` puts around an environment, is an error here.
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_finds_nothing_wrong_and_warns_of_nothing(task: str) -> None:

@@ -70,7 +70,7 @@ def test_a_playpen_is_prepared_once() -> None:
     assert sum(map(len, environment._episode.batch._idle_episodes.values())) == 3
 
 
-@pytest.mark.share(2)
+@pytest.mark.share(4)
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize("planar", [True, False])

@@ -62,7 +62,7 @@ def episode_of(
     return episode
 
 
-@pytest.mark.share(2)
+@pytest.mark.share(3)
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize(
     ("scene", "options"),

@@ -64,7 +64,7 @@ def without_light(
     return 12 - turn, 9 + turn
 
 
-@pytest.mark.share(3)
+@pytest.mark.share(6)
 @pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize(("baud", "requests"), LINES)
 def test_a_function_at_a_line_drives_like_a_host(baud: int, requests: str, compiled: bool) -> None:

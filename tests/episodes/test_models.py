@@ -54,7 +54,7 @@ def test_an_episode_of_a_khepera_iv_is_a_world_of_it() -> None:
         assert registers[CHANNELS[name]].tolist() == readings[name], name
 
 
-@pytest.mark.share(2)
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     "driver", [Function(avoid, n_memory=1, terms=TERMS), NETWORK, Policy(policy, terms=TERMS)]
 )

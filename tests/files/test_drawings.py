@@ -20,6 +20,7 @@ def _add_note(path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"</svg>", b"<!-- a note --></svg>"))
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(("name", "change"), [("map.png", _paint), ("map.svg", _add_note), ("map.pdf", None)])
 def test_a_map_is_drawn_again_until_someone_changes_it(
     name: str, change: Callable[[Path], None] | None, tmp_path: Path

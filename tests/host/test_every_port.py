@@ -11,6 +11,7 @@ from khep_twin.host import Khepera, MotorMode, Sensor, commands
 pytestmark = pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
 
 
+@pytest.mark.share(2)
 def test_it_returns_its_readings_by_name_and_number(robot: Khepera) -> None:
     light = robot.ambient()
     assert light == (485,) * 8

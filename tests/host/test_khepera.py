@@ -175,6 +175,7 @@ def test_silence_is_a_clear_error() -> None:
         Khepera(Silent(b"n,1,2")).proximity()
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     "answer", [b"n,1,2\r\n", b"o,1,2,3,4,5,6,7,8\r\n", b"n,1,2,3,4,5,6,7,x\r\n", b"Command not found\r\n"]
 )

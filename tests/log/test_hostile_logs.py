@@ -373,6 +373,7 @@ LINES = {
 }
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("name", LINES)
 def test_a_line_of_anything_is_a_result_or_one_line_for_shadow_and_conform(
     driven: Path, tmp_path: Path, name: str

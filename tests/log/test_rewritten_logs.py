@@ -71,7 +71,7 @@ def test_each_command_gives_the_same_of_a_rewritten_log(
     assert [name for name in expected if contents[name] != expected[name]] == []
 
 
-@pytest.mark.share(4)
+@pytest.mark.share(8)
 @pytest.mark.parametrize("how", REWRITINGS)
 def test_a_rewritten_log_is_read_as_the_original(how: str, original: Path, tmp_path: Path) -> None:
     log = rewritten(original, tmp_path / "run.mcap", **REWRITINGS[how])

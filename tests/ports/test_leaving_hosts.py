@@ -133,6 +133,7 @@ def test_the_host_after_one_that_left_is_served_at_once_with_no_stale_byte(kind:
     print(f"{kind}, {robot.playpen}: {LEAVINGS} hosts left; the next waited {max(times):.3f} s at most")
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     "how", [["--tcp"], ["--unpaced", "--rfc2217"], ["--clock", "wire", "--tcp"]], ids=" ".join
 )

@@ -147,7 +147,7 @@ SCENES = {
 }
 
 
-@pytest.mark.share(2)
+@pytest.mark.share(4)
 @pytest.mark.parametrize("exponent", [1.26, 3.4])
 @pytest.mark.parametrize("name", SCENES)
 def test_light_is_that_of_rays_in_all_directions(name: str, exponent: float) -> None:

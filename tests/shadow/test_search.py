@@ -133,6 +133,7 @@ def test_a_thing_that_was_added_is_found_where_it_is() -> None:
     assert place == pytest.approx([x - 0.02, y + 0.05], abs=0.02)
 
 
+@pytest.mark.long
 def test_a_wheel_that_has_come_to_a_stand_is_told_from_a_robot_that_was_put_elsewhere() -> None:
     turning = Turning()
     since_ns = turning.turn(2)
@@ -141,6 +142,7 @@ def test_a_wheel_that_has_come_to_a_stand_is_told_from_a_robot_that_was_put_else
     assert turning.run_search(since_ns).probabilities[2] > 0.9
 
 
+@pytest.mark.long
 def test_nothing_is_told_of_what_was_too_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "MAX_AGE_NS", SECOND)
     turning = Turning()

@@ -65,7 +65,7 @@ CASES = {
 }
 
 
-@pytest.mark.share(4)
+@pytest.mark.share(12)
 @pytest.mark.parametrize("case", CASES)
 def test_compiled_code_gives_the_bits_of_plain_code(case: str) -> None:
     scene, options = CASES[case]

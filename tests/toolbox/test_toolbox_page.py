@@ -68,6 +68,7 @@ def test_the_names_of_the_toolbox_are_all_importable() -> None:
     assert not [name for name in FUNCTIONS[:13] if getattr(host, name) is not getattr(toolbox, name)]
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("number", range(6))
 def test_the_programs_on_the_page_run(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

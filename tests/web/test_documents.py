@@ -191,6 +191,7 @@ def test_a_draft_of_an_earlier_version_is_still_offered_and_what_is_none_is_not(
     assert (left["draft"], left["page"]) == ({"name": "mine"}, "")
 
 
+@pytest.mark.share(3)
 @pytest.mark.parametrize(
     ("file", "name"),
     [

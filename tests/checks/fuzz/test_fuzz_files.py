@@ -10,6 +10,7 @@ from checks.fuzz.libfuzzer import run_target
 SHARE = {"toml": 500, "mat": 300, "png": 300, "picture": 150, "npz": 300, "snapshot": 60}
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize("kind", TARGETS)
 def test_a_share_of_the_fuzzing_finds_nothing(kind: str, tmp_path: Path) -> None:
     process = run_target("fuzz-files", kind, str(SHARE[kind]), folder=tmp_path)

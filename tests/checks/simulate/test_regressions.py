@@ -11,7 +11,7 @@ CASES = sorted(Path(__file__).parent.parent.joinpath("regressions").glob("*.toml
 BROKEN = [path for path in CASES if Case.read(path).mutant]
 
 
-@pytest.mark.share(9)
+@pytest.mark.share(18)
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
 def test_the_product_as_it_is_keeps_the_invariant(path: Path) -> None:
     assert Case.read(path).sound().run().violation is None

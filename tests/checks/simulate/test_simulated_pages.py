@@ -33,7 +33,7 @@ def test_a_seed_is_the_same_pages_again() -> None:
     assert simulate("page", SCENARIOS["page"], 3, 30) == simulate("page", SCENARIOS["page"], 3, 30)
 
 
-@pytest.mark.share(6)
+@pytest.mark.share(12)
 @pytest.mark.parametrize(("name", "mutant"), MUTANTS.items())
 def test_a_broken_page_is_caught(name: str, mutant: Mutant) -> None:
     seed, seconds = CAUGHT[name]

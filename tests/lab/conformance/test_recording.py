@@ -238,7 +238,7 @@ def test_a_copy_that_changes_nothing_has_no_finding(sound: Path, tmp_path: Path)
     assert failed(checked(changed(sound, tmp_path / "copy.mcap", lambda lines: lines))) == []
 
 
-@pytest.mark.share(3)
+@pytest.mark.share(6)
 @pytest.mark.parametrize(
     ("fault", "statement"),
     [

@@ -49,6 +49,7 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_what_another_robot_was_asked_before_all_sensors_were_converted_is_repeated(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with open_twin(Playpen.load("swarm"), TwinOptions(unpaced=True, log=str(path))) as twin:

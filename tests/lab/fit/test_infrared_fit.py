@@ -103,6 +103,7 @@ def test_without_noise_and_with_an_exact_ruler_the_gains_are_exact() -> None:
     assert max(infrared.rms) < 1
 
 
+@pytest.mark.long
 def test_a_wall_that_stood_elsewhere_is_found_there_as_far_as_the_others_tell() -> None:
     tests = bench([15, 20, 25, 30])
     (wrong,) = bench([22], Misplacement(0.002, math.radians(4)))

@@ -157,6 +157,7 @@ def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
     assert float(can.split(": ")[1].split(" counts")[0]) < 30
 
 
+@pytest.mark.share(2)
 @pytest.mark.parametrize(
     ("unchanged", "message"),
     [
