@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
+from itertools import cycle
 
 from benchmarks.line import open_terminal
 from benchmarks.table import LEGEND, Row, RunTimes, Table, measure, text
@@ -80,9 +81,10 @@ def command_rows(n_commands: int) -> Generator[list[Row]]:
         port = open_terminal(floor.url)
         stack.callback(os.close, port)
         with Graph(router, 0) as graph:
+            speeds = cycle((-0.08, 0.08))  # a node drops a command that repeats the last one
 
             def publish(number: int) -> None:
-                speed = 0.08 if number % 2 else -0.08
+                speed = next(speeds)
                 attachment = Attachment(number + 1, time.time_ns(), bytes(16)).to_bytes()
                 graph.session.put(key, encode(TWIST, {"linear": {"x": speed}}), attachment=attachment)
 
