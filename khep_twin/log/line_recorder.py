@@ -63,13 +63,14 @@ class LineRecorder(FileRecorder):
         self._clock = clock
         settings = settings if model is None else {**settings, "model": model.name}
         self._model = model or default_model()
-        sampled = self._model.load_class("robot", Robot).sampled
-        self._transcript = Transcript(self._file, {ROBOT: self._model.dialect.framing})
+        dialect, sampled = self._model.dialect, self._model.load_class("robot", Robot).sampled
+        self._speed_command = dialect.framing.command(dialect.drive(0, 0))
+        self._transcript = Transcript(self._file, {ROBOT: dialect.framing})
         self._line_readers = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
         self._host_events: list[tuple[int, HostEvent]] = []
         interface = self._model.interface
         self._setpoints = dict.fromkeys(interface.setpoints if interface else (), 0)
-        self._channels = [channel for channel in sampled if channel.name in self._model.dialect.reads]
+        self._channels = [channel for channel in sampled if channel.name in dialect.reads]
         self._frames = {name: ArrayFrame(len(registers), "f8", label) for name, label, registers in sampled}
         self._image_frame = ImageFrame(K213_PIXELS, f"{ROBOT}/k213")
         attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
@@ -123,7 +124,7 @@ class LineRecorder(FileRecorder):
         """Take the setpoints of a request, or record the values of a reply; ValueError for other numbers."""
         dialect, framing = self._model.dialect, self._model.dialect.framing
         if to_robot:
-            if framing.command(text) == framing.command(dialect.drive(0, 0)):
+            if framing.command(text) == self._speed_command:
                 numbers = framing.values(text.replace(" ", ""))
                 self._setpoints = dict(zip(self._setpoints, numbers, strict=True))
             return

@@ -29,7 +29,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.process.invocation import command
 from khep_twin.renamed import renamed_attribute
 from khep_twin.robots.model import Feature, RobotModel
-from khep_twin.robots.registry import default_model, titles_with
+from khep_twin.robots.registry import default_model, model_refusal
 
 if TYPE_CHECKING:
     import khep_twin
@@ -186,8 +186,7 @@ def require_feature_in(label: Label, source: object, feature: Feature) -> None:
     models = models_of(label.attachments, label.robots)
     for number, model in enumerate(models.values(), 1):
         if feature not in model.features:
-            expected = f"expected {titles_with(feature)} for {feature.value}"
-            raise LogError(f"{source}: robot {number}: model = {model.name!r}; {expected}")
+            raise LogError(f"{source}: robot {number}: {model_refusal(model.name, feature)}")
 
 
 def read_label(path: StrPath) -> Label:

@@ -38,7 +38,7 @@ def models_of(
     if not all(isinstance(entry, dict) for entry in entries):
         entries = []
     names = {robot_name(index): str(entry.get("model", DEFAULT)) for index, entry in enumerate(entries)}
-    names = names or {robot: _line_model(attachments) for robot in robots}
+    names = names or dict.fromkeys(robots, _line_model(attachments))
     models: dict[str, RobotModel] = {}
     for robot in robots:
         if is_installed(name := names.get(robot, "")):

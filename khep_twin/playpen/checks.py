@@ -25,7 +25,7 @@ from khep_twin.playpen.stripes import PANEL_LIMIT
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen.tables import PlaypenTables
 from khep_twin.robots.model import Feature
-from khep_twin.robots.registry import is_installed, titles_with
+from khep_twin.robots.registry import is_installed, model_refusal
 
 LOWEST_WALL_MM, LOWEST_WALL_WITH_TURRET_MM = 15.0, 30.0
 """Lowest walls of an arena with bare robots, and with turrets [mm]. At full speed,
@@ -72,8 +72,7 @@ def require_feature(playpen: PlaypenTables, feature: Feature, indices: Container
     """Raise a `PlaypenError` where the model of a robot, or of one of these, does not support a use."""
     for number, robot in enumerate(playpen.robots, 1):
         if (indices is None or number - 1 in indices) and feature not in robot.robot_model.features:
-            robot_text = f"{playpen.name}: robot {number}: model = {robot.model!r}"
-            raise PlaypenError(f"{robot_text}; expected {titles_with(feature)} for {feature.value}")
+            raise PlaypenError(f"{playpen.name}: robot {number}: {model_refusal(robot.model, feature)}")
 
 
 def at_spot(robot: RobotEntry, spot: Spot) -> RobotEntry:

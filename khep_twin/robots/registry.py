@@ -140,10 +140,10 @@ def _families_of(models: Mapping[str, RobotModel]) -> Mapping[str, RobotModel]:
     return families
 
 
-def titles_with(feature: Feature) -> str:
-    """Return the titles of the models that support a use, for messages."""
+def model_refusal(name: str, feature: Feature) -> str:
+    """Return the message for a model that does not support a use."""
     titles = [model.title for model in installed_models().values() if feature in model.features]
-    return f"a {' or '.join(titles)}"
+    return f"model = {name!r}; expected a {' or '.join(titles)} for {feature.value}"
 
 
 def model_of_channels(channels: Container[str]) -> RobotModel:

@@ -1,6 +1,7 @@
 """The dsPIC of the Khepera IV: its registers, and its motors against recordings and the manual's figures."""
 
 import pytest
+from dspic_words import set_words
 
 from khep_twin.robots.khepera4.dspic import Dspic
 from khep_twin.robots.khepera4.motor_control import PWM_LIMIT
@@ -117,7 +118,7 @@ def test_open_loop_control_clips_the_pwm() -> None:
 
 def test_a_read_continues_through_the_map_and_ends_with_zeros() -> None:
     dspic = Dspic()
-    dspic.set_words(DspicRegister.PROXIMITY, range(100, 112))
+    set_words(dspic, DspicRegister.PROXIMITY, range(100, 112))
     content = dspic.read(DspicRegister.AMBIENT, 48)
     assert content[:24] == bytes(24)
     assert [int.from_bytes(content[at : at + 2], "little") for at in range(24, 48, 2)] == list(

@@ -1,6 +1,7 @@
 """kh4server on a dsPIC: replies to the byte, by the manual and the published program."""
 
 import pytest
+from dspic_words import set_words
 
 from khep_twin.robots.khepera4.dspic import Dspic
 from khep_twin.robots.khepera4.registers import Control, DspicRegister
@@ -9,11 +10,11 @@ from khep_twin.robots.khepera4.server import Kh4Server
 
 def sensing() -> Dspic:
     dspic = Dspic()
-    dspic.set_words(DspicRegister.PROXIMITY, range(12))
-    dspic.set_words(DspicRegister.AMBIENT, range(900, 912))
-    dspic.set_words(DspicRegister.ULTRASONIC, [25, 2000, 1000, 0, 250])
-    dspic.set_words(DspicRegister.GYROSCOPE, range(-15, 15))
-    dspic.set_words(DspicRegister.ACCELEROMETER, [-16384] * 30)
+    set_words(dspic, DspicRegister.PROXIMITY, range(12))
+    set_words(dspic, DspicRegister.AMBIENT, range(900, 912))
+    set_words(dspic, DspicRegister.ULTRASONIC, [25, 2000, 1000, 0, 250])
+    set_words(dspic, DspicRegister.GYROSCOPE, range(-15, 15))
+    set_words(dspic, DspicRegister.ACCELEROMETER, [-16384] * 30)
     battery = (
         bytes([3])
         + (2000).to_bytes(2, "little")
@@ -131,14 +132,14 @@ def test_its_vehicle_drives_avoids_turns_where_it_is_blocked_and_stops() -> None
     server.receive(b"A,0\n")
     server.tick()
     assert orders(dspic) == (200, 200)
-    dspic.set_words(DspicRegister.PROXIMITY, [0, 0, 300, 0, 0, 0, 0, 0])  # front left
+    set_words(dspic, DspicRegister.PROXIMITY, [0, 0, 300, 0, 0, 0, 0, 0])  # front left
     server.tick()
     assert orders(dspic) == (200 + 4 * 110 // 3, 200 - 4 * 110 // 3)
-    dspic.set_words(DspicRegister.PROXIMITY, [0, 0, 0, 400, 0, 0, 0, 0])
+    set_words(dspic, DspicRegister.PROXIMITY, [0, 0, 0, 400, 0, 0, 0, 0])
     for _ in range(6):
         server.tick()
     assert orders(dspic) == (120, -120)
-    dspic.set_words(DspicRegister.PROXIMITY, [0] * 8)
+    set_words(dspic, DspicRegister.PROXIMITY, [0] * 8)
     server.tick()
     assert orders(dspic) == (200, 200)
     assert server.receive(b"E\n") == b"e,0,0\r\n"

@@ -24,7 +24,7 @@ from khep_twin.lab.experiment.users_folder import in_users_folder
 from khep_twin.playpen import Playpen
 from khep_twin.process.signals import is_interruption
 from khep_twin.robots.model import Feature, RobotModel
-from khep_twin.robots.registry import installed_models, titles_with
+from khep_twin.robots.registry import installed_models, model_refusal
 
 Params = ParamSpec("Params")
 ReturnType = TypeVar("ReturnType")
@@ -129,8 +129,7 @@ class LoopingController(FunctionController):
     def require_model(self, model: RobotModel) -> None:
         """Raise a `ControllerError` if the toolbox does not know the robot's commands."""
         if Feature.TOOLBOX not in model.features:
-            expected = f"expected {titles_with(Feature.TOOLBOX)} for {Feature.TOOLBOX.value}"
-            raise ControllerError(f"{name_of(self)}: model = {model.name!r}; {expected}")
+            raise ControllerError(f"{name_of(self)}: {model_refusal(model.name, Feature.TOOLBOX)}")
 
     def loop(
         self, robot: AnyRobot, cycles: int, end_cycle: Callable[[], bool], stop: Callable[[], bool]

@@ -115,11 +115,16 @@ def convert(
     return levels / excess**0.25, growth / excess**1.25
 
 
-def expected_counts(counts: Floats, noise: Floats, proximity: ProximityCalibration) -> tuple[Floats, Floats]:
-    """Return means and standard deviations of readings, by counts before clipping and their noise."""
+def expected_counts(counts: Floats, noise: Floats, proximity: ProximityCalibration) -> Floats:
+    """Return the means of readings, by counts before clipping and their noise."""
     floor = proximity.floor_counts
-    arguments = counts - floor, noise, proximity.limit_counts - floor
-    return expected_readings(*arguments) + floor, reading_deviations(*arguments)
+    return expected_readings(counts - floor, noise, proximity.limit_counts - floor) + floor
+
+
+def count_deviations(counts: Floats, noise: Floats, proximity: ProximityCalibration) -> Floats:
+    """Return the standard deviations of readings, by counts before clipping and their noise."""
+    floor = proximity.floor_counts
+    return reading_deviations(counts - floor, noise, proximity.limit_counts - floor)
 
 
 def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None = None) -> SensorsFit:
@@ -162,15 +167,14 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
 
     def residuals(x: Floats) -> Floats:
         clean_counts, growth = model_counts(x)
-        means, _ = expected_counts(clean_counts, noise * growth, proximity)
-        return ((means - counts) * weights).ravel()
+        return ((expected_counts(clean_counts, noise * growth, proximity) - counts) * weights).ravel()
 
     # A robust loss limits the influence of outliers, for example of readings while someone walks by.
     robust = least_squares(residuals, parameters, data_text, _OUTLIER, unit_variance=True, sparsity=sparsity)
     robust_counts, growth = model_counts(robust.values)
     differences = residuals(robust.values).reshape(counts.shape) / weights
     noise, n_used = _fit_noise(robust_counts, differences / growth, noise, proximity)
-    deviations = np.hypot(expected_counts(robust_counts, noise * growth, proximity)[1], _MODEL_ERROR)
+    deviations = np.hypot(count_deviations(robust_counts, noise * growth, proximity), _MODEL_ERROR)
     weights = (1 + (differences / deviations / _OUTLIER) ** 2) ** -0.25 / deviations
     estimate = least_squares(residuals, parameters, data_text, unit_variance=True, sparsity=sparsity)
     weights = np.ones(n_sensors)  # residuals in counts

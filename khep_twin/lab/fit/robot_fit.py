@@ -9,7 +9,13 @@ import numpy as np
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.fit_inputs import FitTests, SensorData
-from khep_twin.lab.fit.infrared_fit import convert, expected_counts, fit_infrared, mean_counts
+from khep_twin.lab.fit.infrared_fit import (
+    convert,
+    count_deviations,
+    expected_counts,
+    fit_infrared,
+    mean_counts,
+)
 from khep_twin.lab.fit.lamp_fit import LampPositions, ambient_counts, fit_lamps
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
 from khep_twin.lab.fit.motor_fit import DutyDrive, align, fit_motors, simulate
@@ -202,7 +208,7 @@ def _noise_deviations(test: SensorData, robot: Calibration, misplacement: Mispla
     """Return the standard deviation of each reading (n, n_sensors), or a common one."""
     if test.power is not None:
         return np.array(robot.ambient.noise_counts)
-    return _expected_proximity(test, robot, misplacement)[1]
+    return count_deviations(*_proximity_counts(test, robot, misplacement), robot.proximity)
 
 
 def simulate_readings(test: SensorData, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
@@ -213,17 +219,17 @@ def simulate_readings(test: SensorData, robot: Calibration, misplacement: Mispla
         return np.column_stack(
             [ambient_counts(lamp, channel, robot.ambient, robot.largest_count) for channel in channels]
         )
-    return _expected_proximity(test, robot, misplacement)[0]
+    return expected_counts(*_proximity_counts(test, robot, misplacement), robot.proximity)
 
 
-def _expected_proximity(
+def _proximity_counts(
     test: SensorData, robot: Calibration, misplacement: Misplacement
 ) -> tuple[Floats, Floats]:
-    """Return means and standard deviations of the readings of an object (n, n_sensors)."""
+    """Return the counts of an object before clipping, and their noise (n, n_sensors)."""
     proximity = robot.proximity
     levels = mean_counts(test.readings(robot.wheels).placement, robot, misplacement)
     counts, growth = convert(levels, proximity.threshold_counts, proximity)
-    return expected_counts(counts, np.array(proximity.noise_counts) * growth, proximity)
+    return counts, np.array(proximity.noise_counts) * growth
 
 
 def with_name(calibration: Calibration, stem: str, method: str) -> Calibration:

@@ -9,7 +9,7 @@ A write is a register number, followed by the bytes for it and for the following
 through the register map (library). `tick` and `reset` are `compilable`; `Dspic` is the bus to their state.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -171,11 +171,6 @@ class Dspic:
     def pwm(self) -> tuple[int, int]:
         """PWM of the left and the right motor."""
         return self.state.motors[LEFT_PWM], self.state.motors[RIGHT_PWM]
-
-    def set_words(self, register: DspicRegister, values: Sequence[int]) -> None:
-        """Set registers of 2 bytes each to readings, from a register on."""
-        for index, value in enumerate(values):
-            write_number(self.state.memory, register + 2 * index, 2, value)
 
     @property
     def leds(self) -> bytes:

@@ -13,7 +13,7 @@ from khep_twin.files.toml_files import dump
 from khep_twin.host.host_robot import open_robot
 from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.lab.fit.fit_inputs import FitTests, SensorData, fit_inputs
-from khep_twin.lab.fit.infrared_fit import convert, expected_counts, mean_counts
+from khep_twin.lab.fit.infrared_fit import convert, count_deviations, expected_counts, mean_counts
 from khep_twin.lab.fit.motor_fit import read_drive, simulate
 from khep_twin.lab.fit.placement import FittedValue, Placement, Ruler
 from khep_twin.lab.fit.robot_fit import fit_robot
@@ -84,7 +84,8 @@ def test_noise_grows_with_the_light_and_shrinks_where_readings_saturate() -> Non
 
 def test_a_dark_reading_is_clipped_to_a_floor_below_0() -> None:
     near = START.proximity.model_copy(update={"floor_counts": -2, "saturates": False})
-    means, deviations = expected_counts(np.array([-50.0, 0.0, 100.0]), np.array([2.0]), near)
+    readings = np.array([-50.0, 0.0, 100.0]), np.array([2.0]), near
+    means, deviations = expected_counts(*readings), count_deviations(*readings)
     assert means[0] == pytest.approx(-2, abs=1e-3)
     assert 0 < means[1] < 0.5
     assert deviations[2] == pytest.approx(2)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -10,13 +10,12 @@ from khep_twin.compilable import compilable
 from khep_twin.robots.core import Core, register
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.beams import cast_level_ray
-from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, set_reading
+from khep_twin.sensing.buffers import Vector, state_class
+from khep_twin.sensing.device_faults import drive_motor, set_reading
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
-from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
-from khep_twin.sensors import core_fields
+from khep_twin.sensors import RobotFields, core_fields
 from second_robot import model
 from second_robot.model import AMBIENT, BATTERY, BODY, PROXIMITY, SCOUT, ULTRASONIC
 
@@ -28,18 +27,10 @@ N_RING, N_SONAR, _PLACES = len(model.RING), len(model.SONAR), tuple(BODY.sonar.p
 _PULSES_PER_RAD, _IDLE_CURRENT = BODY.pulses_per_turn / math.tau, BODY.idle_current
 
 
-class ScoutState(NamedTuple):
+@state_class
+class ScoutState(RobotFields):
     """State of one robot; `ground` has the counts above white, those of nothing, and their noise."""
 
-    angles: Sequence[int]
-    speeds: Sequence[int]
-    motors: Sequence[int]
-    pose: int
-    radius: float
-    motor_constant: float
-    sensors: RobotSensors
-    faults: DeviceFaults
-    noise: Vector[int]
     ground: Sequence[float]
     is_discharged: int
     first_moment: int

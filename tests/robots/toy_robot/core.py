@@ -1,22 +1,20 @@
 """Core of the Toy: every 20 ms its sensors, every 10 ms its speed controllers; all state is in registers."""
 
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.robots.core import Core, register
 from khep_twin.sensing.beams import cast_level_ray
-from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.device_faults import DeviceFaults, drive_motor, set_reading
+from khep_twin.sensing.buffers import Vector, state_class
+from khep_twin.sensing.device_faults import drive_motor, set_reading
 from khep_twin.sensing.noise import draws
 from khep_twin.sensing.optics import convert
-from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import Beams, joint_position, joint_speed
 from khep_twin.sensing.simulated import STEPS, Simulated, StepInputs, powers_row
-from khep_twin.sensors import core_fields
+from khep_twin.sensors import RobotFields, core_fields
 from toy_robot.model import BODY, TOY
 
 N_INFRARED, PERIOD_NS, REACH = 5, 20_000_000, 1.5
@@ -27,20 +25,12 @@ _MM_PER_RAD, _PULSES_PER_RAD = 1000 * BODY.wheel_radius, BODY.pulses_per_turn / 
 (_EYE,) = BODY.sonar.places
 
 
-class ToyState(NamedTuple):
-    """State of one robot: indices in the scene, sensors, faults, registers, key of its random draws."""
+@state_class
+class ToyState(RobotFields):
+    """State of one robot: the usual fields, the beam of its ultrasonic sensor, and registers."""
 
-    angles: Sequence[int]
-    speeds: Sequence[int]
-    motors: Sequence[int]
-    pose: int
-    radius: float
-    motor_constant: float
-    sensors: RobotSensors
-    faults: DeviceFaults
     beam: Beams
     registers: Vector[int]
-    noise: Vector[int]
 
 
 def _make_state(*setup: Any) -> ToyState:
