@@ -140,10 +140,10 @@ def test_a_broken_file_and_a_bomb_are_one_line(data: bytes, line: str) -> None:
 
 def test_much_text_in_many_rows_and_matrices_is_refused_in_time() -> None:
     rows = matrix([2**20, 1], 4, "♞".encode("utf-16-le") * 2**20, stored=17)
-    start = time.process_time()
+    start = time.thread_time()
     with pytest.raises(MatError, match="text of 2097152 characters; expected up to 1048576"):
         read_variables(matlab_5(rows * 30))
-    assert time.process_time() - start < 2
+    assert time.thread_time() - start < 2
 
 
 @pytest.mark.parametrize(
